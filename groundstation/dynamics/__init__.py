@@ -1,0 +1,1 @@
+"""Motor, rigid body, battery, vehicle profiles and the model file. Pure."""

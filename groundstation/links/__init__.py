@@ -1,0 +1,1 @@
+"""Sources of telemetry behind one asynchronous interface."""

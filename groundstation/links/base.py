@@ -1,0 +1,136 @@
+"""The interface every telemetry link has.
+
+``read`` owns state, timeouts and events; a backend overrides ``_open``, ``_read`` and
+``_close`` and nothing else. ``close`` may be called twice.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import enum
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
+
+from groundstation.clock import HostClock, steady_clock
+from groundstation.errors import LinkEndedError, LinkLostError
+from groundstation.telemetry.samples import RawBatch, SampleBatch
+
+LinkBatch = RawBatch | SampleBatch
+"""What a link delivers: packets, or samples where the source never had packets (microSD)."""
+
+
+class LinkState(enum.StrEnum):
+    CLOSED = "closed"
+    """Not opened yet, or closed by us."""
+    OPENING = "opening"
+    """Looking for the device."""
+    STREAMING = "streaming"
+    """Batches arrive."""
+    SILENT = "silent"
+    """Open, but nothing has arrived for longer than the silence limit."""
+    LOST = "lost"
+    """The device went away."""
+    ENDED = "ended"
+    """A finite source has delivered everything."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEvent:
+    """Something worth telling the operator and the recording."""
+
+    time_ns: int
+    link: str
+    kind: str
+    """One word: opened, streaming, silent, lost, ended, closed, fault, restart ..."""
+    text: str
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+EventSink = Callable[[LinkEvent], None]
+
+
+class Link(ABC):
+    """A source of telemetry.
+
+    name: as the user would type it after ``--link``.
+    start_ticks: unwrapped device time of the first sample where the source knows it (replay),
+        so that a replayed recording keeps its absolute device time.
+    """
+
+    silence_s = 0.5
+
+    def __init__(self, name: str, *, clock: HostClock | None = None) -> None:
+        self.name = name
+        self.clock = clock or steady_clock()
+        self.state = LinkState.CLOSED
+        self.start_ticks: int | None = None
+        self.on_event: EventSink = lambda event: None
+
+    async def open(self) -> None:
+        """Open the source. Raises LinkError when it cannot be opened now."""
+        self._enter(LinkState.OPENING, "opening")
+        try:
+            await self._open()
+        except BaseException as error:
+            self._enter(LinkState.CLOSED, f"could not open: {error}")
+            raise
+
+    async def read(self) -> LinkBatch | None:
+        """The next batch, or None when ``silence_s`` passed without one.
+
+        Raises LinkLostError when the device went away, LinkEndedError at the end of a replay.
+        """
+        try:
+            batch = await asyncio.wait_for(self._read(), self.silence_s)
+        except TimeoutError:
+            self._enter(LinkState.SILENT, f"nothing received for {self.silence_s:g} s")
+            return None
+        except LinkEndedError as error:
+            self._enter(LinkState.ENDED, str(error))
+            raise
+        except LinkLostError as error:
+            self._enter(LinkState.LOST, str(error))
+            raise
+        self._enter(LinkState.STREAMING, "receiving")
+        return batch
+
+    async def close(self) -> None:
+        """Release the source. Safe to call twice."""
+        if self.state is LinkState.CLOSED:
+            return
+        await self._close()
+        self._enter(LinkState.CLOSED, "closed")
+
+    async def __aenter__(self) -> Self:
+        await self.open()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    def emit(self, kind: str, text: str, **details: Any) -> None:
+        """Report an event of this link."""
+        self.on_event(LinkEvent(self.clock(), self.name, kind, text, details))
+
+    def _enter(self, state: LinkState, text: str) -> None:
+        if state is not self.state:
+            self.state = state
+            self.emit(state.value, text)
+
+    @abstractmethod
+    async def _open(self) -> None: ...
+
+    @abstractmethod
+    async def _read(self) -> LinkBatch:
+        """Wait for the next batch. Cancelled at the silence limit: must lose nothing then."""
+
+    @abstractmethod
+    async def _close(self) -> None: ...

@@ -1,0 +1,1 @@
+"""Recordings: MCAP, CSV, microSD logs; recovery and quality."""

@@ -1,0 +1,1 @@
+"""The daemon: station, configuration, control API."""

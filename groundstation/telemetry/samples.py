@@ -1,0 +1,194 @@
+"""Batches: raw packets as a link delivers them, and decoded samples as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.telemetry.packet import (
+    ACCELEROMETER_M_S2,
+    ANGLE_RAD,
+    BATTERY_V,
+    DUTY,
+    GYRO_RAD_S,
+    TICK_S,
+    Packets,
+    decode,
+    encode,
+    motor_counts,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RawBatch:
+    """Packets as received, in order of arrival.
+
+    packets: (n, 32) uint8.
+    host_time_ns: (n,) int64, Unix time at which the host saw each packet: may be late
+        (a blocked loop), never early.
+    """
+
+    packets: Packets
+    host_time_ns: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.packets)
+
+    @staticmethod
+    def concatenate(batches: Sequence[RawBatch]) -> RawBatch:
+        if not batches:
+            return RawBatch(np.empty((0, 32), np.uint8), np.empty(0, np.int64))
+        return RawBatch(
+            np.concatenate([b.packets for b in batches]),
+            np.concatenate([b.host_time_ns for b in batches]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBatch:
+    """Decoded samples, one row each, without duplicates, in order of device time.
+
+    Frames and signs as in the design: body FLU, roll left side up positive, pitch nose DOWN
+    positive, yaw counter-clockwise positive. A channel the source does not have is NaN.
+
+    ticks: (n,) int64, unwrapped device time in units of ``tick_s``.
+    tick_s: seconds per tick (73/72 us for the telemetry packet, 1 us for microSD logs).
+    host_time_ns: (n,) int64, Unix time of the earliest copy's arrival.
+    segment: (n,) int32, counts restarts of the device; device time is continuous inside one.
+    copies: (n,) uint8, how many agreeing copies arrived (saturates at 255).
+    battery_v: (n,) float32.
+    duty: (n, 4) float32, 0..1, the PWM that acted over the 2 ms before the gyro sample.
+    gyro: (n, 3) float32, rad/s.
+    accelerometer: (n, 3) float32, specific force in m/s^2.
+    attitude: (n, 3) float32, roll pitch yaw in rad.
+    rotor_rev_s: (n, 4) float32, measured rotor speeds where the source has them.
+    debug: (n,) uint32.
+    """
+
+    ticks: NDArray[np.int64]
+    host_time_ns: NDArray[np.int64]
+    segment: NDArray[np.int32]
+    copies: NDArray[np.uint8]
+    battery_v: NDArray[np.float32]
+    duty: NDArray[np.float32]
+    gyro: NDArray[np.float32]
+    accelerometer: NDArray[np.float32]
+    attitude: NDArray[np.float32]
+    rotor_rev_s: NDArray[np.float32]
+    debug: NDArray[np.uint32]
+    tick_s: float = TICK_S
+
+    def __len__(self) -> int:
+        return len(self.ticks)
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Device time in seconds, shape (n,)."""
+        return self.ticks.astype(np.float64) * self.tick_s
+
+    def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> SampleBatch:
+        """The chosen rows as a new batch."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
+
+    @staticmethod
+    def concatenate(batches: Sequence[SampleBatch]) -> SampleBatch:
+        """Join batches that share ``tick_s``; an empty sequence gives an empty batch."""
+        if not batches:
+            return empty_samples(0)
+        if len({batch.tick_s for batch in batches}) > 1:
+            raise ValueError("sample batches with different tick lengths cannot be joined")
+        columns = {
+            name: np.concatenate([getattr(batch, name) for batch in batches]) for name in COLUMNS
+        }
+        return SampleBatch(**columns, tick_s=batches[0].tick_s)
+
+
+COLUMNS: tuple[str, ...] = tuple(f.name for f in fields(SampleBatch) if f.name != "tick_s")
+"""Names of the per-row arrays of a ``SampleBatch``."""
+
+_WIDTHS = {"duty": 4, "gyro": 3, "accelerometer": 3, "attitude": 3, "rotor_rev_s": 4}
+_INTEGER_TYPES: dict[str, type[np.generic]] = {
+    "ticks": np.int64,
+    "host_time_ns": np.int64,
+    "segment": np.int32,
+    "copies": np.uint8,
+    "debug": np.uint32,
+}
+
+
+def empty_samples(rows: int, tick_s: float = TICK_S) -> SampleBatch:
+    """A batch of ``rows`` rows: integers 0, copies 1, every physical channel NaN."""
+    columns: dict[str, NDArray[Any]] = {}
+    for name in COLUMNS:
+        if name in _INTEGER_TYPES:
+            columns[name] = np.zeros(rows, _INTEGER_TYPES[name])
+        else:
+            shape = (rows, _WIDTHS[name]) if name in _WIDTHS else (rows,)
+            columns[name] = np.full(shape, np.nan, np.float32)
+    columns["copies"][:] = 1
+    return SampleBatch(**columns, tick_s=tick_s)
+
+
+def samples_from_packets(
+    packets: Packets,
+    ticks: NDArray[np.int64],
+    host_time_ns: NDArray[np.int64],
+    segment: NDArray[np.int32],
+    copies: NDArray[np.uint8],
+) -> SampleBatch:
+    """Decode (n, 32) deduplicated packets into physical units."""
+    records = decode(packets)
+    attitude = records["angles"] * np.float32(ANGLE_RAD)
+    attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
+    return SampleBatch(
+        ticks=ticks,
+        host_time_ns=host_time_ns,
+        segment=segment,
+        copies=copies,
+        battery_v=records["battery"] * np.float32(BATTERY_V),
+        duty=motor_counts(records) * np.float32(DUTY),
+        gyro=records["gyro"] * np.float32(GYRO_RAD_S),
+        accelerometer=records["accelerometer"] * np.float32(ACCELEROMETER_M_S2),
+        attitude=attitude,
+        rotor_rev_s=np.full((len(records), 4), np.nan, np.float32),
+        debug=records["debug"].astype(np.uint32),
+    )
+
+
+def packet_counts(samples: SampleBatch) -> dict[str, NDArray[np.int64]]:
+    """The packet's integers behind ``samples``: the inverse of ``samples_from_packets``.
+
+    Keys: timestamp (unwrapped), battery, motors, gyro, accelerometer, angles (pitch in the
+    packet's nose-up convention), debug. Exact for samples that came from packets. A channel
+    without data (NaN) gives 0.
+    """
+    angles = _counts(samples.attitude, ANGLE_RAD)
+    angles[:, 1] *= -1
+    return {
+        "timestamp": samples.ticks.astype(np.int64),
+        "battery": _counts(samples.battery_v, BATTERY_V),
+        "motors": _counts(samples.duty, DUTY),
+        "gyro": _counts(samples.gyro, GYRO_RAD_S),
+        "accelerometer": _counts(samples.accelerometer, ACCELEROMETER_M_S2),
+        "angles": angles,
+        "debug": samples.debug.astype(np.int64),
+    }
+
+
+def packets_from_samples(samples: SampleBatch) -> Packets:
+    """Encode samples back into (n, 32) packets; values beyond a field's range are clipped."""
+    counts = packet_counts(samples)
+    for name in ("gyro", "accelerometer", "angles"):
+        counts[name] = np.clip(counts[name], -32768, 32767)
+    counts["battery"] = np.clip(counts["battery"], 0, 65535)
+    counts["motors"] = np.clip(counts["motors"], 0, 4095)
+    return encode(**counts)
+
+
+def _counts(values: NDArray[np.float32], unit: float) -> NDArray[np.int64]:
+    scaled = np.nan_to_num(values.astype(np.float64) / unit, nan=0.0)
+    return np.rint(scaled).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Streaming to the rerun viewer without ever blocking or growing the daemon."""
