@@ -1,0 +1,85 @@
+"""The layout a pilot flies by: the craft on the left, its signals on the right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
+
+from groundstation.viewer.log import CRAFT, DEVICE_TIME, EVENTS, LINK
+
+WINDOW_S = 10.0
+"""Plots show this much of the newest device time."""
+
+
+def pilot_blueprint(*, follow: bool) -> rrb.Blueprint:
+    """The views over device time. ``follow`` keeps to the newest data (live); a finished
+    recording starts at its end instead, at rest."""
+    window = rr.VisibleTimeRange(
+        DEVICE_TIME,
+        start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
+        end=rr.TimeRangeBoundary.cursor_relative(),
+    )
+
+    def plot(name: str, *entities: str, low: float | None = None, high: float | None = None) -> Any:
+        return rrb.TimeSeriesView(
+            name=name,
+            origin="/",
+            contents=list(entities),
+            time_ranges=window,
+            axis_y=None if low is None or high is None else rrb.ScalarAxis(range=(low, high)),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        )
+
+    craft = rrb.Spatial3DView(
+        name="Craft",
+        origin="/",
+        contents=[f"{CRAFT}/**", "/world/**"],
+        background=rrb.Background(color=(21, 24, 30)),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(-0.14, -0.105, 0.155),
+            look_target=(0.0, 0.0, -0.022),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+    left = rrb.Vertical(
+        craft,
+        rrb.Horizontal(
+            plot("Battery (V)", "/telemetry/battery", low=2.9, high=4.3),
+            plot("Samples per second", f"{LINK}/rate_hz"),
+        ),
+        plot("Link: loss (%), latency (ms)", f"{LINK}/loss_pct", f"{LINK}/latency_ms"),
+        rrb.TextLogView(
+            name="Events",
+            origin=EVENTS,
+            contents=[EVENTS],
+            columns=rrb.TextLogColumns(
+                timeline_columns=[TimelineColumn(DEVICE_TIME)],
+                text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")],
+            ),
+        ),
+        row_shares=[6, 2, 2, 2],
+    )
+    right = rrb.Vertical(
+        plot("Attitude (deg)", "/telemetry/attitude"),
+        plot("Rates (deg/s)", "/telemetry/rates"),
+        plot("Accelerometer (g)", "/telemetry/accelerometer"),
+        plot("Motors (% duty)", "/telemetry/motors", low=0.0, high=100.0),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[4, 5]),
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=DEVICE_TIME,
+            play_state="following" if follow else "paused",
+        ),
+        auto_views=False,
+        auto_layout=False,
+    )
