@@ -1,0 +1,286 @@
+"""CSV files: the thesis's layout (the packet's integers) and a table in physical units.
+
+The thesis's layout has one line per sample, ``Timestamp,Battery,...,Debug``, exactly the
+counts of the packet with the timestamp unwrapped (ticks of 73/72 us) and pitch as the
+firmware sends it, nose up positive. The physical table names the unit in each header
+(``gyro_x_deg_s``) and has the signs of the design, pitch nose down positive.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.delimited import Block, TextTable, open_table
+from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
+from groundstation.recording.session import Recording
+from groundstation.telemetry.packet import (
+    ACCELEROMETER_M_S2,
+    ANGLE_RAD,
+    BATTERY_V,
+    DUTY,
+    GYRO_RAD_S,
+    STANDARD_GRAVITY,
+    TICK_S,
+    encode,
+)
+from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples, packet_counts
+
+THESIS_COLUMNS = (
+    *("Timestamp", "Battery", "Motor1", "Motor2", "Motor3", "Motor4"),
+    *("GyroX", "GyroY", "GyroZ", "AccX", "AccY", "AccZ", "Roll", "Pitch", "Yaw", "Debug"),
+)
+"""Header of the thesis's layout (thesis figure 5.7)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumn:
+    """One column of the physical table: value = ``scale`` x the sample's SI value."""
+
+    header: str
+    field: str
+    index: int | None
+    scale: float
+    unit: str
+
+
+def _table_columns() -> tuple[TableColumn, ...]:
+    degree, g = 180 / np.pi, 1 / STANDARD_GRAVITY
+    columns = [TableColumn("battery_v", "battery_v", None, 1.0, "V")]
+    columns += [TableColumn(f"duty_{m + 1}", "duty", m, 1.0, "1") for m in range(4)]
+    for index, axis in enumerate("xyz"):
+        columns.append(TableColumn(f"gyro_{axis}_deg_s", "gyro", index, degree, "deg/s"))
+    for index, axis in enumerate("xyz"):
+        columns.append(TableColumn(f"accelerometer_{axis}_g", "accelerometer", index, g, "g"))
+    for index, angle in enumerate(("roll", "pitch", "yaw")):
+        columns.append(TableColumn(f"{angle}_deg", "attitude", index, degree, "deg"))
+    columns += [
+        TableColumn(f"rotor_{m + 1}_rpm", "rotor_rev_s", m, 60.0, "rev/min") for m in range(4)
+    ]
+    return tuple(columns)
+
+
+TABLE_COLUMNS = _table_columns()
+"""The physical table's measured channels; ``time_s``, ``segment``, ``host_time_s`` go before
+them and ``debug`` after."""
+
+_TABLE_EXTRAS = ("segment", "host_time_s", "debug")
+_TABLE_TICK_S = 1e-9
+_WRITE_ROWS = 20_000
+
+
+def read_csv(path: Path) -> Recording:
+    """Read a CSV file in the thesis's layout or in physical units, told apart by the header.
+
+    A time that goes backwards starts a new segment. Host stamps are made from device time
+    where the file has none. Rows that fit the packet are also given as raw packets, one copy
+    each, so that the recording can be replayed.
+
+    Raises RecordingError where the file cannot be opened, BadInputError (file, line, column)
+    where it does not read. A torn last line is left out and named in ``damage``.
+    """
+    table = open_table(path)
+    positions = {name.lower(): place for place, name in enumerate(table.names) if name}
+    if "time_s" in positions:
+        return _read_physical(table, positions)
+    missing = [name for name in THESIS_COLUMNS if name.lower() not in positions]
+    if missing:
+        raise BadInputError(
+            f"{path}, line 1: the header has neither the thesis's columns (no {missing[0]}) nor "
+            "time_s; describe the columns in a TOML file and give it with --columns"
+        )
+    return _read_thesis(table, [positions[name.lower()] for name in THESIS_COLUMNS])
+
+
+def write_csv(recording: Recording, path: Path) -> None:
+    """Write the samples in the thesis's layout, integers exactly as the packets had them.
+
+    Samples of another source (a microSD log) are rounded to the packet's counts and ticks; a
+    channel without data is 0. Host stamps and copies are not part of this layout.
+
+    Raises BadInputError where ``path`` exists, RecordingError where it cannot be written.
+    """
+    samples = recording.samples
+    with _new_file(path) as file:
+        file.write(",".join(THESIS_COLUMNS) + "\n")
+        for first in range(0, len(samples), _WRITE_ROWS):
+            counts = packet_counts(samples[first : first + _WRITE_ROWS])
+            if samples.tick_s != TICK_S:
+                seconds = counts["timestamp"] * samples.tick_s
+                counts["timestamp"] = np.rint(seconds / TICK_S).astype(np.int64)
+            rows = np.column_stack(list(counts.values()))
+            _write_rows(file, rows, ["%d"] * len(THESIS_COLUMNS))
+
+
+def write_table_csv(recording: Recording, path: Path) -> None:
+    """Write the samples in physical units, each header with its unit.
+
+    Columns: ``time_s`` (device time), ``segment``, ``host_time_s`` (Unix), then
+    ``TABLE_COLUMNS`` and ``debug``. A channel the recording does not have is left out; a
+    missing value is ``nan``. Reading the file gives the same samples, time to the nanosecond.
+
+    Raises BadInputError where ``path`` exists, RecordingError where it cannot be written.
+    """
+    samples = recording.samples
+    present = [c for c in TABLE_COLUMNS if np.isfinite(_channel(samples, c)).any()]
+    header = ["time_s", "segment", "host_time_s", *(c.header for c in present), "debug"]
+    formats = ["%.9f", "%d", "%.6f", *["%.9g"] * len(present), "%d"]
+    with _new_file(path) as file:
+        file.write(",".join(header) + "\n")
+        for first in range(0, len(samples), _WRITE_ROWS):
+            block = samples[first : first + _WRITE_ROWS]
+            columns: list[NDArray[Any]] = [block.time_s, block.segment, block.host_time_ns / 1e9]
+            columns += [_channel(block, c).astype(np.float64) * c.scale for c in present]
+            _write_rows(file, np.column_stack([*columns, block.debug]), formats)
+
+
+def _read_thesis(table: TextTable, places: list[int]) -> Recording:
+    stamps: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
+    channels: list[NDArray[np.int32]] = [np.empty((0, 14), np.int32)]
+    debugs: list[NDArray[np.uint32]] = [np.empty(0, np.uint32)]
+    for block in table.blocks(places, integers=True):
+        _require_range(block, slice(1, 15), np.iinfo(np.int32))
+        _require_range(block, slice(15, 16), np.iinfo(np.uint32))
+        stamps.append(block.values[:, 0].copy())
+        channels.append(block.values[:, 1:15].astype(np.int32))
+        debugs.append(block.values[:, 15].astype(np.uint32))
+    ticks, counts, debug = np.concatenate(stamps), np.concatenate(channels), np.concatenate(debugs)
+    segment = segments_of(ticks)
+    host_time_ns = host_time_from_ticks(ticks, TICK_S, segment)
+    return Recording(
+        path=table.path,
+        kind="csv",
+        samples=_from_counts(ticks, counts, debug, segment, host_time_ns),
+        raw=_as_packets(ticks, counts, debug, host_time_ns),
+        metadata={"host_time": dict(SYNTHESISED)},
+        damage=table.damage,
+    )
+
+
+def _require_range(block: Block, columns: slice, limits: np.iinfo[Any]) -> None:
+    values = block.values[:, columns]
+    outside = np.argwhere((values < limits.min) | (values > limits.max))
+    if len(outside):
+        row, column = (int(place) for place in outside[0])
+        why = f"{values[row, column]} is outside {limits.min}..{limits.max}"
+        raise block.error(row, columns.start + column, why)
+
+
+def _from_counts(
+    ticks: NDArray[np.int64],
+    counts: NDArray[np.int32],
+    debug: NDArray[np.uint32],
+    segment: NDArray[np.int32],
+    host_time_ns: NDArray[np.int64],
+) -> SampleBatch:
+    """Samples from (n, 14) counts: battery, motors, gyro, accelerometer, angles."""
+
+    def scaled(columns: slice, unit: float) -> NDArray[np.float32]:
+        return counts[:, columns].astype(np.float32) * np.float32(unit)
+
+    attitude = scaled(slice(11, 14), ANGLE_RAD)
+    attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
+    return SampleBatch(
+        ticks=ticks,
+        host_time_ns=host_time_ns,
+        segment=segment,
+        copies=np.ones(len(ticks), np.uint8),
+        battery_v=scaled(slice(0, 1), BATTERY_V)[:, 0],
+        duty=scaled(slice(1, 5), DUTY),
+        gyro=scaled(slice(5, 8), GYRO_RAD_S),
+        accelerometer=scaled(slice(8, 11), ACCELEROMETER_M_S2),
+        attitude=attitude,
+        rotor_rev_s=np.full((len(ticks), 4), np.nan, np.float32),
+        debug=debug,
+    )
+
+
+def _as_packets(
+    ticks: NDArray[np.int64],
+    counts: NDArray[np.int32],
+    debug: NDArray[np.uint32],
+    host_time_ns: NDArray[np.int64],
+) -> RawBatch | None:
+    """The rows as packets, or None where a value does not fit its field (simulated data)."""
+    try:
+        packets = encode(
+            timestamp=ticks,
+            battery=counts[:, 0],
+            motors=counts[:, 1:5],
+            gyro=counts[:, 5:8],
+            accelerometer=counts[:, 8:11],
+            angles=counts[:, 11:14],
+            debug=debug,
+        )
+    except ValueError:
+        return None
+    return RawBatch(packets, host_time_ns)
+
+
+def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
+    columns = [c for c in TABLE_COLUMNS if c.header in positions]
+    extras = [name for name in _TABLE_EXTRAS if name in positions]
+    names = ["time_s", *extras, *(c.header for c in columns)]
+    blocks = []
+    for block in table.blocks([positions[name] for name in names]):
+        unusable = np.argwhere(~np.isfinite(block.values[:, : 1 + len(extras)]))
+        if len(unusable):
+            row, place = (int(number) for number in unusable[0])
+            raise block.error(row, place, "needs a finite number")
+        values = dict(zip(names, block.values.T, strict=True))
+        ticks = np.rint(values["time_s"] / _TABLE_TICK_S).astype(np.int64)
+        samples = empty_samples(len(ticks), _TABLE_TICK_S)
+        samples.ticks[:] = ticks
+        for column in columns:
+            _channel(samples, column)[:] = values[column.header] / column.scale
+        samples.segment[:] = values.get("segment", 0)
+        samples.debug[:] = values.get("debug", 0)
+        if "host_time_s" in values:
+            samples.host_time_ns[:] = np.rint(values["host_time_s"] * 1e9)
+        blocks.append(samples)
+    samples = SampleBatch.concatenate(blocks) if blocks else empty_samples(0, _TABLE_TICK_S)
+    if "segment" not in positions:
+        samples.segment[:] = segments_of(samples.ticks)
+    metadata = {}
+    if "host_time_s" not in positions:
+        samples.host_time_ns[:] = host_time_from_ticks(
+            samples.ticks, samples.tick_s, samples.segment
+        )
+        metadata = {"host_time": dict(SYNTHESISED)}
+    return Recording(table.path, "csv", samples, metadata=metadata, damage=table.damage)
+
+
+def _channel(samples: SampleBatch, column: TableColumn) -> NDArray[np.float32]:
+    values: NDArray[np.float32] = getattr(samples, column.field)
+    return values if column.index is None else values[:, column.index]
+
+
+def _write_rows(file: TextIO, rows: NDArray[Any], formats: list[str]) -> None:
+    line = ",".join(formats) + "\n"
+    file.write(line * len(rows) % tuple(rows.ravel().tolist()))
+
+
+@contextlib.contextmanager
+def _new_file(path: Path) -> Iterator[TextIO]:
+    """A file that did not exist before, and does not exist after a failure."""
+    try:
+        file = path.open("x", encoding="ascii", newline="")
+    except FileExistsError as error:
+        raise BadInputError(f"{path}: exists already; choose another name") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+    try:
+        with file:
+            yield file
+    except BaseException as error:
+        path.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        raise
