@@ -10,17 +10,20 @@ from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
 from groundstation.viewer.log import CRAFT, DEVICE_TIME, EVENTS, LINK
 
-WINDOW_S = 10.0
-"""Plots show this much of the newest device time."""
+LIVE_WINDOW_S = 10.0
+"""A live plot shows this much of the newest device time."""
 
 
-def pilot_blueprint(*, follow: bool) -> rrb.Blueprint:
-    """The views over device time. ``follow`` keeps to the newest data (live); a finished
-    recording starts at its end instead, at rest."""
+def pilot_blueprint(*, window_s: float | None) -> rrb.Blueprint:
+    """The views over device time, following the newest data.
+
+    window_s: length of the plots; None shows all there is, for a finished recording.
+    """
+    bounds = rr.TimeRangeBoundary
     window = rr.VisibleTimeRange(
         DEVICE_TIME,
-        start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
-        end=rr.TimeRangeBoundary.cursor_relative(),
+        start=bounds.infinite() if window_s is None else bounds.cursor_relative(seconds=-window_s),
+        end=bounds.infinite() if window_s is None else bounds.cursor_relative(),
     )
 
     def plot(name: str, *entities: str, low: float | None = None, high: float | None = None) -> Any:
@@ -75,11 +78,7 @@ def pilot_blueprint(*, follow: bool) -> rrb.Blueprint:
         rrb.TopPanel(state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(
-            state="collapsed",
-            timeline=DEVICE_TIME,
-            play_state="following" if follow else "paused",
-        ),
+        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="following"),
         auto_views=False,
         auto_layout=False,
     )

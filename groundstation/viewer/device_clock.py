@@ -8,6 +8,7 @@ it, by the silence that the host measured.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -80,5 +81,5 @@ def _segments(batch: SampleBatch) -> Iterator[slice]:
     """Stretches of uninterrupted device time."""
     edges = np.flatnonzero(np.diff(batch.segment)) + 1
     bounds = [0, *edges.tolist(), len(batch)] if len(batch) else []
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+    for start, stop in pairwise(bounds):
         yield slice(start, stop)

@@ -239,7 +239,7 @@ def craft_drawing() -> Iterator[tuple[str, Any]]:
         rr.Cylinders3D(
             lengths=[0.02] * 4,
             radii=[0.004] * 4,
-            centers=tips + (0, 0, 0.002),
+            centers=tips + np.array([0, 0, 0.002]),
             colors=metal,
             fill_mode="solid",
         ),
@@ -249,7 +249,7 @@ def craft_drawing() -> Iterator[tuple[str, Any]]:
         rr.Cylinders3D(
             lengths=[0.0015] * 4,
             radii=[rotor_radius] * 4,
-            centers=tips + (0, 0, rotor_height),
+            centers=tips + np.array([0, 0, rotor_height]),
             colors=MOTORS,
             fill_mode="solid",
         ),

@@ -67,8 +67,8 @@ def read_rrd(path: Path) -> Recording:
         raise RecordingError(
             f"{path} was not written by groundstation: open it in the rerun viewer instead"
         )
-    head = json.loads(session[0]) if session is not None else {"schema_version": SCHEMA_VERSION}
-    if head["schema_version"] > SCHEMA_VERSION:
+    head: dict[str, Any] = json.loads(session[0]) if session is not None else {}
+    if head.get("schema_version", SCHEMA_VERSION) > SCHEMA_VERSION:
         raise RecordingError(
             f"{path} has format {head['schema_version']}, but this program reads up to "
             f"{SCHEMA_VERSION}: install a newer groundstation"
@@ -96,7 +96,7 @@ def _write(recording: Recording, path: Path) -> None:
     from groundstation.viewer.device_clock import RecordedClock
 
     stream = rr.RecordingStream(log.APPLICATION, recording_id=recording.path.name)
-    stream.save(path, default_blueprint=pilot_blueprint(follow=False))
+    stream.save(path, default_blueprint=pilot_blueprint(window_s=None))
     stream.send_recording_name(recording.path.name)
     head: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,

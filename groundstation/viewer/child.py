@@ -1,0 +1,71 @@
+"""A supervised child process that cannot outlive this one, and whose last words are kept."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+
+_COLOR = re.compile(r"\x1b\[[0-9;]*m")
+_TAIL_BYTES = 4096
+
+
+class Child:
+    """Runs ``command``; nothing here blocks.
+
+    Start it from a thread that lives as long as the program: the parent-death signal is bound
+    to the thread.
+    """
+
+    def __init__(self, command: Sequence[str], *, pass_fds: Sequence[int] = ()) -> None:
+        self._tail = b""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            pass_fds=pass_fds,
+            start_new_session=True,  # Ctrl-C in the terminal is the daemon's to handle
+            # rerun: errors only, and no usage statistics (it sends none where CI is set)
+            env={**os.environ, "RUST_LOG": "error", "CI": "1", "NO_COLOR": "1"},
+        )
+        assert self._process.stderr is not None
+        self._errors = self._process.stderr
+        os.set_blocking(self._errors.fileno(), False)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """The exit status, or None while it runs. Also drains what it says."""
+        if self._errors.closed:
+            return self._process.returncode
+        with contextlib.suppress(BlockingIOError):
+            while piece := os.read(self._errors.fileno(), 65536):
+                self._tail = (self._tail + piece)[-_TAIL_BYTES:]
+        status = self._process.poll()
+        if status is not None:
+            self._errors.close()
+        return status
+
+    @property
+    def last_words(self) -> str:
+        """The last line that it wrote to stderr, or its exit status."""
+        lines = _COLOR.sub("", self._tail.decode(errors="replace")).split("\n")
+        spoken = [line.strip() for line in lines if line.strip()]
+        if spoken:
+            return spoken[-1]
+        status = self._process.returncode
+        if status is not None and status < 0:
+            return f"killed by {signal.Signals(-status).name}"
+        return f"exit status {status}"
+
+    def kill(self) -> None:
+        """Send SIGKILL, which a stopped process cannot refuse either; ``poll`` until it is gone."""
+        if self._process.returncode is None:
+            self._process.kill()

@@ -1,0 +1,119 @@
+"""``python -m groundstation.viewer.feeder FD PORT RECORDING``: the only process that loads rerun.
+
+Reads messages from the SOCK_SEQPACKET socket FD and logs them to the rerun server on PORT. It
+may block or die at any time: the daemon drops, notices and starts another one. All feeders of
+one daemon write to the same RECORDING, so that an open viewer simply continues.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import sys
+import time
+
+import msgspec
+import rerun as rr
+
+from groundstation.viewer.blueprint import LIVE_WINDOW_S, pilot_blueprint
+from groundstation.viewer.device_clock import LiveClock
+from groundstation.viewer.log import APPLICATION, EVENTS, ViewerLog
+from groundstation.viewer.messages import (
+    MAX_BYTES,
+    Acknowledgement,
+    EventMessage,
+    SamplesMessage,
+    StatisticsMessage,
+    decode_message,
+    encode_message,
+)
+
+SERVER_SILENT = 3
+"""Exit status: the server does not answer. Starting another feeder would not help."""
+FEED_FAILED = 4
+"""Exit status: the server answers, but did not take the data."""
+
+ANSWER_S = 2.0
+CHECK_S = 1.0
+IDLE_S = 0.5
+_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+
+
+def main(arguments: list[str]) -> int:
+    descriptor, port, recording = arguments
+    channel = socket.socket(fileno=int(descriptor))
+    if not _await_server(int(port)):
+        return SERVER_SILENT
+    stream = rr.RecordingStream(APPLICATION, recording_id=recording)
+    stream.connect_grpc(
+        f"rerun+http://127.0.0.1:{port}/proxy",
+        default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S),
+    )
+    stream.send_recording_name(recording)
+    log = ViewerLog(stream, LiveClock())
+    try:
+        log.craft()
+        stream.flush(timeout_sec=ANSWER_S)
+        channel.send(encode_message(Acknowledgement(0)))
+        return _feed(channel, stream, log, int(port))
+    except (RuntimeError, OSError, msgspec.DecodeError) as error:
+        print(error, file=sys.stderr)
+        return FEED_FAILED
+
+
+def server_answers(port: int, timeout_s: float = ANSWER_S) -> bool:
+    """Whether a gRPC server on this machine replies: a stopped one accepts and says nothing."""
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout_s) as connection:
+            connection.sendall(_HTTP2_PREFACE)
+            return bool(connection.recv(1))
+    except OSError:
+        return False
+
+
+def _await_server(port: int) -> bool:
+    deadline = time.monotonic() + 10.0
+    while time.monotonic() < deadline:
+        if server_answers(port):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _feed(channel: socket.socket, stream: rr.RecordingStream, log: ViewerLog, port: int) -> int:
+    """Log messages until the daemon closes the socket."""
+    taken = 0
+    next_check = time.monotonic() + CHECK_S
+    while True:
+        readable, _, _ = select.select([channel], [], [], IDLE_S)
+        if readable:
+            data = channel.recv(MAX_BYTES)
+            if not data:
+                stream.flush(timeout_sec=0.5)
+                return 0
+            match decode_message(data):
+                case SamplesMessage() as message:
+                    log.samples(message.batch(), message.first_seq)
+                    taken += message.rows
+                case EventMessage(entry):
+                    log.entries(EVENTS, [entry])
+                    taken += 1
+                case StatisticsMessage(entry):
+                    log.statistics([entry])
+                    taken += 1
+        if time.monotonic() >= next_check:
+            # flush() alone finds a stopped server only when megabytes have piled up
+            if not server_answers(port):
+                return SERVER_SILENT
+            stream.flush(timeout_sec=0.5)
+            next_check = time.monotonic() + CHECK_S
+        with contextlib.suppress(BlockingIOError):
+            channel.send(encode_message(Acknowledgement(taken)), socket.MSG_DONTWAIT)
+
+
+if __name__ == "__main__":
+    status = main(sys.argv[1:])
+    sys.stderr.flush()
+    os._exit(status)  # a normal exit waits for ever for a server that does not take the data

@@ -1,0 +1,75 @@
+"""What the daemon and the feeder say to each other, one message per packet of the socket."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
+
+MAX_ROWS = 1000
+"""Samples per message: about 100 kB, well below the smallest usual socket buffer."""
+MAX_BYTES = 1 << 18
+
+
+class SamplesMessage(msgspec.Struct, tag="samples", array_like=True):
+    first_seq: int
+    tick_s: float
+    rows: int
+    columns: list[bytes]
+    """In the order of ``COLUMNS``, native byte order: both ends are on this machine."""
+
+    @classmethod
+    def of(cls, batch: SampleBatch, first_seq: int) -> SamplesMessage:
+        columns = [np.ascontiguousarray(getattr(batch, name)).tobytes() for name in COLUMNS]
+        return cls(first_seq, batch.tick_s, len(batch), columns)
+
+    def batch(self) -> SampleBatch:
+        """The samples, without copying."""
+        shapes = empty_samples(0)
+        arrays = {}
+        for name, data in zip(COLUMNS, self.columns, strict=True):
+            like = getattr(shapes, name)
+            arrays[name] = np.frombuffer(data, like.dtype).reshape(self.rows, *like.shape[1:])
+        return SampleBatch(**arrays, tick_s=self.tick_s)
+
+
+class EventMessage(msgspec.Struct, tag="event", array_like=True):
+    entry: dict[str, Any]
+
+
+class StatisticsMessage(msgspec.Struct, tag="statistics", array_like=True):
+    entry: dict[str, Any]
+
+
+Message = SamplesMessage | EventMessage | StatisticsMessage
+
+
+class Acknowledgement(msgspec.Struct, array_like=True):
+    """Feeder to daemon: when the server has taken the first data, then after each message, and
+    twice a second without one."""
+
+    taken: int
+    """Samples, events and statistics that this feeder has logged so far."""
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=str)
+_decoder = msgspec.msgpack.Decoder(Message)
+_acknowledgement_decoder = msgspec.msgpack.Decoder(Acknowledgement)
+
+
+def encode_message(message: Message | Acknowledgement) -> bytes:
+    return _encoder.encode(message)
+
+
+def decode_message(data: bytes) -> Message:
+    """Raises msgspec.DecodeError for anything else."""
+    message: Message = _decoder.decode(data)
+    return message
+
+
+def decode_acknowledgement(data: bytes) -> Acknowledgement:
+    acknowledgement: Acknowledgement = _acknowledgement_decoder.decode(data)
+    return acknowledgement

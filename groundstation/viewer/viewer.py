@@ -1,0 +1,337 @@
+"""The daemon's side of the live view: hands data over, never waits, keeps the rest alive.
+
+daemon -> socket -> feeder (loads rerun) -> rerun server -> any number of viewers. Everything
+right of the daemon may block, grow, be stopped or die; the daemon drops, counts and restarts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import enum
+import importlib.util
+import os
+import shlex
+import shutil
+import socket
+import sys
+import uuid
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.links.base import LinkEvent
+from groundstation.telemetry.samples import SampleBatch
+from groundstation.viewer.child import Child
+from groundstation.viewer.messages import (
+    EventMessage,
+    StatisticsMessage,
+    decode_acknowledgement,
+)
+from groundstation.viewer.outbox import Outbox
+
+SEND_PERIOD_S = 0.08
+"""Each message costs rerun about 15 kB whatever it holds: 12 a second look smooth."""
+SILENCE_S = 3.0
+START_S = 20.0
+"""A feeder that has not been ready for so long is started again (importing rerun is slow)."""
+BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 8.0)
+SETTLED_S = 10.0
+"""After so long without a failure the back-off starts anew."""
+SERVER_MEMORY = "128MB"
+"""What a viewer that opens late can still see: about four minutes."""
+WINDOW_MEMORY = "2GB"
+
+_SERVER_SILENT = 3  # feeder.SERVER_SILENT; importing that module would load rerun
+
+
+class ViewerMode(enum.StrEnum):
+    OFF = "off"
+    """No viewer."""
+    SERVE = "serve"
+    """Serve the live view on this machine, for a browser or a rerun viewer."""
+    SPAWN = "spawn"
+    """Serve, and open a rerun window."""
+
+
+class Viewer:
+    """Shows samples, events and statistics; lossy by design.
+
+    port, web_port: TCP ports on the loopback interface: rerun's own, and the web viewer's.
+    on_event: told (kind, text) about the viewer itself; kinds are ``viewer`` and ``fault``.
+    """
+
+    def __init__(
+        self,
+        mode: ViewerMode,
+        *,
+        port: int = 9876,
+        web_port: int = 9090,
+        on_event: Callable[[str, str], None] | None = None,
+    ) -> None:
+        self.mode = mode
+        self.port = port
+        self.web_port = web_port
+        self._on_event = on_event or (lambda kind, text: None)
+        self._recording = f"live-{uuid.uuid4().hex[:12]}"
+        self._outbox = Outbox()
+        self._state = "off"
+        self._restarts = 0
+        self._failures = 0
+        self._retry_at = 0.0
+        self._heard_at = 0.0
+        self._ready_at: float | None = None
+        self._server: Child | None = None
+        self._feeder: Child | None = None
+        self._window: Child | None = None
+        self._wants_window = mode is ViewerMode.SPAWN
+        self._channel: socket.socket | None = None
+        self._dying: list[Child] = []
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        """Start serving in the background; ``status`` and ``on_event`` say when it is up.
+
+        Raises TakenError when a port is taken, BadInputError when there is no display for a
+        window, GroundStationError when the rerun program is missing.
+        """
+        if self.mode is ViewerMode.OFF or self._task is not None:
+            return
+        rerun_program()
+        if self._wants_window and not (os.environ.get("DISPLAY") or _wayland()):
+            raise BadInputError(
+                "no display to open a viewer window on (DISPLAY and WAYLAND_DISPLAY are not set): "
+                "use --viewer serve and open the printed address in a browser"
+            )
+        _require_free(self.port, "viewer")
+        _require_free(self.web_port, "web viewer")
+        self._state = "starting"
+        self._task = asyncio.create_task(self._supervise(), name="viewer")
+
+    def show_samples(self, batch: SampleBatch) -> None:
+        """Queue samples for the next message; never blocks."""
+        if self._task is not None:
+            self._outbox.put_samples(batch)
+
+    def show_event(self, event: LinkEvent) -> None:
+        """Add a line to the event log; never blocks."""
+        if self._task is not None:
+            self._outbox.put_note(EventMessage(asdict(event)))
+
+    def show_statistics(self, values: dict[str, float], time_ns: int) -> None:
+        """Plot link statistics valid at Unix time ``time_ns``; never blocks.
+
+        The layout shows ``loss_pct``, ``latency_ms`` and ``rate_hz``; others can be added there.
+        """
+        if self._task is not None:
+            self._outbox.put_note(StatisticsMessage({"time_ns": time_ns, **values}))
+
+    def status(self) -> dict[str, Any]:
+        """state: off, starting, serving, restarting or failed (still retried, but look at it)."""
+        return {
+            "state": self._state,
+            "sent": self._outbox.sent,
+            "dropped": self._outbox.dropped,
+            "restarts": self._restarts,
+            "urls": [] if self.mode is ViewerMode.OFF else self._urls(),
+        }
+
+    async def stop(self) -> None:
+        """Hand over what is left and end every child: within a second or two, come what may."""
+        if self._task is None:
+            return
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+        self._task = None
+        feeder = self._feeder
+        if self._channel is not None:
+            with contextlib.suppress(OSError):
+                self._outbox.flush(self._channel)
+        self._close_channel()
+        if feeder is not None and self._ready_at is not None:
+            await _until(lambda: feeder.poll() is not None, 0.8)
+        self._drop("_feeder", "_window", "_server")
+        await _until(lambda: not self._reap(), 2.0)
+        self._state = "off"
+
+    # The supervisor: one pass every SEND_PERIOD_S.
+
+    async def _supervise(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                self._step(loop.time())
+            except (OSError, GroundStationError) as error:
+                self._fail(loop.time(), str(error), server=True)
+            await asyncio.sleep(SEND_PERIOD_S)
+
+    def _step(self, now: float) -> None:
+        if self._reap():
+            return  # its port may still be bound
+        if self._feeder is None:
+            if now >= self._retry_at:
+                self._launch(now)
+            return
+        assert self._channel is not None
+        if self._server is not None and self._server.poll() is not None:
+            self._fail(now, f"the rerun server ended: {self._server.last_words}", server=True)
+            return
+        self._listen(now)
+        status = self._feeder.poll()
+        limit_s = START_S if self._ready_at is None else SILENCE_S
+        if status is not None:
+            silent = status == _SERVER_SILENT
+            reason = "the rerun server does not answer" if silent else self._feeder.last_words
+            self._fail(now, f"the feed ended: {reason}", server=silent)
+        elif now - self._heard_at > limit_s:
+            self._fail(now, f"the feed has been stuck for {limit_s:g} s", server=False)
+        else:
+            if self._ready_at is not None:
+                if now - self._ready_at > SETTLED_S:
+                    self._failures = 0
+                with contextlib.suppress(ConnectionError):  # a feeder just ended: seen next time
+                    self._outbox.flush(self._channel)
+            self._watch_window()
+
+    def _launch(self, now: float) -> None:
+        if self._server is None:
+            _require_free(self.port, "viewer")
+            _require_free(self.web_port, "web viewer")
+            self._server = Child([
+                str(rerun_program()), "--serve-web", "--bind", "127.0.0.1",
+                "--port", str(self.port), "--web-viewer-port", str(self.web_port),
+                "--server-memory-limit", SERVER_MEMORY,
+            ])  # fmt: skip
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        with theirs:
+            self._channel = ours
+            feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
+            self._feeder = Child(
+                [*feeder, str(theirs.fileno()), str(self.port), self._recording],
+                pass_fds=[theirs.fileno()],
+            )
+        self._heard_at, self._ready_at = now, None
+
+    def _listen(self, now: float) -> None:
+        assert self._channel is not None
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while said := self._channel.recv(64):
+                self._heard_at = now
+                self._outbox.taken(decode_acknowledgement(said).taken)
+                if self._ready_at is None:
+                    self._ready_at = now
+                    self._state = "serving"
+                    self._on_event("viewer", f"serving at {self._urls()[0]}")
+                    self._open_window()
+
+    def _fail(self, now: float, text: str, *, server: bool) -> None:
+        wait_s = BACK_OFF_S[min(self._failures, len(BACK_OFF_S) - 1)]
+        self._failures += 1
+        self._restarts += 1
+        self._state = "failed" if self._failures > len(BACK_OFF_S) else "restarting"
+        self._retry_at = now + wait_s
+        self._close_channel()
+        self._outbox.new_reader()
+        self._drop("_feeder")
+        if server:
+            self._drop("_server", "_window")
+        self._on_event("fault", f"{text}; starting it again in {wait_s:g} s")
+
+    def _open_window(self) -> None:
+        if self._wants_window and self._window is None:
+            self._window = Child([
+                str(rerun_program()), "--connect", self._address(), "--bind", "127.0.0.1",
+                "--memory-limit", WINDOW_MEMORY, "--hide-welcome-screen", "--expect-data-soon",
+            ])  # fmt: skip
+
+    def _watch_window(self) -> None:
+        if self._window is None:
+            return
+        status = self._window.poll()
+        if status is None:
+            return
+        self._wants_window = False
+        if status == 0:
+            self._on_event("viewer", f"window closed; still serving at {self._urls()[0]}")
+        else:
+            self._on_event(
+                "fault",
+                f"the viewer window ended: {self._window.last_words}; "
+                f"open {self._urls()[0]} in a browser instead",
+            )
+        self._window = None
+
+    def _drop(self, *names: str) -> None:
+        for name in names:
+            child: Child | None = getattr(self, name)
+            if child is not None:
+                child.kill()
+                self._dying.append(child)
+                setattr(self, name, None)
+
+    def _reap(self) -> bool:
+        """Whether a killed child is still there."""
+        self._dying = [child for child in self._dying if child.poll() is None]
+        return bool(self._dying)
+
+    def _close_channel(self) -> None:
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+
+    def _address(self) -> str:
+        return f"rerun+http://127.0.0.1:{self.port}/proxy"
+
+    def _urls(self) -> list[str]:
+        """The browser's address, and the command for a rerun window."""
+        web = f"http://127.0.0.1:{self.web_port}/?url={quote(self._address(), safe='')}"
+        return [web, f"{_rerun_command()} --connect {self._address()}"]
+
+
+def rerun_program() -> Path:
+    """The rerun executable itself (the ``rerun`` script only starts it as another child).
+
+    Raises GroundStationError when it is missing.
+    """
+    package = importlib.util.find_spec("rerun_cli")
+    folder = Path(package.origin).parent if package and package.origin else Path()
+    program = Path(os.environ.get("RERUN_CLI_PATH", folder / "rerun"))
+    if package is None or not os.access(program, os.X_OK):
+        raise GroundStationError(
+            f"the rerun program is missing ({program}): pip install --force-reinstall rerun-sdk, "
+            "or use --viewer off"
+        )
+    return program
+
+
+def _rerun_command() -> str:
+    script = Path(sys.executable).with_name("rerun")
+    on_path = shutil.which("rerun")
+    return "rerun" if on_path or not script.exists() else shlex.quote(str(script))
+
+
+def _wayland() -> str | None:
+    return os.environ.get("WAYLAND_DISPLAY") or os.environ.get("WAYLAND_SOCKET")
+
+
+def _require_free(port: int, name: str) -> None:
+    """A taken port makes rerun talk to the stranger on it, without an error: look first."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise TakenError(
+                f"{name} port {port} is taken ({error.strerror}): end the program that holds it "
+                "or choose another port"
+            ) from error
+
+
+async def _until(condition: Callable[[], bool], timeout_s: float) -> None:
+    deadline = asyncio.get_running_loop().time() + timeout_s
+    while not condition() and asyncio.get_running_loop().time() < deadline:
+        await asyncio.sleep(0.01)
