@@ -1,0 +1,162 @@
+"""Logs of the Crazyflie's microSD card deck (binary versions 1 and 2).
+
+Little-endian: byte 0xBC; version u16; number of event types u16; per type its id u16 (0xFFFF
+for the fixed-frequency one), its name, the number of variables u16 and each variable as
+``group.name(letter)``, texts ended by NUL; then records of event id u16, timestamp (version
+1: u32 in ms, version 2: u64 in us) and packed values; last the CRC-32 of all before.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.device_time import SYNTHESISED
+from groundstation.recording.microsd_channels import GyroUnit, samples_from_columns
+from groundstation.recording.microsd_scan import CRC_BYTES, longest_in_order, scan, scan_damaged
+from groundstation.recording.session import Recording, Table
+
+MAGIC = 0xBC
+TICK_S = 1e-6
+"""Device time of both versions is kept in microseconds."""
+FIXED_FREQUENCY_ID = 0xFFFF
+_TIMESTAMPS = {1: ("<u4", 1000), 2: ("<u8", 1)}
+"""Version -> type of a record's timestamp, microseconds per count."""
+_LETTERS = {
+    **{"b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "l": "<i4"},
+    **{"L": "<u4", "q": "<i8", "Q": "<u8", "e": "<f2", "f": "<f4", "d": "<f8", "?": "?"},
+}
+_VARIABLE = re.compile(r"(.+)\((.)\)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Event:
+    name: str
+    dtype: np.dtype[np.void]
+    """Fields ``#id``, ``#time``, then the variables."""
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        return (self.dtype.names or ())[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    version: int
+    events: dict[int, _Event]
+    first_record: int
+
+
+def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
+    """Read a microSD log: every event in ``tables``, the fixed-frequency one as samples.
+
+    Table columns keep the file's names and types; samples follow the design's units and
+    signs (see ``microsd_channels``). ``gyro_unit`` overrides what the data say about the
+    gyro's unit; the choice and its reason are in ``metadata["microsd"]``. Host stamps are
+    made from device time.
+
+    A checksum that does not match, a torn end or bytes that are no record are lines of
+    ``damage``; everything that still reads is there.
+
+    Raises RecordingError where the file cannot be opened, BadInputError where it is not a
+    microSD log or its header does not read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    layout = _read_header(data, path)
+    sound = zlib.crc32(memoryview(data)[:-CRC_BYTES]) == int.from_bytes(data[-CRC_BYTES:], "little")
+    offsets, damage = (scan if sound else scan_damaged)(
+        data,
+        layout.first_record,
+        {number: event.dtype for number, event in layout.events.items()},
+        _TIMESTAMPS[layout.version][1],
+    )
+    tables: dict[str, Table] = {}
+    ticks: dict[int, NDArray[np.int64]] = {}
+    for number, event in layout.events.items():
+        records = _gather(data, offsets[number], event.dtype)
+        ticks[number] = records["#time"].astype(np.int64) * _TIMESTAMPS[layout.version][1]
+        columns = {name: records[name] for name in event.variables}
+        tables[event.name] = Table(ticks[number].astype(np.float64) * TICK_S, columns)
+    fixed = layout.events.get(FIXED_FREQUENCY_ID)
+    columns, time_us = {}, np.empty(0, np.int64)
+    if fixed is None:
+        damage.append("no fixed-frequency event: there are tables but no samples")
+    else:
+        columns, time_us = tables[fixed.name].columns, ticks[FIXED_FREQUENCY_ID]
+    if not sound:
+        in_order = longest_in_order(time_us)
+        if not in_order.all():
+            damage.append(f"{(~in_order).sum()} samples with an impossible time were left out")
+            columns = {name: values[in_order] for name, values in columns.items()}
+            time_us = time_us[in_order]
+    samples, notes = samples_from_columns(columns, time_us, TICK_S, gyro_unit)
+    return Recording(
+        path=path,
+        kind="microsd",
+        samples=samples,
+        tables=tables,
+        metadata={
+            "host_time": dict(SYNTHESISED),
+            "microsd": {"version": str(layout.version), **notes},
+        },
+        damage=damage,
+    )
+
+
+def _read_header(data: bytes, path: Path) -> _Layout:
+    if not data:
+        raise BadInputError(f"{path}: the file is empty")
+    if data[0] != MAGIC:
+        raise BadInputError(f"{path}: not a microSD log (it starts with 0x{data[0]:02x}, not 0xbc)")
+    try:
+        version, count = struct.unpack_from("<HH", data, 1)
+        if version not in _TIMESTAMPS:
+            raise BadInputError(f"{path}: microSD log version {version}; 1 and 2 can be read")
+        events: dict[int, _Event] = {}
+        position = 5
+        for _ in range(count):
+            (number,) = struct.unpack_from("<H", data, position)
+            name, position = _text(data, position + 2)
+            (variables,) = struct.unpack_from("<H", data, position)
+            position += 2
+            fields = [("#id", "<u2"), ("#time", _TIMESTAMPS[version][0])]
+            for _ in range(variables):
+                variable, position = _text(data, position)
+                match = _VARIABLE.fullmatch(variable)
+                if match is None or match[2] not in _LETTERS:
+                    raise ValueError(f"the variable {variable!r} has no known type")
+                fields.append((match[1], _LETTERS[match[2]]))
+            if number in events or any(event.name == name for event in events.values()):
+                raise ValueError(f"the event {name!r} is there twice")
+            events[number] = _Event(name, np.dtype(fields))
+    except (struct.error, ValueError) as error:
+        if isinstance(error, BadInputError):
+            raise
+        raise BadInputError(f"{path}: the header of the microSD log is damaged: {error}") from error
+    return _Layout(version, events, position)
+
+
+def _text(data: bytes, position: int) -> tuple[str, int]:
+    end = data.find(b"\0", position)
+    if end < 0:
+        raise ValueError(f"a name at byte {position} has no end")
+    return data[position:end].decode("utf-8"), end + 1
+
+
+def _gather(data: bytes, offsets: NDArray[np.int64], dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """The records at ``offsets`` as a structured array."""
+    if len(offsets) == 0:
+        return np.empty(0, dtype)
+    codes = np.frombuffer(data, np.uint8)
+    windows = np.lib.stride_tricks.sliding_window_view(codes, dtype.itemsize)
+    return windows[offsets].view(dtype)[:, 0]

@@ -1,0 +1,135 @@
+"""From the firmware's log variables to samples: names, units, signs.
+
+| variables | meaning |
+|---|---|
+| gyro.x y z | body rates, body FLU; deg/s in the firmware, see ``gyro_unit_of`` |
+| acc.x y z | specific force in g |
+| motor.m1..m4, pwm.m1_pwm..m4_pwm | PWM of full scale 65535 (255 where stored in one byte) |
+| rpm.m1..m4 | measured rotor speed, rev/min |
+| pm.vbatMV, pm.vbat | battery, mV or V |
+| stateEstimate.qw qx qy qz | attitude, body FLU in ENU |
+| stateEstimate.roll pitch yaw | attitude in deg where there is no quaternion; pitch nose up |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.recording.device_time import host_time_from_ticks, segments_of
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.samples import SampleBatch, empty_samples
+
+GyroUnit = Literal["deg/s", "rad/s"]
+Columns = Mapping[str, NDArray[Any]]
+
+GYRO_FULL_SCALE_DEG_S = 2000.0
+"""Range of the gyro in every Crazyflie (MPU-9250, BMI088)."""
+_RATE_LAG = 10
+_TURNING_RAD_S = 0.1
+
+
+def samples_from_columns(
+    columns: Columns, time_us: NDArray[np.int64], tick_s: float, gyro_unit: GyroUnit | None
+) -> tuple[SampleBatch, dict[str, str]]:
+    """Samples of the fixed-frequency event, and notes on what was decided about units.
+
+    columns: variable -> (n,) as stored. time_us: (n,) device time in ticks of ``tick_s``.
+    A channel without its variables is NaN.
+    """
+    samples = empty_samples(len(time_us), tick_s)
+    samples.ticks[:] = time_us
+    samples.segment[:] = segments_of(samples.ticks)
+    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, tick_s, samples.segment)
+    _fill_attitude(samples, columns)
+    _fill(samples.accelerometer, columns, [f"acc.{axis}" for axis in "xyz"], STANDARD_GRAVITY)
+    _fill(samples.rotor_rev_s, columns, [f"rpm.m{m}" for m in range(1, 5)], 1 / 60)
+    for names in (
+        [f"pwm.m{m}_pwm" for m in range(1, 5)],
+        [f"motor.m{m}" for m in range(1, 5)],
+    ):
+        kinds = {columns[name].dtype.itemsize for name in names if name in columns}
+        _fill(samples.duty, columns, names, 1 / 255 if kinds == {1} else 1 / 65535)
+    for name, unit_v in (("pm.vbat", 1.0), ("pm.vbatMV", 1e-3)):
+        if name in columns:
+            samples.battery_v[:] = columns[name] * unit_v
+    notes: dict[str, str] = {}
+    axes = [f"gyro.{axis}" for axis in "xyz"]
+    if all(axis in columns for axis in axes):
+        gyro = np.column_stack([columns[axis] for axis in axes]).astype(np.float64)
+        if gyro_unit is not None:
+            unit, why = gyro_unit, "chosen by the caller"
+        else:
+            unit, why = gyro_unit_of(gyro, samples.attitude, samples.time_s)
+        samples.gyro[:] = np.radians(gyro) if unit == "deg/s" else gyro
+        notes = {"gyro_unit": unit, "gyro_unit_because": why}
+    return samples, notes
+
+
+def gyro_unit_of(
+    gyro: NDArray[np.float64], attitude: NDArray[np.float32], time_s: NDArray[np.float64]
+) -> tuple[GyroUnit, str]:
+    """The unit of a log's gyro, and how it was decided.
+
+    gyro: (n, 3) as stored. attitude: (n, 3) rad, NaN where there is none. time_s: (n,).
+
+    With an attitude that moves, its rate over the gyro says it (1 or 0.0175). Without, a value
+    beyond the sensor's range in rad/s (34.9) can only be deg/s. Else the unit of the
+    firmware's ``gyro`` variables is taken: deg/s.
+    """
+    rate = _body_rate(attitude, time_s)
+    if len(rate):
+        middle = np.abs(gyro[_RATE_LAG // 2 :][: len(rate)]).max(axis=1)
+        speed = np.abs(rate).max(axis=1)
+        turning = np.isfinite(speed) & (speed > _TURNING_RAD_S) & (middle > 0)
+        if turning.sum() >= 100:
+            ratio = float(np.median(speed[turning] / middle[turning]))
+            unit: GyroUnit = "rad/s" if ratio > np.sqrt(np.pi / 180) else "deg/s"
+            return unit, f"the attitude turns {ratio:.3g} rad/s per unit of gyro"
+    limit = np.radians(GYRO_FULL_SCALE_DEG_S)
+    peak = float(np.nanmax(np.abs(gyro), initial=0.0))
+    if peak > 1.01 * limit:
+        return "deg/s", f"the peak of {peak:.0f} is beyond the sensor's range in rad/s"
+    return "deg/s", "the unit of the firmware's gyro variables; the data do not say"
+
+
+def _body_rate(attitude: NDArray[np.float32], time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Body rates in rad/s from attitude, shape (n - lag, 3), the inverse of thesis eq. 3.11."""
+    if len(attitude) <= _RATE_LAG:
+        return np.empty((0, 3))
+    change = (attitude[_RATE_LAG:] - attitude[:-_RATE_LAG]).astype(np.float64)
+    change = (change + np.pi) % (2 * np.pi) - np.pi
+    elapsed = time_s[_RATE_LAG:] - time_s[:-_RATE_LAG]
+    elapsed[elapsed <= 0] = np.nan
+    roll_rate, pitch_rate, yaw_rate = change.T / elapsed
+    middle = attitude[_RATE_LAG // 2 :][: len(change)].astype(np.float64)
+    roll, pitch = middle[:, 0], middle[:, 1]
+    return np.column_stack(
+        [
+            roll_rate - yaw_rate * np.sin(pitch),
+            pitch_rate * np.cos(roll) + yaw_rate * np.cos(pitch) * np.sin(roll),
+            yaw_rate * np.cos(pitch) * np.cos(roll) - pitch_rate * np.sin(roll),
+        ]
+    )
+
+
+def _fill_attitude(samples: SampleBatch, columns: Columns) -> None:
+    quaternion = [f"stateEstimate.q{part}" for part in "wxyz"]
+    if all(name in columns for name in quaternion):
+        w, x, y, z = (columns[name].astype(np.float64) for name in quaternion)
+        samples.attitude[:, 0] = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        samples.attitude[:, 1] = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+        samples.attitude[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return
+    angles = [f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw")]
+    _fill(samples.attitude, columns, angles, np.pi / 180)
+    samples.attitude[:, 1] *= -1  # the firmware's pitch is nose up positive
+
+
+def _fill(target: NDArray[np.float32], columns: Columns, names: Sequence[str], unit: float) -> None:
+    for index, name in enumerate(names):
+        if name in columns:
+            target[:, index] = columns[name] * unit
