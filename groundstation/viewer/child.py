@@ -8,7 +8,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
 _TAIL_BYTES = 4096
@@ -21,7 +21,13 @@ class Child:
     to the thread.
     """
 
-    def __init__(self, command: Sequence[str], *, pass_fds: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        pass_fds: Sequence[int] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self._tail = b""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), *command],
@@ -31,7 +37,13 @@ class Child:
             pass_fds=pass_fds,
             start_new_session=True,  # Ctrl-C in the terminal is the daemon's to handle
             # rerun: errors only, and no usage statistics (it sends none where CI is set)
-            env={**os.environ, "RUST_LOG": "error", "CI": "1", "NO_COLOR": "1"},
+            env={
+                **os.environ,
+                "RUST_LOG": "error",
+                "CI": "1",
+                "NO_COLOR": "1",
+                **(environment or {}),
+            },
         )
         assert self._process.stderr is not None
         self._errors = self._process.stderr

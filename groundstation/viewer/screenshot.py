@@ -1,0 +1,121 @@
+"""Pictures of a recording as the viewer shows it, without a window: for documents and tests.
+
+Draws with a real rerun viewer, by a GPU if there is one and else by Mesa's software Vulkan
+driver (Debian: mesa-vulkan-drivers, libvulkan1).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import GroundStationError
+from groundstation.viewer.child import Child
+from groundstation.viewer.log import DEVICE_TIME
+from groundstation.viewer.viewer import rerun_program
+
+START_S = 60.0
+PAINT_S = 30.0
+_SOFTWARE_DRIVERS = Path("/usr/share/vulkan/icd.d")
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenViewer:
+    """An open rerun viewer without a window. Made by ``hidden_viewer``."""
+
+    client: Any
+
+    def views(self) -> dict[str, str]:
+        """Name -> id of the views on the screen; raises GroundStationError if one complains."""
+        state = self.client.get_state()
+        for view in state.views:
+            for report in view.reports:
+                raise GroundStationError(f"view {view.name}: {report.summary}")
+        return {view.name: view.view_id for view in state.views if view.visible}
+
+    def picture(self, at_s: float | None = None, view: str | None = None) -> bytes:
+        """PNG of the screen, or of the view with this name, at a device time (default: the end).
+
+        Raises GroundStationError when the picture does not come to rest.
+        """
+        if at_s is not None:
+            self.client.set_time(DEVICE_TIME, duration=at_s, play_state="paused")
+        view_id = self.views()[view] if view else None
+        before = b""
+        deadline = time.monotonic() + PAINT_S
+        while time.monotonic() < deadline:
+            picture: bytes = self.client.take_screenshot(view_id)
+            if picture == before and not self.client.get_state().loading:
+                return picture
+            before = picture
+        raise GroundStationError(f"the viewer was still painting after {PAINT_S:g} s")
+
+
+@contextlib.contextmanager
+def hidden_viewer(path: Path, size: tuple[int, int] = (1920, 1080)) -> Iterator[HiddenViewer]:
+    """Open the .rrd recording ``path`` in a viewer of ``size`` pixels.
+
+    Raises GroundStationError when the viewer cannot start (no Vulkan driver, say) or cannot open
+    the file.
+    """
+    from rerun.experimental import ViewerClient
+
+    port = _free_port()
+    command = [
+        str(rerun_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port),
+        "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen",
+    ]  # fmt: skip
+    process = Child(command, environment=_driver())
+    try:
+        client = _connect(ViewerClient, process, port)
+        opened = client.open(str(path.resolve()))
+        if not opened.store_ids:
+            raise GroundStationError(f"{path} could not be opened in the viewer")
+        yield HiddenViewer(client)
+    finally:
+        process.kill()
+        while process.poll() is None:
+            time.sleep(0.01)
+
+
+def software_driver() -> Path | None:
+    """Mesa's software Vulkan driver, if it is installed."""
+    return next(iter(sorted(_SOFTWARE_DRIVERS.glob("lvp_icd*.json"))), None)
+
+
+def _driver() -> dict[str, str]:
+    driver = software_driver()
+    has_gpu = any(Path("/dev/dri").glob("renderD*"))
+    if driver is None or has_gpu or "VK_ICD_FILENAMES" in os.environ:
+        return {}
+    return {"VK_ICD_FILENAMES": str(driver)}
+
+
+def _connect(client_type: Any, process: Child, port: int) -> Any:
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise GroundStationError(
+                f"the viewer ended: {process.last_words}; is a Vulkan driver installed "
+                "(Debian: mesa-vulkan-drivers libvulkan1)?"
+            )
+        with contextlib.suppress(OSError, RuntimeError):
+            socket.create_connection(("127.0.0.1", port), 1).close()
+            client = client_type.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client.get_state()
+            return client
+        time.sleep(0.05)
+    raise GroundStationError(f"the viewer did not answer within {START_S:g} s")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
