@@ -1,0 +1,221 @@
+"""Recordings from MCAP files: the project's topics as arrays and dictionaries."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Channel, Schema
+
+from groundstation.errors import RecordingError
+from groundstation.recording.cdr import Definition
+from groundstation.recording.mcap_scan import McapScan
+from groundstation.recording.mcap_schemas import (
+    COMMAND_TOPIC,
+    ENTRY_TOPICS,
+    EVENTS_TOPIC,
+    RAW_DEFINITION,
+    RAW_TOPIC,
+    SAMPLE_FIELDS,
+    SAMPLES_DEFINITION,
+    SAMPLES_TOPIC,
+    STATISTICS_TOPIC,
+    decode_entry,
+)
+from groundstation.recording.mcap_tables import TABLE_PREFIX, TableColumns
+from groundstation.recording.recording_file import CHANNELS_METADATA
+from groundstation.recording.session import Recording
+from groundstation.telemetry.packet import PACKET_BYTES, TICK_S
+from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
+
+_NAN = struct.pack("<f", float("nan"))
+_NAMED_TOPICS = 5
+
+
+def read_mcap(path: Path, *, raw: bool = False) -> Recording:
+    """Read a recording: decoded samples and entries, with ``raw`` the packets as received too.
+
+    Every chunk is checked against its CRC. A torn or damaged file gives what is good, with a
+    line in ``damage`` for each thing that is not. Device ticks of a different length than the
+    file's first (another link took over) are rescaled to it and rounded, at most half a tick.
+
+    Raises BadInputError where there is no such file; RecordingError where it cannot be read,
+    is empty, is no MCAP file, or is one of another program.
+    """
+    with McapScan(path) as scan:
+        topics = _Topics(scan, raw)
+        for channel_id, _, _, payload in scan.messages():
+            topics.add(channel_id, payload)
+        topics.require_ours()
+        damage = [damage.line(scan.start_ns) for damage in scan.damage]
+    metadata: dict[str, dict[str, str]] = {}
+    for name, items in scan.metadata:
+        if name != CHANNELS_METADATA:
+            metadata.setdefault(name, {}).update(items)
+    return Recording(
+        path=path,
+        kind="mcap",
+        samples=topics.samples.batch(),
+        raw=topics.packets.batch() if raw else None,
+        commands=topics.entries[COMMAND_TOPIC],
+        events=topics.entries[EVENTS_TOPIC],
+        statistics=topics.entries[STATISTICS_TOPIC],
+        tables={name: columns.table() for name, columns in topics.tables.items()},
+        metadata=metadata,
+        damage=damage + topics.damage(),
+    )
+
+
+class _Topics:
+    """Sends each message to where its topic is collected."""
+
+    def __init__(self, scan: McapScan, raw: bool) -> None:
+        self.samples = _SampleColumns()
+        self.packets = _RawColumns()
+        self.entries: dict[str, list[dict[str, Any]]] = {topic: [] for topic in ENTRY_TOPICS}
+        self.tables: dict[str, TableColumns] = {}
+        self._scan = scan
+        self._raw = raw
+        self._sinks: dict[int, Any] = {}
+        self._faults: Counter[tuple[str, str]] = Counter()
+        if scan.channels:
+            self.require_ours()  # at once where the index tells, before reading it all
+
+    def add(self, channel_id: int, payload: memoryview) -> None:
+        if channel_id not in self._sinks:
+            self._sinks[channel_id] = self._sink(self._scan.channels[channel_id])
+        sink = self._sinks[channel_id]
+        if sink is not None:
+            try:
+                sink(payload)
+            except ValueError as error:
+                self._faults[self._scan.topic(channel_id), str(error)] += 1
+
+    def require_ours(self) -> None:
+        """Raises RecordingError where none of the project's topics is in the file."""
+        topics = sorted(channel.topic for channel in self._scan.channels.values())
+        ours = {RAW_TOPIC, SAMPLES_TOPIC}
+        if self._scan.is_ours:  # a recovery of another program's file is not ours to read
+            ours.update(ENTRY_TOPICS)
+            if not topics:
+                return
+        if not ours.isdisjoint(topics):
+            return
+        shown = ", ".join(topics[:_NAMED_TOPICS]) or "none"
+        more = f" and {len(topics) - _NAMED_TOPICS} more" if len(topics) > _NAMED_TOPICS else ""
+        raise RecordingError(
+            f"{self._scan.path}: an MCAP file of another program, without {SAMPLES_TOPIC} and "
+            f"{RAW_TOPIC} (its topics: {shown}{more})"
+        )
+
+    def damage(self) -> list[str]:
+        return [
+            f"{topic}: {count} messages could not be decoded: {reason}"
+            for (topic, reason), count in self._faults.items()
+        ]
+
+    def _sink(self, channel: Channel) -> Any:
+        """What takes the messages of ``channel``; None where nobody wants them."""
+        topic = channel.topic
+        if topic in self.entries:
+            self._require(channel, channel.message_encoding == "json")
+            entries = self.entries[topic]
+            return lambda payload: entries.append(decode_entry(payload))
+        schema = self._scan.schemas.get(channel.schema_id)
+        try:
+            if topic == SAMPLES_TOPIC:
+                definition = self._definition(channel, schema, SAMPLES_DEFINITION)
+                return lambda payload: self.samples.add(definition, payload)
+            if topic == RAW_TOPIC:
+                definition = self._definition(channel, schema, RAW_DEFINITION)
+                wanted = self._raw
+                return (lambda payload: self.packets.add(definition, payload)) if wanted else None
+            if topic.startswith(TABLE_PREFIX) and schema is not None:
+                name = topic.removeprefix(TABLE_PREFIX)
+                return self.tables.setdefault(name, TableColumns(channel, schema)).add
+        except ValueError as error:
+            raise RecordingError(f"{self._scan.path}: {topic}: {error}") from error
+        return None
+
+    def _definition(self, channel: Channel, schema: Schema | None, ours: Definition) -> Definition:
+        """The definition in the file, which must have every field of ours."""
+        self._require(
+            channel,
+            schema is not None
+            and (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg"),
+        )
+        assert schema is not None
+        definition = Definition.parse(schema.data.decode())
+        for field in ours.fields:
+            if field not in definition.fields:
+                raise ValueError(f"has no {field.name} of type {field.dtype}; not ours to read")
+        return definition
+
+    def _require(self, channel: Channel, good: bool) -> None:
+        if not good:
+            raise RecordingError(
+                f"{self._scan.path}: {channel.topic} is not in the layout of a recording "
+                f"(message encoding {channel.message_encoding!r})"
+            )
+
+
+class _SampleColumns:
+    """Columns of the decoded samples, growing in place."""
+
+    def __init__(self) -> None:
+        self._tick_s: float | None = None
+        self._columns = {column: bytearray() for column in SAMPLE_FIELDS}
+        self._types = {field.name: field.dtype for field in SAMPLES_DEFINITION.fields}
+
+    def add(self, definition: Definition, payload: memoryview) -> None:
+        parts = definition.slices(payload)
+        named = {field.name: part for field, part in zip(definition.fields, parts, strict=True)}
+        rows = len(named["ticks"]) // 8
+        if not len(named["rotor_rev_s"]):
+            named["rotor_rev_s"] = memoryview(_NAN * (4 * rows))
+        for name, width in SAMPLE_FIELDS.values():
+            if len(named[name]) != rows * width * self._types[name].itemsize:
+                raise ValueError(f"{name} does not have one row per sample")
+        tick_s = float(np.frombuffer(named["tick_s"], "<f8")[0])
+        if self._tick_s is None:
+            self._tick_s = tick_s
+        elif tick_s != self._tick_s:
+            ticks = np.frombuffer(named["ticks"], "<i8")
+            rescaled = np.rint(ticks * (tick_s / self._tick_s)).astype("<i8")
+            named["ticks"] = memoryview(rescaled.tobytes())
+        for column, (name, _) in SAMPLE_FIELDS.items():
+            self._columns[column] += named[name]
+
+    def batch(self) -> SampleBatch:
+        if self._tick_s is None:
+            return empty_samples(0, TICK_S)
+        arrays: dict[str, Any] = {}
+        for column, (name, width) in SAMPLE_FIELDS.items():
+            values = np.frombuffer(self._columns[column], self._types[name])
+            arrays[column] = values if width == 1 else values.reshape(-1, width)
+        return SampleBatch(**arrays, tick_s=self._tick_s)
+
+
+class _RawColumns:
+    """Packets as received, growing in place."""
+
+    def __init__(self) -> None:
+        self._times = bytearray()
+        self._packets = bytearray()
+
+    def add(self, definition: Definition, payload: memoryview) -> None:
+        parts = definition.slices(payload)
+        named = {field.name: part for field, part in zip(definition.fields, parts, strict=True)}
+        if len(named["packets"]) * 8 != len(named["host_time_ns"]) * PACKET_BYTES:
+            raise ValueError("packets and host times differ in number")
+        self._times += named["host_time_ns"]
+        self._packets += named["packets"]
+
+    def batch(self) -> RawBatch:
+        return RawBatch(
+            np.frombuffer(self._packets, np.uint8).reshape(-1, PACKET_BYTES),
+            np.frombuffer(self._times, "<i8"),
+        )

@@ -1,0 +1,308 @@
+"""The recorder: takes what the daemon has and never makes it wait.
+
+A thread of its own merges, encodes, compresses, writes and syncs. The caller only puts
+references into a bounded queue; what does not fit is counted and reported, not waited for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, TypeVar
+
+from groundstation.errors import RecordingError
+from groundstation.recording.mcap_schemas import (
+    COMMAND_TOPIC,
+    EVENTS_TOPIC,
+    STATISTICS_TOPIC,
+    encode_entry,
+)
+from groundstation.recording.recording_file import RecordingFile, pieces
+from groundstation.telemetry.samples import RawBatch, SampleBatch
+
+MEBIBYTE = 1024 * 1024
+RecorderState = Literal["recording", "finished", "failed", "low_space"]
+
+_MAX_ROWS = 1024
+_RAW_ROW_BYTES = 40
+_SAMPLE_ROW_BYTES = 97
+_OVERFLOW_REPORT_S = 5.0
+_FINISH_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """Where a recording stands.
+
+    bytes: on their way to the disk or on it. samples, raw_packets: written.
+    dropped_*: given to the recorder and not written, because the queue was full or the
+        recording had stopped.
+    text: the last fault, or empty.
+    """
+
+    file: Path
+    bytes: int
+    samples: int
+    raw_packets: int
+    dropped_samples: int
+    dropped_packets: int
+    dropped_entries: int
+    state: RecorderState
+    text: str
+
+    @property
+    def dropped(self) -> int:
+        return self.dropped_samples + self.dropped_packets + self.dropped_entries
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    topic: str
+    time_ns: int
+    payload: bytes
+
+
+_Item = RawBatch | SampleBatch | _Entry
+
+
+class McapRecorder:
+    """Records into a new MCAP file until ``finish``.
+
+    A killed process loses at most ``batch_s + flush_s`` and what the disk is busy with; the
+    file is readable without having been finished. When the disk fails, its free space falls
+    under ``low_space_bytes`` or the file is removed, the recording stops, ``on_fault`` gets
+    one line (from the recorder's thread) and what was written stays good.
+
+    path: must not exist; its folder is created.
+    metadata: name -> key -> text; see ``session_metadata`` for the one named ``session``.
+    flush_s: how often written data is handed to the operating system and synced, seconds.
+    batch_s: consecutive batches are merged into messages of up to this long, seconds.
+    queue_bytes: bound of what waits for the disk.
+
+    Raises BadInputError where ``path`` exists, RecordingError where it cannot be created or
+    too little space is free.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        metadata: Mapping[str, Mapping[str, str]],
+        *,
+        flush_s: float = 0.2,
+        batch_s: float = 0.05,
+        low_space_bytes: int = 16 * MEBIBYTE,
+        queue_bytes: int = 64 * MEBIBYTE,
+        on_fault: Callable[[str], None] | None = None,
+    ) -> None:
+        self._out = RecordingFile(path, metadata)
+        self._path = path
+        self._flush_s, self._batch_s = flush_s, batch_s
+        self._low_space_bytes, self._queue_bytes = low_space_bytes, queue_bytes
+        self._on_fault = on_fault
+        self._lock = threading.Lock()
+        self._queue: deque[_Item] = deque()
+        self._queued_bytes = 0
+        self._dropped = {RawBatch: 0, SampleBatch: 0, _Entry: 0}
+        self._reported_drops = 0
+        self._report_due_s = 0.0
+        self._samples = self._packets = 0
+        self._state: RecorderState = "recording"
+        self._text = ""
+        if self._space_is_low():
+            free = self._out.file.free_bytes() / MEBIBYTE
+            self._out.discard()
+            raise RecordingError(f"{path}: not recording: only {free:.1f} MiB free; make room")
+        self._finishing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def raw(self, batch: RawBatch) -> None:
+        """Record packets as received. The batch's arrays must not change afterwards."""
+        self._offer(batch, len(batch) * _RAW_ROW_BYTES)
+
+    def samples(self, batch: SampleBatch) -> None:
+        """Record decoded samples. The batch's arrays must not change afterwards."""
+        self._offer(batch, len(batch) * _SAMPLE_ROW_BYTES)
+
+    def command(self, entry: dict[str, Any]) -> None:
+        """Record a setpoint or parameter write; like every entry it has a ``time_ns``."""
+        self._entry(COMMAND_TOPIC, entry)
+
+    def event(self, entry: dict[str, Any]) -> None:
+        """Record a change of a link, or a fault."""
+        self._entry(EVENTS_TOPIC, entry)
+
+    def statistics(self, entry: dict[str, Any]) -> None:
+        """Record a link's counters."""
+        self._entry(STATISTICS_TOPIC, entry)
+
+    def status(self) -> RecorderStatus:
+        with self._lock:
+            return RecorderStatus(
+                file=self._path,
+                bytes=self._out.file.size,
+                samples=self._samples,
+                raw_packets=self._packets,
+                dropped_samples=self._dropped[SampleBatch],
+                dropped_packets=self._dropped[RawBatch],
+                dropped_entries=self._dropped[_Entry],
+                state=self._state,
+                text=self._text,
+            )
+
+    def finish(self) -> RecorderStatus:
+        """Write what is queued, finish the file and sync it. Safe to call twice."""
+        self._finishing.set()
+        self._thread.join(_FINISH_TIMEOUT_S)
+        if self._thread.is_alive():
+            self._stop("failed", "the disk does not answer; the file was not finished")
+        return self.status()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.finish()
+
+    def _entry(self, topic: str, entry: dict[str, Any]) -> None:
+        payload = encode_entry(entry)  # now, for the caller may change the dictionary
+        self._offer(_Entry(topic, int(entry["time_ns"]), payload), len(payload))
+
+    def _offer(self, item: _Item, size: int) -> None:
+        with self._lock:
+            stopped = self._state != "recording" or self._finishing.is_set()
+            if stopped or self._queued_bytes + size > self._queue_bytes:
+                self._dropped[type(item)] += _count(item)
+                return
+            self._queue.append(item)
+            self._queued_bytes += size
+
+    def _run(self) -> None:
+        try:
+            self._record()
+        except OSError as error:
+            self._stop("failed", f"recording stopped: {error.strerror}; what was written is kept")
+        except Exception as error:  # a fault of ours must not take the daemon with it
+            with contextlib.suppress(OSError):
+                self._out.file.finish()
+            self._stop("failed", f"recording stopped by an internal fault: {error!r}")
+        finally:
+            self._out.file.abandon()
+
+    def _record(self) -> None:
+        flush_due_s = time.monotonic() + self._flush_s
+        while True:
+            finishing = self._finishing.wait(self._batch_s)
+            self._write(self._take())
+            self._report_overflow()
+            if not finishing and time.monotonic() < flush_due_s:
+                continue
+            flush_due_s = time.monotonic() + self._flush_s
+            written = self._out.file.size
+            self._out.file.flush()
+            if self._out.file.size > written:
+                self._out.file.sync()
+            if self._out.file.is_removed():
+                self._stop("failed", "recording stopped: the file was removed")
+                return
+            if self._space_is_low():
+                self._out.file.finish()
+                self._stop("low_space", "recording finished early: the disk is almost full")
+                return
+            if finishing:
+                self._out.file.finish()
+                with self._lock:
+                    self._state = "finished"
+                return
+
+    def _take(self) -> list[_Item]:
+        with self._lock:
+            items = list(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+        return items
+
+    def _write(self, items: list[_Item]) -> None:
+        span_ns = int(self._batch_s * 1e9)
+        for item in items:
+            if isinstance(item, _Entry):
+                self._out.add(item.topic, item.time_ns, item.payload)
+        raw = [item for item in items if isinstance(item, RawBatch)]
+        for raw_group in _groups(raw, span_ns):
+            packets = RawBatch.concatenate(raw_group)
+            for rows in pieces(len(packets), _MAX_ROWS):
+                self._out.raw(RawBatch(packets.packets[rows], packets.host_time_ns[rows]))
+            self._packets += len(packets)
+        decoded = [item for item in items if isinstance(item, SampleBatch)]
+        for sample_group in _groups(decoded, span_ns):
+            samples = SampleBatch.concatenate(sample_group)
+            for rows in pieces(len(samples), _MAX_ROWS):
+                self._out.samples(samples[rows])
+            self._samples += len(samples)
+
+    def _space_is_low(self) -> bool:
+        file = self._out.file
+        return file.free_bytes() < self._low_space_bytes + file.summary_bytes
+
+    def _report_overflow(self) -> None:
+        """Tell of a full queue, at once and then every few seconds while it lasts."""
+        status = self.status()
+        if status.dropped == self._reported_drops or time.monotonic() < self._report_due_s:
+            return
+        self._reported_drops = status.dropped
+        self._report_due_s = time.monotonic() + _OVERFLOW_REPORT_S
+        self._report(
+            f"the disk is too slow: {status.dropped_packets} packets, {status.dropped_samples} "
+            f"samples and {status.dropped_entries} entries are not in the recording so far"
+        )
+
+    def _stop(self, state: RecorderState, text: str) -> None:
+        """Accept nothing more, count what is still queued as dropped, and say why."""
+        with self._lock:
+            self._state = state
+            for item in self._queue:
+                self._dropped[type(item)] += _count(item)
+            self._queue.clear()
+            self._queued_bytes = 0
+        self._report(text)
+
+    def _report(self, text: str) -> None:
+        self._text = f"{self._path}: {text}"
+        if self._on_fault is not None:
+            with contextlib.suppress(Exception):  # the listener's fault is not the recording's
+                self._on_fault(self._text)
+
+
+def _count(item: _Item) -> int:
+    return 1 if isinstance(item, _Entry) else len(item)
+
+
+_Batch = TypeVar("_Batch", RawBatch, SampleBatch)
+
+
+def _groups(batches: list[_Batch], span_ns: int) -> Iterator[list[_Batch]]:
+    """Runs of non-empty batches that share a tick length and last at most ``span_ns``."""
+    group: list[_Batch] = []
+    for batch in batches:
+        if not len(batch):
+            continue
+        if group:
+            lasts_ns = int(batch.host_time_ns[-1] - group[0].host_time_ns[0])
+            same_clock = getattr(batch, "tick_s", None) == getattr(group[0], "tick_s", None)
+            if not same_clock or not 0 <= lasts_ns <= span_ns:
+                yield group
+                group = []
+        group.append(batch)
+    if group:
+        yield group

@@ -1,0 +1,212 @@
+"""Telemetry as the message types that any viewer knows: Imu and BatteryState at 50 Hz.
+
+Both have a fixed size here, so a batch is one structured array, laid out as CDR lays it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.recording.cdr import HEADER
+from groundstation.telemetry.samples import SampleBatch
+
+IMU_TOPIC = "/imu"
+BATTERY_TOPIC = "/battery"
+RATE_HZ = 50.0
+
+_SEPARATOR = "=" * 80
+_HEADER_DEFINITION = f"""\
+{_SEPARATOR}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+"""
+_TIME_DEFINITION = f"""\
+{_SEPARATOR}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+IMU_DEFINITION = f"""\
+std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+{_SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+{_SEPARATOR}
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+{_HEADER_DEFINITION}{_TIME_DEFINITION}"""
+BATTERY_DEFINITION = f"""\
+uint8 POWER_SUPPLY_STATUS_UNKNOWN=0
+uint8 POWER_SUPPLY_HEALTH_UNKNOWN=0
+uint8 POWER_SUPPLY_TECHNOLOGY_LIPO=3
+std_msgs/Header header
+float32 voltage
+float32 temperature
+float32 current
+float32 charge
+float32 capacity
+float32 design_capacity
+float32 percentage
+uint8 power_supply_status
+uint8 power_supply_health
+uint8 power_supply_technology
+bool present
+float32[] cell_voltage
+float32[] cell_temperature
+string location
+string serial_number
+{_HEADER_DEFINITION}{_TIME_DEFINITION}"""
+
+_FRAME = b"base_link\0"
+_LIPO = 3
+_STAMP = {
+    "cdr": ("S4", 0),
+    "sec": ("<i4", 4),
+    "nanosec": ("<u4", 8),
+    "frame_length": ("<u4", 12),
+    "frame": (f"S{len(_FRAME)}", 16),
+}
+
+
+def _layout(fields: dict[str, tuple[str, int]], size: int) -> np.dtype[np.void]:
+    everything = {**_STAMP, **fields}
+    return np.dtype(
+        {
+            "names": list(everything),
+            "formats": [kind for kind, _ in everything.values()],
+            "offsets": [offset for _, offset in everything.values()],
+            "itemsize": size,
+        }
+    )
+
+
+_IMU = _layout(
+    {
+        "orientation": ("(4,)<f8", 28),
+        "orientation_covariance": ("(9,)<f8", 60),
+        "angular_velocity": ("(3,)<f8", 132),
+        "angular_velocity_covariance": ("(9,)<f8", 156),
+        "linear_acceleration": ("(3,)<f8", 228),
+        "linear_acceleration_covariance": ("(9,)<f8", 252),
+    },
+    324,
+)
+_BATTERY = _layout(
+    {
+        "voltage": ("<f4", 28),
+        "unmeasured": ("(6,)<f4", 32),  # temperature ... percentage
+        "technology": ("u1", 58),
+        "present": ("u1", 59),
+        "location_length": ("<u4", 68),  # two empty sequences before it
+        "serial_length": ("<u4", 76),  # an empty string is its terminator alone
+    },
+    81,
+)
+
+
+class StandardMessages:
+    """Thins sample batches to one message per 20 ms of device time and topic.
+
+    Keeps which 20 ms it has served, so that consecutive batches join without a seam.
+    """
+
+    def __init__(self) -> None:
+        self._last = (-1, -1)
+
+    def messages(self, batch: SampleBatch) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, log time (ns) and CDR payload for what ``batch`` adds."""
+        if not len(batch):
+            return
+        slots = np.floor(batch.time_s * RATE_HZ).astype(np.int64)
+        new = np.empty(len(batch), np.bool_)
+        new[0] = (int(batch.segment[0]), int(slots[0])) != self._last
+        new[1:] = (np.diff(slots) != 0) | (np.diff(batch.segment) != 0)
+        self._last = (int(batch.segment[-1]), int(slots[-1]))
+        chosen = batch[new]
+        if not len(chosen):
+            return
+        times = np.maximum(chosen.host_time_ns, 0)
+        if not _nothing_known(chosen):
+            for time_ns, message in zip(times.tolist(), _imu(chosen), strict=True):
+                yield IMU_TOPIC, time_ns, message.tobytes()
+        for time_ns, message, volt in zip(
+            times.tolist(), _battery(chosen), chosen.battery_v, strict=True
+        ):
+            if not np.isnan(volt):
+                yield BATTERY_TOPIC, time_ns, message.tobytes()
+
+
+def quaternion(attitude_rad: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Body-to-inertial unit quaternions x y z w, shape (n, 4), of ZYX angles (n, 3).
+
+    R = Rz(yaw) Ry(pitch) Rx(roll), thesis eq. 3.6: pitch nose down positive is the
+    right-handed turn about the body's y axis (left).
+    """
+    half = attitude_rad.astype(np.float64) / 2
+    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
+    return np.stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ],
+        axis=1,
+    )
+
+
+def _nothing_known(batch: SampleBatch) -> bool:
+    channels = (batch.attitude, batch.gyro, batch.accelerometer)
+    return all(bool(np.isnan(channel).all()) for channel in channels)
+
+
+def _stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
+    out = np.zeros(len(batch), layout)
+    out["cdr"] = HEADER
+    times = np.maximum(batch.host_time_ns, 0)
+    out["sec"] = np.minimum(times // 1_000_000_000, np.iinfo(np.int32).max)
+    out["nanosec"] = times % 1_000_000_000
+    out["frame_length"] = len(_FRAME)
+    out["frame"] = _FRAME
+    return out
+
+
+def _imu(batch: SampleBatch) -> NDArray[np.void]:
+    out = _stamped(_IMU, batch)
+    channels = (
+        ("orientation", quaternion(batch.attitude), (0.0, 0.0, 0.0, 1.0)),
+        ("angular_velocity", batch.gyro, (0.0, 0.0, 0.0)),
+        ("linear_acceleration", batch.accelerometer, (0.0, 0.0, 0.0)),
+    )
+    for name, values, absent in channels:
+        missing = np.atleast_1d(np.isnan(values).any(axis=1))
+        out[name] = np.where(missing[:, None], absent, values)
+        # a first covariance of -1 is the message's own mark for "no such estimate"
+        out[f"{name}_covariance"][:, 0] = np.where(missing, -1.0, 0.0)
+    return out
+
+
+def _battery(batch: SampleBatch) -> NDArray[np.void]:
+    out = _stamped(_BATTERY, batch)
+    out["voltage"] = batch.battery_v
+    out["unmeasured"] = np.nan
+    out["technology"] = _LIPO
+    out["present"] = 1
+    out["location_length"] = 1
+    out["serial_length"] = 1
+    return out
