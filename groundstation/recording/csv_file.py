@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.channels import CHANNELS
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
 from groundstation.recording.session import Recording
@@ -27,7 +27,6 @@ from groundstation.telemetry.packet import (
     BATTERY_V,
     DUTY,
     GYRO_RAD_S,
-    STANDARD_GRAVITY,
     TICK_S,
     encode,
 )
@@ -39,37 +38,6 @@ THESIS_COLUMNS = (
 )
 """Header of the thesis's layout (thesis figure 5.7)."""
 
-
-@dataclass(frozen=True, slots=True)
-class TableColumn:
-    """One column of the physical table: value = ``scale`` x the sample's SI value."""
-
-    header: str
-    field: str
-    index: int | None
-    scale: float
-    unit: str
-
-
-def _table_columns() -> tuple[TableColumn, ...]:
-    degree, g = 180 / np.pi, 1 / STANDARD_GRAVITY
-    columns = [TableColumn("battery_v", "battery_v", None, 1.0, "V")]
-    columns += [TableColumn(f"duty_{m + 1}", "duty", m, 1.0, "1") for m in range(4)]
-    for index, axis in enumerate("xyz"):
-        columns.append(TableColumn(f"gyro_{axis}_deg_s", "gyro", index, degree, "deg/s"))
-    for index, axis in enumerate("xyz"):
-        columns.append(TableColumn(f"accelerometer_{axis}_g", "accelerometer", index, g, "g"))
-    for index, angle in enumerate(("roll", "pitch", "yaw")):
-        columns.append(TableColumn(f"{angle}_deg", "attitude", index, degree, "deg"))
-    columns += [
-        TableColumn(f"rotor_{m + 1}_rpm", "rotor_rev_s", m, 60.0, "rev/min") for m in range(4)
-    ]
-    return tuple(columns)
-
-
-TABLE_COLUMNS = _table_columns()
-"""The physical table's measured channels; ``time_s``, ``segment``, ``host_time_s`` go before
-them and ``debug`` after."""
 
 _TABLE_EXTRAS = ("segment", "host_time_s", "debug")
 _TABLE_TICK_S = 1e-9
@@ -122,22 +90,22 @@ def write_csv(recording: Recording, path: Path) -> None:
 def write_table_csv(recording: Recording, path: Path) -> None:
     """Write the samples in physical units, each header with its unit.
 
-    Columns: ``time_s`` (device time), ``segment``, ``host_time_s`` (Unix), then
-    ``TABLE_COLUMNS`` and ``debug``. A channel the recording does not have is left out; a
+    Columns: ``time_s`` (device time), ``segment``, ``host_time_s`` (Unix), the channels of
+    ``channels.CHANNELS`` and ``debug``. A channel the recording does not have is left out; a
     missing value is ``nan``. Reading the file gives the same samples, time to the nanosecond.
 
     Raises BadInputError where ``path`` exists, RecordingError where it cannot be written.
     """
     samples = recording.samples
-    present = [c for c in TABLE_COLUMNS if np.isfinite(_channel(samples, c)).any()]
-    header = ["time_s", "segment", "host_time_s", *(c.header for c in present), "debug"]
+    present = [channel for channel in CHANNELS if channel.is_in(samples)]
+    header = ["time_s", "segment", "host_time_s", *(channel.header for channel in present), "debug"]
     formats = ["%.9f", "%d", "%.6f", *["%.9g"] * len(present), "%d"]
     with _new_file(path) as file:
         file.write(",".join(header) + "\n")
         for first in range(0, len(samples), _WRITE_ROWS):
             block = samples[first : first + _WRITE_ROWS]
             columns: list[NDArray[Any]] = [block.time_s, block.segment, block.host_time_ns / 1e9]
-            columns += [_channel(block, c).astype(np.float64) * c.scale for c in present]
+            columns += [channel.shown(block) for channel in present]
             _write_rows(file, np.column_stack([*columns, block.debug]), formats)
 
 
@@ -225,9 +193,9 @@ def _as_packets(
 
 
 def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
-    columns = [c for c in TABLE_COLUMNS if c.header in positions]
+    channels = [channel for channel in CHANNELS if channel.header in positions]
     extras = [name for name in _TABLE_EXTRAS if name in positions]
-    names = ["time_s", *extras, *(c.header for c in columns)]
+    names = ["time_s", *extras, *(channel.header for channel in channels)]
     blocks = []
     for block in table.blocks([positions[name] for name in names]):
         unusable = np.argwhere(~np.isfinite(block.values[:, : 1 + len(extras)]))
@@ -238,8 +206,8 @@ def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
         ticks = np.rint(values["time_s"] / _TABLE_TICK_S).astype(np.int64)
         samples = empty_samples(len(ticks), _TABLE_TICK_S)
         samples.ticks[:] = ticks
-        for column in columns:
-            _channel(samples, column)[:] = values[column.header] / column.scale
+        for channel in channels:
+            channel.of(samples)[:] = values[channel.header] / channel.scale
         samples.segment[:] = values.get("segment", 0)
         samples.debug[:] = values.get("debug", 0)
         if "host_time_s" in values:
@@ -255,11 +223,6 @@ def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
         )
         metadata = {"host_time": dict(SYNTHESISED)}
     return Recording(table.path, "csv", samples, metadata=metadata, damage=table.damage)
-
-
-def _channel(samples: SampleBatch, column: TableColumn) -> NDArray[np.float32]:
-    values: NDArray[np.float32] = getattr(samples, column.field)
-    return values if column.index is None else values[:, column.index]
 
 
 def _write_rows(file: TextIO, rows: NDArray[Any], formats: list[str]) -> None:

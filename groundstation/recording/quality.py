@@ -1,0 +1,298 @@
+"""What is in a recording and how good it is: rate, gaps, loss, clipping, jitter, a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.recording.channels import CHANNELS, Channel
+from groundstation.recording.device_time import SYNTHESISED
+from groundstation.recording.session import Recording
+from groundstation.telemetry.packet import (
+    ACCELEROMETER_M_S2,
+    GYRO_RAD_S,
+    SAMPLE_PERIOD_S,
+    STANDARD_GRAVITY,
+    TICK_S,
+)
+from groundstation.telemetry.samples import SampleBatch
+
+GAPS_LISTED = 100
+"""The report lists this many of the longest gaps; ``gap_count`` counts all."""
+LOSS_TOLERATED = 0.01
+GAP_TOLERATED_S = 0.05
+FULL_DUTY = 4088 / 4096
+"""The largest duty of a 9-bit PWM."""
+LOW_BATTERY_V = 3.0
+
+_GYRO_RANGES_DEG_S = (250, 500, 1000, 2000)
+_ACCELEROMETER_RANGES_G = (2, 4, 8, 16, 24)
+_RAIL = 0.9995
+_ENVELOPE_BLOCKS = 50
+
+
+def inspect_recording(recording: Recording) -> dict[str, Any]:
+    """Describe a recording in plain numbers and words, ready for JSON (None for no value).
+
+    All times are device time; the pause at a restart, which device time cannot tell, is in
+    none of them. The period is the packet's 2 ms or, for other sources, the median step; a
+    gap is a step of more than one and a half periods. Clipping is a sample at the end of the
+    packet's 16 bits, at a usual range of the sensor (other sources), or a motor at full duty.
+
+    Keys: file, kind, link, samples, raw_packets (0 where the source had none), duration_s,
+    rate_hz (samples over duration), period_s, lost_samples, gaps (start_s, duration_s, lost,
+    segment; the 100 longest), gap_count, duplicates (packets that are copies),
+    repeated_times, segments, clipping (channel -> samples), jitter (device_step_s,
+    host_arrival_s), battery, ranges (channel -> unit, min, max, mean), missing (channels
+    without data), tables (name -> rows), damage, verdict.
+    """
+    samples = recording.samples
+    steps = _steps(samples)
+    raw_packets = _raw_packets(recording)
+    segments = len(np.unique(samples.segment))
+    duration_s = float(steps.step_s.sum()) + segments * steps.period_s
+    report: dict[str, Any] = {
+        "file": str(recording.path),
+        "kind": recording.kind,
+        "link": recording.link,
+        "samples": len(samples),
+        "raw_packets": raw_packets,
+        "duration_s": duration_s,
+        "rate_hz": len(samples) / duration_s if duration_s > 0 else 0.0,
+        "period_s": steps.period_s,
+        "lost_samples": int(steps.lost.sum()),
+        "gaps": _gaps(samples, steps),
+        "gap_count": int(np.count_nonzero(steps.lost)),
+        "duplicates": max(0, raw_packets - len(samples)),
+        "repeated_times": int(np.count_nonzero(steps.step_s == 0)),
+        "segments": segments,
+        "clipping": _clipping(samples),
+        "jitter": {
+            "device_step_s": _device_jitter(steps),
+            "host_arrival_s": _host_jitter(recording),
+        },
+        "battery": _battery(samples),
+        "ranges": _ranges(samples),
+        "missing": [channel.name for channel in CHANNELS if not channel.is_in(samples)],
+        "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
+        "damage": list(recording.damage),
+    }
+    faults = list(_faults(report, samples))
+    report["verdict"] = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
+    return report
+
+
+def _grade(report: dict[str, Any], faults: list[str]) -> str:
+    if report["samples"] == 0:
+        return "bad"
+    return "usable, with faults" if faults else "good"
+
+
+def _summary(report: dict[str, Any]) -> str:
+    lost, samples = report["lost_samples"], report["samples"]
+    share = 100 * lost / (lost + samples)
+    loss = f"{lost} samples lost ({share:.2g} %)" if lost else "nothing lost"
+    return f"{report['duration_s']:.3g} s at {report['rate_hz']:.4g} Hz, {loss}"
+
+
+def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
+    """What a user should know before trusting the recording, worst first."""
+    if report["damage"]:
+        more = len(report["damage"]) - 1
+        yield report["damage"][0] + (f" (and {more} more)" if more else "")
+    if report["samples"] == 0:
+        yield "no samples"
+        return
+    lost = report["lost_samples"]
+    longest = max(report["gaps"], key=lambda gap: gap["duration_s"], default=None)
+    if longest and lost > LOSS_TOLERATED * (lost + report["samples"]):
+        share = 100 * lost / (lost + report["samples"])
+        yield (
+            f"{lost} samples lost ({share:.2g} %), gaps: {report['gap_count']}, "
+            f"the longest {longest['duration_s']:.3g} s"
+        )
+    elif longest and longest["duration_s"] > GAP_TOLERATED_S:
+        yield f"a gap of {longest['duration_s']:.3g} s at {longest['start_s']:.3f} s"
+    if report["repeated_times"]:
+        yield f"{report['repeated_times']} samples repeat the time of the one before"
+    if report["segments"] > 1:
+        yield f"restarts of the device: {report['segments'] - 1}"
+    if samples.tick_s == TICK_S and not _is_telemetry_period(report["period_s"]):
+        yield f"a sample every {report['period_s'] * 1e3:.3g} ms where the telemetry has 2 ms"
+    for channel, count in report["clipping"].items():
+        yield f"{channel} at its limit in {count} samples"
+    specific_force = np.linalg.norm(samples.accelerometer.astype(np.float64), axis=1)
+    specific_force_g = specific_force[np.isfinite(specific_force)] / STANDARD_GRAVITY
+    if len(specific_force_g):
+        mean_g = float(specific_force_g.mean())
+        if not 0.5 < mean_g < 2:
+            yield f"the accelerometer's mean is {mean_g:.3g} g: check its unit"
+    if report["battery"] and report["battery"]["min_v"] < LOW_BATTERY_V:
+        yield f"the battery went down to {report['battery']['min_v']:.2f} V"
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """From each sample to the next inside a segment.
+
+    rows: (m,) index of the first sample. step_s: (m,). lost: (m,) samples that fit between.
+    """
+
+    rows: NDArray[np.intp]
+    step_s: NDArray[np.float64]
+    lost: NDArray[np.int64]
+    period_s: float
+
+
+def _steps(samples: SampleBatch) -> _Steps:
+    rows = np.flatnonzero(np.diff(samples.segment) == 0)
+    step_s = np.diff(samples.ticks)[rows].astype(np.float64) * samples.tick_s
+    moving = step_s[step_s > 0]
+    period_s = float(np.median(moving)) if len(moving) else 0.0
+    if samples.tick_s == TICK_S and (not len(moving) or _is_telemetry_period(period_s)):
+        period_s = SAMPLE_PERIOD_S
+    lost = np.zeros(len(rows), np.int64)
+    if period_s > 0:
+        lost = np.maximum(np.rint(step_s / period_s).astype(np.int64) - 1, 0)
+        lost[step_s <= 1.5 * period_s] = 0
+    return _Steps(rows, step_s, lost, period_s)
+
+
+def _is_telemetry_period(period_s: float) -> bool:
+    return abs(period_s / SAMPLE_PERIOD_S - 1) < 0.05
+
+
+def _gaps(samples: SampleBatch, steps: _Steps) -> list[dict[str, Any]]:
+    """The longest gaps in order of time; ``start_s`` counts from the segment's first sample."""
+    where = np.flatnonzero(steps.lost)
+    if len(where) > GAPS_LISTED:
+        where = np.sort(where[np.argsort(-steps.step_s[where], kind="stable")[:GAPS_LISTED]])
+    gaps = []
+    for step in where:
+        row = steps.rows[step]
+        first = int(np.searchsorted(samples.segment, samples.segment[row]))
+        elapsed = int(samples.ticks[row] - samples.ticks[first])
+        gaps.append(
+            {
+                "start_s": elapsed * samples.tick_s,
+                "duration_s": float(steps.step_s[step]),
+                "lost": int(steps.lost[step]),
+                "segment": int(samples.segment[row]),
+            }
+        )
+    return gaps
+
+
+def _raw_packets(recording: Recording) -> int:
+    if recording.raw is not None:
+        return len(recording.raw)
+    return int(recording.samples.copies.sum()) if recording.kind == "mcap" else 0
+
+
+def _clipping(samples: SampleBatch) -> dict[str, int]:
+    """Samples at the rail, per channel that has any."""
+    clipped = {}
+    for channel in CHANNELS:
+        values = channel.of(samples)
+        if channel.field == "duty":
+            count = int(np.count_nonzero(values >= np.float32(FULL_DUTY)))
+        elif channel.field in ("gyro", "accelerometer"):
+            count = _at_rail(values, channel, samples.tick_s == TICK_S)
+        else:
+            continue
+        if count:
+            clipped[channel.name] = count
+    return clipped
+
+
+def _at_rail(values: NDArray[np.float32], channel: Channel, is_packet: bool) -> int:
+    """Samples at the end of the packet's 16 bits, or stuck at a usual range of the sensor."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    is_gyro = channel.field == "gyro"
+    if is_packet:
+        counts = np.rint(finite / (GYRO_RAD_S if is_gyro else ACCELEROMETER_M_S2))
+        return int(np.count_nonzero((counts >= 32767) | (counts <= -32768)))
+    shown = np.abs(finite * channel.scale)
+    peak = shown.max(initial=0.0)
+    for limit in _GYRO_RANGES_DEG_S if is_gyro else _ACCELEROMETER_RANGES_G:
+        if _RAIL * limit <= peak <= limit / _RAIL:
+            count = int(np.count_nonzero(shown >= _RAIL * limit))
+            return count if count > 1 else 0  # one alone is a peak that happens to lie there
+    return 0
+
+
+def _device_jitter(steps: _Steps) -> dict[str, float] | None:
+    """How far the device's steps stray from their median; gaps are not jitter."""
+    regular = steps.step_s[steps.lost == 0]
+    if len(regular) == 0:
+        return None
+    median = float(np.median(regular))
+    stray = np.abs(regular - median)
+    return {
+        "median": median,
+        "rms": float(np.sqrt(np.mean(stray**2))),
+        "p99": float(np.percentile(stray, 99)),
+        "max": float(stray.max()),
+    }
+
+
+def _host_jitter(recording: Recording) -> dict[str, float] | None:
+    """How late the host saw each sample, above the lower envelope of (host - device) time.
+
+    The envelope is a line per segment, so that two clocks that drift are not taken for
+    lateness. None where the host stamps were made from device time.
+    """
+    samples = recording.samples
+    if len(samples) < 2 or recording.metadata.get("host_time") == SYNTHESISED:
+        return None
+    late_s = np.empty(len(samples))
+    for number in np.unique(samples.segment):
+        rows = np.flatnonzero(samples.segment == number)
+        device_s = (samples.ticks[rows] - samples.ticks[rows[0]]) * samples.tick_s
+        host_s = (samples.host_time_ns[rows] - samples.host_time_ns[rows[0]]) * 1e-9
+        late_s[rows] = _above_envelope(device_s, host_s - device_s)
+    return {
+        "median": float(np.median(late_s)),
+        "p99": float(np.percentile(late_s, 99)),
+        "max": float(late_s.max()),
+    }
+
+
+def _above_envelope(time_s: NDArray[np.float64], delay_s: NDArray[np.float64]) -> Any:
+    blocks = np.array_split(np.arange(len(time_s)), min(_ENVELOPE_BLOCKS, len(time_s)))
+    lowest = np.array([block[np.argmin(delay_s[block])] for block in blocks])
+    if len(lowest) == _ENVELOPE_BLOCKS and time_s[-1] > time_s[0]:
+        slope, start = np.polyfit(time_s[lowest], delay_s[lowest], 1)
+        delay_s = delay_s - (slope * time_s + start)
+    return delay_s - delay_s.min()
+
+
+def _battery(samples: SampleBatch) -> dict[str, float] | None:
+    volts = samples.battery_v[np.isfinite(samples.battery_v)].astype(np.float64)
+    if len(volts) == 0:
+        return None
+    return {
+        "first_v": float(volts[0]),
+        "last_v": float(volts[-1]),
+        "min_v": float(volts.min()),
+        "max_v": float(volts.max()),
+    }
+
+
+def _ranges(samples: SampleBatch) -> dict[str, dict[str, Any]]:
+    ranges = {}
+    for channel in CHANNELS:
+        shown = channel.shown(samples)
+        shown = shown[np.isfinite(shown)]
+        if len(shown):
+            ranges[channel.name] = {
+                "unit": channel.unit,
+                "min": float(shown.min()),
+                "max": float(shown.max()),
+                "mean": float(shown.mean()),
+            }
+    return ranges
