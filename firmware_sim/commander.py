@@ -1,0 +1,38 @@
+"""Setpoints and their age: what arrives from a client or the pilot, and when it goes stale."""
+
+from __future__ import annotations
+
+from firmware_sim.compiled import inner
+from firmware_sim.layout import Record
+
+MIN_THRUST = 10000.0
+MAX_THRUST = 60000.0
+LEVEL_NS = 500_000_000
+"""Without a setpoint for so long: level, no yaw rate, thrust kept."""
+STOP_NS = 2_000_000_000
+"""Without a setpoint for so long: motors off."""
+
+
+@inner
+def accept(fw: Record, now_ns: int, roll: float, pitch: float, yaw: float, thrust: float) -> None:
+    """Take a setpoint: deg, deg (nose up), deg/s (clockwise), 16-bit thrust."""
+    fw.setpoint[0] = roll
+    fw.setpoint[1] = pitch
+    fw.setpoint[2] = yaw
+    fw.setpoint_thrust = thrust
+    fw.setpoint_ns = now_ns
+
+
+@inner
+def watch(fw: Record, now_ns: int) -> None:
+    """Act on the age of the last setpoint and set the thrust of this pass."""
+    age = now_ns - fw.setpoint_ns
+    if age > LEVEL_NS:
+        fw.setpoint[0] = 0.0
+        fw.setpoint[1] = 0.0
+        fw.setpoint[2] = 0.0
+    if age > STOP_NS:
+        fw.setpoint_thrust = 0.0
+    fw.thrust = 0.0
+    if fw.setpoint_thrust > MIN_THRUST:
+        fw.thrust = min(fw.setpoint_thrust, MAX_THRUST)

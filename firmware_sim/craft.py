@@ -1,0 +1,258 @@
+"""The stand-in: a craft, its firmware, its radio and the bridge, advanced as one."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.layout import (
+    PASS_NS,
+    PILOT_PASSES,
+    QUATERNION,
+    RATE,
+    ROTOR,
+    ROWS,
+    STATE,
+    TRUTH,
+)
+from firmware_sim.settings import StandInSettings
+from groundstation.telemetry.packet import Packets, encode
+
+__all__ = ["CraftState", "StandIn", "StandInSettings"]
+
+CHUNK_PASSES = 5000
+"""At most 10 s of flight per call of the kernel: bounds the memory of a long advance."""
+
+
+@dataclass(frozen=True, slots=True)
+class CraftState:
+    """What the firmware and the plant know at one moment, for clients and displays.
+
+    time_s: device time since power-on of the first cell. angles_deg: the firmware's estimate,
+    pitch nose up. gyro_dps, accel_g: as the firmware uses them. motors: 16-bit.
+    """
+
+    time_s: float
+    powered: bool
+    boots: int
+    angles_deg: tuple[float, float, float]
+    gyro_dps: tuple[float, float, float]
+    accel_g: tuple[float, float, float]
+    thrust: int
+    motors: tuple[int, int, int, int]
+    battery_v: float
+    power_state: int
+    calibrated: bool
+    position_m: tuple[float, float, float]
+    rotor_rev_s: tuple[float, float, float, float]
+
+
+class StandIn:
+    """A craft that flies its programme, or what a client commands, and is heard by a bridge.
+
+    Thread-safe: a worker may advance it while a server reads its state and commands it.
+    """
+
+    def __init__(self, settings: StandInSettings | None = None) -> None:
+        from firmware_sim.bridge import Bridge
+        from firmware_sim.flight import fly
+        from firmware_sim.physics import craft_of, firmware, hover_thrust, parameters
+        from firmware_sim.programme import Sticks, load_programme
+        from firmware_sim.radio import transmit
+
+        self.settings = settings or StandInSettings()
+        self._lock = threading.Lock()
+        self._parameters = parameters(self.settings)
+        self._fresh_firmware = firmware(self.settings)
+        self._firmware = self._fresh_firmware.copy()
+        self._hover = hover_thrust(craft_of(self.settings)[0])
+        self._state = np.zeros(1, STATE)
+        self._sticks = Sticks(load_programme(self.settings.program), self.settings.seed)
+        self._fly, self._transmit = fly(), transmit()
+        self._bridge = Bridge(self.settings.bridge_packets, self.settings.bridge_dedup)
+        self._air = np.zeros(1, np.int64)
+        loss = self.settings.loss
+        self._loss = np.array(
+            [loss.good_loss, loss.bad_loss, loss.to_bad, loss.to_good, loss.damage]
+        )
+        self._truth: list[NDArray[np.void]] = []
+        self._power_on(first=True)
+
+    def advance(self, until_s: float) -> tuple[Packets, NDArray[np.float64]]:
+        """Fly to ``until_s`` of host time since power-on.
+
+        Returns the packets (n, 32) that have reached the host since the last call, and the
+        time (s) at which each did. The same for a seed however the time is sliced.
+        """
+        with self._lock:
+            scale = 1.0 + self.settings.device_clock_ppm * 1e-6
+            target_ns = int(until_s * 1e9 * scale)
+            out = []
+            while True:
+                passes = -((self._now_ns - target_ns) // PASS_NS)
+                if passes <= 0:
+                    break
+                rows = self._fly_passes(min(passes, CHUNK_PASSES))
+                flown = min(until_s, self._now_ns / 1e9 / scale)
+                out.append(self._deliver(rows, int(flown * 1e9), scale))
+            out.append(self._deliver(np.zeros(0, ROWS), int(until_s * 1e9), scale))
+        packets = np.concatenate([part for part, _ in out])
+        return packets, np.concatenate([times for _, times in out]) * 1e-9
+
+    def state(self) -> CraftState:
+        """The live state."""
+        with self._lock:
+            fw, s = self._firmware[0], self._state[0]
+            return CraftState(
+                time_s=float(s["now_ns"]) * 1e-9,
+                powered=bool(s["off_ns"] < 0),
+                boots=int(s["boots"]),
+                angles_deg=_floats(fw["angles"]),
+                gyro_dps=_floats(fw["gyro"]),
+                accel_g=_floats(fw["accel"]),
+                thrust=int(fw["thrust"]),
+                motors=tuple(int(c) << 7 for c in fw["compare"]),  # type: ignore[arg-type]
+                battery_v=float(fw["battery_filter"]),
+                power_state=int(fw["power_state"]),
+                calibrated=bool(fw["bias_found"]),
+                position_m=_floats(s["y"][:3]),
+                rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
+            )
+
+    def command(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
+        """A client's setpoint, as the firmware takes it: pitch nose up, yaw rate clockwise.
+
+        With ``flightmode.althold`` set the pilot holds the height while thrust is given.
+        """
+        with self._lock:
+            fw, now = self._firmware[0], self._now_ns
+            fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
+            held = fw["altitude_hold"] > 0 and fw["client_ns"] >= 0 and fw["thrust"] > 0
+            if not held or thrust <= 10000:
+                fw["setpoint_thrust"] = float(thrust)
+            fw["setpoint_ns"] = fw["client_ns"] = now
+
+    def get_parameter(self, name: str) -> float:
+        """A firmware parameter by full name (``pid_rate.roll_kp``)."""
+        from firmware_sim.physics import gain_place
+
+        column, axis = gain_place(name)
+        with self._lock:
+            value = self._firmware[0][column]
+            return float(value if axis < 0 else value[axis])
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Write a firmware parameter; lost at the next restart, as in the craft."""
+        from firmware_sim.physics import gain_place
+
+        column, axis = gain_place(name)
+        with self._lock:
+            if axis < 0:
+                self._firmware[0][column] = value
+            else:
+                self._firmware[0][column][axis] = value
+
+    @property
+    def overflows(self) -> int:
+        """Packets dropped because the bridge's queue was full."""
+        return self._bridge.overflows
+
+    def truth(self) -> NDArray[np.void]:
+        """What really happened, one TRUTH record per pass with power, if it was asked for."""
+        with self._lock:
+            return np.concatenate(self._truth) if self._truth else np.zeros(0, TRUTH)
+
+    @property
+    def _now_ns(self) -> int:
+        return int(self._state[0]["now_ns"])
+
+    def _fly_passes(self, passes: int) -> NDArray[np.void]:
+        """Fly some passes; a restart in between is one of them."""
+        s = self._state[0]
+        first = (int(s["now_ns"]) - int(s["boot_ns"])) // PASS_NS // PILOT_PASSES
+        programme = self._sticks.rows(first, passes // PILOT_PASSES + 2)
+        rows = np.zeros(passes, ROWS)
+        truth = np.zeros(passes if self.settings.truth else 0, TRUTH)
+        flown, written = self._fly(
+            self._parameters[0],
+            self._firmware[0],
+            s,
+            programme,
+            first,
+            self._hover,
+            passes,
+            rows,
+            truth,
+        )
+        if len(truth):
+            self._truth.append(truth[:written])
+        if flown < passes:
+            self._power_on(first=False)
+        return rows[:written]
+
+    def _deliver(
+        self, rows: NDArray[np.void], until_ns: int, scale: float
+    ) -> tuple[Packets, NDArray[np.int64]]:
+        copies = self.settings.copies
+        row = np.empty(len(rows) * copies, np.int64)
+        heard, bit = np.empty_like(row), np.empty_like(row)
+        count = self._transmit(
+            rows["time_ns"].copy(),
+            copies,
+            self._loss,
+            self._air,
+            self._state[0]["rng"],
+            row,
+            heard,
+            bit,
+        )
+        packets = _packets(rows)[row[:count]]
+        damaged = np.flatnonzero(bit[:count] >= 0)
+        packets[damaged, bit[damaged] >> 3] ^= (1 << (bit[damaged] & 7)).astype(np.uint8)
+        host_ns = (heard[:count] / scale).astype(np.int64)
+        return self._bridge.pass_on(packets, host_ns, until_ns)
+
+    def _power_on(self, first: bool) -> None:
+        """A charged cell is plugged in and the craft stands on the ground."""
+        from firmware_sim.random_numbers import seeded
+
+        s, p = self._state[0], self._parameters[0]
+        self._firmware[:] = self._fresh_firmware
+        if first:
+            s["rng"] = seeded(self.settings.seed, len(s["rng"]))
+            s["charge"] = self.settings.charge
+        else:
+            s["charge"] = 1.0
+        s["boots"] += 1
+        now = s["now_ns"]
+        s["y"] = 0.0
+        s["y"][2] = -9.80665 / 125.0**2
+        s["y"][QUATERNION] = 1.0
+        s["force"] = 0.0, 0.0, 9.80665
+        s["y"][29] = 9.80665
+        s["boot_ns"], s["off_ns"], s["overload_ns"] = now, -1, 0
+        s["landing"], s["landed_ns"] = 0, now
+        s["pilot_height"] = s["pilot_integral"] = 0.0
+        s["mode"], s["duty"] = 0.0, 0.0
+        phase = np.random.default_rng((self.settings.seed, 2, int(s["boots"])))
+        s["timer_phase"] = phase.integers(0, 1 << 16)
+        fw = self._firmware[0]
+        fw["low_ns"] = fw["critical_ns"] = fw["setpoint_ns"] = now
+        start_mv = p["stiff_mv"] or 1000.0 * 4.1 * s["charge"] ** 0.05
+        s["supply_mv"] = s["reported_mv"] = start_mv
+        s["y"][RATE : RATE + 3] = 0.0
+
+
+def _packets(rows: NDArray[np.void]) -> Packets:
+    if len(rows) == 0:
+        return np.empty((0, 32), np.uint8)
+    names: Any = ("battery", "motors", "gyro", "accelerometer", "angles", "debug")
+    return encode(rows["ticks"], *(rows[name] for name in names))
+
+
+def _floats(values: Any) -> Any:
+    return tuple(float(v) for v in values)

@@ -1,0 +1,225 @@
+"""The pass: sensor, firmware, telemetry row, plant. 500 times a second, compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from firmware_sim.battery import ADC_PASSES, manage_power, protect, read_adc, supply
+from firmware_sim.commander import watch
+from firmware_sim.compiled import inner, kernel, source_stamp
+from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
+from firmware_sim.imu import fetch, sample
+from firmware_sim.layout import (
+    CLOCK_STREAM,
+    FREE,
+    NOISE_STREAM,
+    PASS_NS,
+    PILOT_PASSES,
+    QUATERNION,
+    RATE,
+    ROTOR,
+    SENSOR_RING,
+    Record,
+)
+from firmware_sim.pilot import LANDED_M, REST_NS, decide
+from firmware_sim.plant import derivative, integrate
+from firmware_sim.random_numbers import normal, uniform
+from firmware_sim.stabilizer import angle_loops, stabilize
+
+FULL_COMPARE = 512.0
+WAIT_NS = 1_000_000_000
+"""The firmware waits so long before anything moves."""
+TEST_NS, TEST_EVERY_NS, TEST_COMPARE = 50_000_000, 200_000_000, 101
+"""The motor test: each motor turns for 50 ms, 200 ms apart, at a fifth of full PWM."""
+TIMER_NS = 73_000.0 / 72.0
+LONG_INTERRUPT = 0.02
+"""Share of rows whose timestamp is late by a long interrupt."""
+
+
+@cache
+def fly() -> Callable[..., Any]:
+    """The compiled flight: ``fly()(p, fw, s, programme, first, hover, passes, rows, truth)``.
+
+    Flies up to ``passes`` passes, reading ``programme`` (n, 7) from row ``first`` on, and fills
+    ``rows`` and, where it has rows, ``truth``. Returns (passes flown, rows written); it stops
+    early when a fresh battery has just started the craft anew, because the programme then
+    starts anew too.
+    """
+    stamp = source_stamp()
+
+    @kernel
+    def fly_passes(
+        p: Record,
+        fw: Record,
+        s: Record,
+        programme: Any,
+        first: int,
+        hover: float,
+        passes: int,
+        rows: Any,
+        truth: Any,
+    ) -> Any:
+        if stamp == 0:  # makes the stamp part of the cache key, see compiled.kernel
+            return 0, 0
+        written = 0
+        for done in range(passes):
+            if s.off_ns >= 0:
+                if s.now_ns - s.off_ns >= p.swap_ns:
+                    return done, written
+                _fall(s)
+                _move(p, s)
+                continue
+            since_boot = s.now_ns - s.boot_ns
+            index = since_boot // PASS_NS
+            slot = fetch(s, s.now_ns)
+            tick = index // PILOT_PASSES - first
+            if index % PILOT_PASSES == 0:
+                decide(p, fw, s, programme[tick], hover * _battery_ratio(fw), s.now_ns)
+            _firmware(p, fw, s, index, slot)
+            _report(p, fw, s, rows[written], slot, index)
+            if len(truth) > 0:
+                _witness(fw, s, truth[written], slot)
+            written += 1
+            _act(p, fw, s, index)
+            _move(p, s)
+            if _power_lost(p, fw, s):
+                s.off_ns = s.now_ns
+        return passes, written
+
+    compiled: Callable[..., Any] = fly_passes
+    return compiled
+
+
+@inner
+def _battery_ratio(fw: Record) -> float:
+    """A pilot pushes the stick further as the battery empties."""
+    return 3.7 / min(max(fw.battery_filter, 3.0), 4.2)
+
+
+@inner
+def _firmware(p: Record, fw: Record, s: Record, index: int, slot: int) -> None:
+    if fw.bias_found == 0:
+        if s.now_ns - s.boot_ns >= WAIT_NS + 4 * TEST_EVERY_NS:
+            calibrate(fw, s.ring_gyro[slot, 0], s.ring_gyro[slot, 1], s.ring_gyro[slot, 2])
+        return
+    for i in range(3):
+        fw.gyro[i] = (s.ring_gyro[slot, i] - fw.bias[i]) / COUNTS_PER_DPS
+        fw.accel[i] = s.ring_accel[slot, i] / COUNTS_PER_G
+    smooth_acceleration(fw)
+    if index % 2 == 0:
+        if p.ideal_attitude != 0:
+            for i in range(3):
+                fw.angles[i] = s.ring_angles[slot, i]
+        else:
+            fuse(fw)
+
+
+@inner
+def _act(p: Record, fw: Record, s: Record, index: int) -> None:
+    """What the pass leaves behind: PWM, the battery's voltage under it, and its reading."""
+    if fw.bias_found == 0:
+        _motor_test(fw, s.now_ns - s.boot_ns - WAIT_NS)
+    else:
+        watch(fw, s.now_ns)
+        if index % 2 == 0:
+            angle_loops(fw)
+        stabilize(p, fw)
+    for i in range(4):
+        s.duty[i] = fw.compare[i] / FULL_COMPARE
+    supply(p, s)
+    if index % ADC_PASSES == 0 or p.adc_filter == 0:
+        read_adc(p, fw, s)
+
+
+@inner
+def _motor_test(fw: Record, elapsed_ns: int) -> None:
+    for i in range(4):
+        since = elapsed_ns - i * TEST_EVERY_NS
+        fw.compare[i] = TEST_COMPARE if 0 <= since < TEST_NS else 0
+
+
+@inner
+def _move(p: Record, s: Record) -> None:
+    """Fly to the next pass, stopping where the sensor samples."""
+    for i in range(3):
+        s.noise[i] = p.torque_noise[i] * normal(s.rng, NOISE_STREAM)
+        s.noise[3 + i] = p.force_noise * normal(s.rng, NOISE_STREAM)
+    if s.y[2] < LANDED_M:
+        share = max(s.y[2] / LANDED_M, 0.0)
+        for i in range(6):
+            s.noise[i] *= share
+    at = s.now_ns
+    end = at + PASS_NS
+    while True:
+        instant = p.sensor_phase_ns + s.sampled * p.sensor_period_ns
+        if instant > end:
+            break
+        if instant > at:
+            integrate(p, s, at * 1e-9, (instant - at) * 1e-9)
+            at = instant
+        derivative(p, s, at * 1e-9, s.y, s.slope)
+        sample(p, s, instant)
+    if end > at:
+        integrate(p, s, at * 1e-9, (end - at) * 1e-9)
+    s.now_ns = end
+
+
+@inner
+def _fall(s: Record) -> None:
+    """A craft without power: its motors coast."""
+    s.mode = FREE
+    for i in range(4):
+        s.duty[i] = 0.0
+
+
+@inner
+def _power_lost(p: Record, fw: Record, s: Record) -> bool:
+    if protect(p, s) or manage_power(fw, s.now_ns):
+        return True
+    if s.landing == 0 or fw.thrust > 0.0 or s.y[2] > LANDED_M:
+        s.landed_ns = s.now_ns
+        return False
+    return bool(s.now_ns - s.landed_ns > REST_NS)
+
+
+@inner
+def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int) -> None:
+    """The telemetry row: fresh sensors and angles, the PWM and battery that acted before."""
+    late = p.timer_jitter * normal(s.rng, CLOCK_STREAM)
+    chance = uniform(s.rng, CLOCK_STREAM)
+    if p.timer_jitter > 0.0:
+        if chance < LONG_INTERRUPT:
+            late += 12.0 * chance / LONG_INTERRUPT
+        if index % 2 == 0:
+            late += 1.0
+    elapsed = (s.now_ns - s.boot_ns) / TIMER_NS
+    row.time_ns = s.now_ns
+    row.ticks = s.timer_phase + int(math.floor(elapsed + late + 8.0))
+    row.battery = int(fw.battery_filter * 1000.0 + 0.5)
+    for i in range(4):
+        row.motors[i] = int(s.duty[i] * FULL_COMPARE) << 3
+    for i in range(3):
+        row.gyro[i] = s.ring_gyro[slot, i]
+        row.accelerometer[i] = s.ring_accel[slot, i]
+        row.angles[i] = int(math.floor(100.0 * fw.angles[i] + 0.5))
+    row.debug = 0
+
+
+@inner
+def _witness(fw: Record, s: Record, row: Record, slot: int) -> None:
+    row.time_s = s.now_ns * 1e-9
+    for i in range(3):
+        row.position_m[i] = s.y[i]
+        row.velocity_m_s[i] = s.y[3 + i]
+        row.rate_rad_s[i] = s.y[RATE + i]
+    for i in range(4):
+        row.quaternion[i] = s.y[QUATERNION + i]
+        row.rotor_rev_s[i] = s.y[ROTOR + i]
+        row.duty[i] = s.duty[i]
+    row.supply_mv = s.supply_mv
+    row.current_a = s.current_a
+    row.charge = s.charge
+    row.sensor_age_s = (s.now_ns - s.sampled_ns[slot % SENSOR_RING]) * 1e-9

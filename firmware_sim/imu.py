@@ -1,0 +1,178 @@
+"""The MPU6050: what the sensor feels, filters, samples on its own clock and puts in registers.
+
+Its digital low-pass is a first-order lag with the data sheet's bandwidth; what the data sheet's
+delay has beyond that lag is pure delay (see ``DLPF``). The sample clock is not the loop's: a
+sample waits 0..2 ms until the loop fetches it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from firmware_sim.compiled import inner
+from firmware_sim.layout import (
+    ACCEL_DLPF,
+    GYRO_DLPF,
+    GYRO_LAG,
+    PHASE,
+    RATE,
+    ROTOR,
+    SENSOR_RING,
+    SENSOR_STREAM,
+    Record,
+)
+from firmware_sim.random_numbers import normal
+
+GYRO_COUNTS = 16.384 * 180.0 / math.pi
+"""Counts per rad/s."""
+ACCEL_COUNTS = 4096.0 / 9.80665
+"""Counts per m/s^2."""
+DEGREES = 180.0 / math.pi
+
+IMBALANCE = (1.0, 0.7, 1.2, 0.9)
+"""How badly each propeller is balanced, relative to the craft's ``shake``."""
+SHAKE_REV_S = 250.0
+
+
+@inner
+def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
+    """Slopes of the gyro's and the accelerometer's lags, with the rotors' imbalance in them."""
+    in_plane_x, in_plane_y, axial, twist_x, twist_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    if p.shake[0] != 0.0 or p.shake[1] != 0.0 or p.shake[2] != 0.0:
+        for i in range(4):
+            ratio = y[ROTOR + i] / SHAKE_REV_S
+            size = IMBALANCE[i] * ratio * ratio
+            angle = 2.0 * math.pi * y[PHASE + i]
+            cosine, sine = size * math.cos(angle), size * math.sin(angle)
+            in_plane_x += cosine
+            in_plane_y += p.spin[i] * sine
+            axial += cosine * p.rotor_y[i] + sine * p.rotor_x[i]
+            twist_x += sine
+            twist_y += cosine
+    reach = math.sqrt(p.rotor_x[0] * p.rotor_x[0] + p.rotor_y[0] * p.rotor_y[0])
+    axial *= p.shake[1] / reach
+    felt_x = s.force[0] + p.shake[0] * in_plane_x
+    felt_y = s.force[1] + p.shake[0] * in_plane_y
+    felt_z = s.force[2] + axial
+    if p.levered != 0:
+        lever_x, lever_y, lever_z = lever_arm_acceleration(p, y, dy)
+        felt_x += lever_x
+        felt_y += lever_y
+        felt_z += lever_z
+    rate_x = y[RATE] + p.shake[2] * twist_x
+    rate_y = y[RATE + 1] + p.shake[2] * twist_y
+    rate_z = y[RATE + 2]
+    if p.gyro_lag > 0.0:
+        dy[GYRO_LAG] = (rate_x - y[GYRO_LAG]) / p.gyro_lag
+        dy[GYRO_LAG + 1] = (rate_y - y[GYRO_LAG + 1]) / p.gyro_lag
+        dy[GYRO_LAG + 2] = (rate_z - y[GYRO_LAG + 2]) / p.gyro_lag
+        rate_x, rate_y, rate_z = y[GYRO_LAG], y[GYRO_LAG + 1], y[GYRO_LAG + 2]
+    if p.dlpf_s[0] > 0.0:
+        dy[GYRO_DLPF] = (rate_x - y[GYRO_DLPF]) / p.dlpf_s[0]
+        dy[GYRO_DLPF + 1] = (rate_y - y[GYRO_DLPF + 1]) / p.dlpf_s[0]
+        dy[GYRO_DLPF + 2] = (rate_z - y[GYRO_DLPF + 2]) / p.dlpf_s[0]
+        dy[ACCEL_DLPF] = (felt_x - y[ACCEL_DLPF]) / p.dlpf_s[1]
+        dy[ACCEL_DLPF + 1] = (felt_y - y[ACCEL_DLPF + 1]) / p.dlpf_s[1]
+        dy[ACCEL_DLPF + 2] = (felt_z - y[ACCEL_DLPF + 2]) / p.dlpf_s[1]
+
+
+@inner
+def lever_arm_acceleration(p: Record, y: Any, dy: Any) -> Any:
+    """imu_lever_arm in m/s^2: alpha x r + Omega x (Omega x r), all in body axes."""
+    x, v, z = p.lever[0], p.lever[1], p.lever[2]
+    ax, ay, az = dy[RATE], dy[RATE + 1], dy[RATE + 2]
+    wx, wy, wz = y[RATE], y[RATE + 1], y[RATE + 2]
+    along = wx * x + wy * v + wz * z
+    square = wx * wx + wy * wy + wz * wz
+    return (
+        ay * z - az * v + wx * along - square * x,
+        az * x - ax * z + wy * along - square * v,
+        ax * v - ay * x + wz * along - square * z,
+    )
+
+
+@inner
+def sample(p: Record, s: Record, time_ns: int) -> None:
+    """Take one sample of the state ``s.y`` into the ring; its slopes are in ``s.slope``."""
+    y = s.y
+    slot = s.sampled % SENSOR_RING
+    if p.dlpf_s[0] > 0.0:
+        rx, ry, rz = y[GYRO_DLPF], y[GYRO_DLPF + 1], y[GYRO_DLPF + 2]
+        fx, fy, fz = y[ACCEL_DLPF], y[ACCEL_DLPF + 1], y[ACCEL_DLPF + 2]
+    else:
+        rx, ry, rz = y[RATE], y[RATE + 1], y[RATE + 2]
+        if p.gyro_lag > 0.0:
+            rx, ry, rz = y[GYRO_LAG], y[GYRO_LAG + 1], y[GYRO_LAG + 2]
+        fx, fy, fz = s.force[0], s.force[1], s.force[2]
+        if p.levered != 0:
+            lever_x, lever_y, lever_z = lever_arm_acceleration(p, y, s.slope)
+            fx += lever_x
+            fy += lever_y
+            fz += lever_z
+    w, a, b, c = y[6], y[7], y[8], y[9]
+    if p.rotated != 0:
+        m = p.mounting
+        rx, ry, rz = _into_sensor(m, rx, ry, rz)
+        fx, fy, fz = _into_sensor(m, fx, fy, fz)
+    warm = 1.0
+    if p.warm_up > 0.0:
+        warm = 1.0 - math.exp(-(time_ns - s.boot_ns) * 1e-9 / p.warm_up)
+    rates = (rx, ry, rz)
+    forces = (fx, fy, fz)
+    for i in range(3):
+        rate = rates[i] + p.gyro_bias[i] + warm * p.gyro_drift[i]
+        rate += p.gyro_noise * normal(s.rng, SENSOR_STREAM)
+        force = forces[i] + p.accel_bias[i] + p.accel_noise * normal(s.rng, SENSOR_STREAM)
+        s.ring_gyro[slot, i] = register(rate * GYRO_COUNTS)
+        s.ring_accel[slot, i] = register(force * ACCEL_COUNTS)
+    if p.ideal_attitude != 0:
+        _sample_attitude(p, s, slot, w, a, b, c)
+    s.sampled_ns[slot] = time_ns
+    s.ring_ready_ns[slot] = time_ns + p.pipeline_ns
+    s.sampled += 1
+
+
+@inner
+def register(counts: float) -> int:
+    """A 16-bit register: rounded and saturated."""
+    return int(min(max(math.floor(counts + 0.5), -32768.0), 32767.0))
+
+
+@inner
+def fetch(s: Record, now_ns: int) -> int:
+    """Slot of the newest sample that has reached the loop by ``now_ns``."""
+    while s.read + 1 < s.sampled and s.ring_ready_ns[(s.read + 1) % SENSOR_RING] <= now_ns:
+        s.read += 1
+    return s.read % SENSOR_RING
+
+
+@inner
+def _into_sensor(m: Any, x: float, y: float, z: float) -> Any:
+    return (
+        m[0] * x + m[3] * y + m[6] * z,
+        m[1] * x + m[4] * y + m[7] * z,
+        m[2] * x + m[5] * y + m[8] * z,
+    )
+
+
+@inner
+def _sample_attitude(
+    p: Record, s: Record, slot: int, w: float, a: float, b: float, c: float
+) -> None:
+    """True Euler angles of the sensor (eq. 3.6) plus white noise, deg, firmware convention."""
+    r11, r21 = 1 - 2 * (b * b + c * c), 2 * (a * b + w * c)
+    r31, r32, r33 = 2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)
+    if p.rotated != 0:
+        m = p.mounting
+        r12, r13 = 2 * (a * b - w * c), 2 * (a * c + w * b)
+        r22, r23 = 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)
+        r11, r21 = r11 * m[0] + r12 * m[3] + r13 * m[6], r21 * m[0] + r22 * m[3] + r23 * m[6]
+        r31, r32, r33 = _into_sensor(m, r31, r32, r33)
+    roll = math.atan2(r32, r33)
+    pitch = math.asin(min(max(r31, -1.0), 1.0))  # nose up positive
+    yaw = math.atan2(r21, r11)
+    scale = p.angle_noise
+    s.ring_angles[slot, 0] = (roll + scale * normal(s.rng, SENSOR_STREAM)) * DEGREES
+    s.ring_angles[slot, 1] = (pitch + scale * normal(s.rng, SENSOR_STREAM)) * DEGREES
+    s.ring_angles[slot, 2] = (yaw + scale * normal(s.rng, SENSOR_STREAM)) * DEGREES

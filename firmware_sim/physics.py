@@ -1,0 +1,242 @@
+"""From settings and a vehicle or model to the numbers that the kernels fly.
+
+A fitted model knows ratios only. Its profile gives mass and arm; then, with rotor thrust
+``k = mass x thrust_per_mass``, ``Ixx = k l / c0``, ``Iyy = k l / c1``, ``Izz`` keeps the
+profile's ratio to ``Ixx + Iyy``, and the drag is ``b = c2 Izz``: a craft with exactly the
+model's c0, c1, c2, thrust_per_mass and motors, and a plausible scale for everything physical.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.effects.catalogue import apply_effects
+from firmware_sim.layout import (
+    ALL_STATES,
+    CALIBRATION_SAMPLES,
+    CORE_STATES,
+    FIRMWARE,
+    PARAMETERS,
+    PASS_NS,
+)
+from firmware_sim.settings import Sensor, StandInSettings
+from groundstation.dynamics.model import Model, load_model, model_vehicle
+from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
+
+G = 9.80665
+DLPF: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
+    1: ((188.0, 1.9e-3), (184.0, 2.0e-3)),
+    2: ((98.0, 2.8e-3), (94.0, 3.0e-3)),
+    3: ((42.0, 4.8e-3), (44.0, 4.9e-3)),
+    4: ((20.0, 8.3e-3), (21.0, 8.5e-3)),
+    5: ((10.0, 13.4e-3), (10.0, 13.8e-3)),
+    6: ((5.0, 18.6e-3), (5.0, 19.0e-3)),
+}
+"""DLPF_CFG -> (bandwidth in Hz, delay in s) of the gyro and of the accelerometer."""
+BUS_S = 0.4e-3
+THESIS_GAINS = {"pid_rate.roll_kp": 18.0, "pid_rate.pitch_kp": 18.0}
+"""The thesis's craft is three times as agile as its stock rate gains allow."""
+
+STOCK = {
+    "rate_kp": (70.0, 70.0, 50.0),
+    "rate_ki": (0.0, 0.0, 25.0),
+    "rate_kd": (0.0, 0.0, 0.0),
+    "angle_kp": (3.5, 3.5, 0.0),
+    "angle_ki": (2.0, 2.0, 0.0),
+    "angle_kd": (0.0, 0.0, 0.0),
+}
+
+
+def craft_of(settings: StandInSettings) -> tuple[Vehicle, Model | None]:
+    """The vehicle that flies and the model it came from, if it came from one."""
+    if settings.craft in BUILT_IN or Path(settings.craft).suffix == ".toml":
+        return load_vehicle(settings.craft), None
+    model = load_model(settings.craft)
+    vehicle = realize(model)
+    if settings.craft == "thesis":
+        vehicle = msgspec.structs.replace(vehicle, gains={**vehicle.gains, **THESIS_GAINS})
+    return vehicle, model
+
+
+def realize(model: Model) -> Vehicle:
+    """A physical craft with exactly the model's constants (see the module's text)."""
+    profile = model_vehicle(model)
+    if model.body is None:
+        raise ValueError("the model has no body constants: only an ARX model cannot be flown")
+    body = model.body
+    thrust = profile.mass_kg * body.thrust_per_mass
+    lever = max(abs(x) for x, _ in rotor_positions_m(profile))
+    ixx, iyy = thrust * lever / body.c0, thrust * lever / body.c1
+    px, py, pz = profile.inertia_kg_m2
+    izz = pz / (px + py) * (ixx + iyy)
+    return msgspec.structs.replace(
+        profile,
+        inertia_kg_m2=(ixx, iyy, izz),
+        motor=model.motor,
+        thrust_n=thrust,
+        drag_n_m=body.c2 * izz,
+    )
+
+
+def parameters(settings: StandInSettings) -> NDArray[np.void]:
+    """The PARAMETERS record of a stand-in, shape (1,)."""
+    vehicle, model = craft_of(settings)
+    record = np.zeros(1, PARAMETERS)
+    p = record[0]
+    _body(p, vehicle)
+    _power(p, vehicle, settings)
+    p["longest_step"] = PASS_NS * 1e-9 / settings.substeps
+    p["hold_height"] = 0.8
+    p["resume_ns"] = round(settings.resume_s * 1e9)
+    p["land_when_low"] = settings.land_when_low
+    draws = np.random.default_rng((settings.seed, 1))
+    phase, ppm = draws.uniform(0, PASS_NS * 1e-9), draws.normal(0, 10.0)
+    sensor = settings.sensor
+    p["gyro_bias"] = np.radians(sensor.gyro_bias_dps)
+    p["accel_bias"] = np.multiply(sensor.accel_bias_g, G)
+    p["gyro_drift"] = np.radians(sensor.warm_up_drift_dps)
+    p["warm_up"] = sensor.warm_up_s
+    p["torque_noise"] = settings.torque_noise * np.array([2.0, 2.0, 0.5])
+    p["force_noise"] = settings.torque_noise * 0.1
+    if settings.plant == "reduced":
+        p["gyro_noise"] = settings.sensor_noise * math.radians(0.10)
+        p["accel_noise"] = settings.sensor_noise * 0.01 * G
+        p["angle_noise"] = settings.sensor_noise * math.radians(0.02)
+        p["ideal_attitude"] = 1
+        p["sensor_period_ns"] = PASS_NS
+        p["timer_jitter"] = 1.0
+    else:
+        _faithful(p, vehicle, settings)
+        _sensor_timing(p, sensor, phase, ppm)
+    chosen = {name: dict(values) for name, values in settings.effects.items()}
+    for term in model.effects if model is not None else ():
+        chosen.setdefault(term.name, {k: e.value for k, e in term.parameters.items()})
+    apply_effects(p, chosen)
+    return record
+
+
+def firmware(settings: StandInSettings) -> NDArray[np.void]:
+    """The FIRMWARE record at power-on, shape (1,)."""
+    vehicle, _ = craft_of(settings)
+    record = np.zeros(1, FIRMWARE)
+    fw = record[0]
+    for name, values in STOCK.items():
+        fw[name] = values
+    fw["fusion_kp"], fw["fusion_ki"], fw["accel_factor"] = 0.8, 0.002, 32.0
+    fw["altitude_hold"] = float(settings.altitude_hold)
+    quirks = settings.quirks
+    fw["quirk_attitude_dt"] = quirks.attitude_dt
+    fw["quirk_clamp_macro"] = quirks.clamp_macro
+    fw["quirk_lower_limit"] = quirks.lower_limit
+    fw["quirk_negate"] = quirks.negate
+    fw["quaternion"][0] = 1.0
+    fw["client_ns"] = -1
+    for name, value in {**vehicle.gains, **settings.gains}.items():
+        column, axis = gain_place(name)
+        if axis < 0:
+            fw[column] = value
+        else:
+            fw[column][axis] = value
+    return record
+
+
+def gain_place(name: str) -> tuple[str, int]:
+    """Where a parameter lives in the FIRMWARE record: (field, index), index -1 for a scalar.
+
+    Raises ValueError for a name that the firmware does not have.
+    """
+    if name in PARAMETER_NAMES:
+        return PARAMETER_NAMES[name]
+    raise ValueError(f"firmware parameter {name!r}: there are {', '.join(PARAMETER_NAMES)}")
+
+
+def hover_thrust(vehicle: Vehicle) -> float:
+    """16-bit thrust that carries the craft at 3.7 V."""
+    rotor = math.sqrt(G / (4 * vehicle.thrust_per_mass))
+    return vehicle.motor.armature_mv(rotor) / 3700.0 * 65536.0
+
+
+def _places() -> dict[str, tuple[str, int]]:
+    places = {}
+    for group, kind in (("pid_attitude", "angle"), ("pid_rate", "rate")):
+        for axis, letter in enumerate(("roll", "pitch", "yaw")):
+            for gain in ("kp", "ki", "kd"):
+                places[f"{group}.{letter}_{gain}"] = (f"{kind}_{gain}", axis)
+    places["sensorfusion6.kp"] = ("fusion_kp", -1)
+    places["sensorfusion6.ki"] = ("fusion_ki", -1)
+    places["imu_acc_lpf.factor"] = ("accel_factor", -1)
+    places["flightmode.althold"] = ("altitude_hold", -1)
+    return places
+
+
+PARAMETER_NAMES = _places()
+"""The firmware's parameters by full name, in the order of its table of contents."""
+
+
+def _body(p: Any, vehicle: Vehicle) -> None:
+    p["mass"], p["gravity"], p["inertia"] = vehicle.mass_kg, G, vehicle.inertia_kg_m2
+    places = rotor_positions_m(vehicle)
+    p["rotor_x"], p["rotor_y"] = [x for x, _ in places], [y for _, y in places]
+    p["spin"], p["strength"] = (1.0, -1.0, 1.0, -1.0), 1.0
+    p["thrust"], p["drag"] = vehicle.thrust_n, vehicle.drag_n_m
+    motor = vehicle.motor
+    p["a0"], p["a1"], p["a2"], p["braking"] = motor.a0, motor.a1, motor.a2, 1.0
+    p["airframe_x"] = vehicle.configuration == "x"
+    p["states"] = CORE_STATES
+
+
+def _power(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
+    battery = vehicle.battery
+    p["winding_ohm"] = vehicle.winding_ohm
+    p["back_emf"] = vehicle.motor.a1 / vehicle.motor.a0
+    p["internal_ohm"] = battery.internal_ohm
+    p["efficiency"], p["electronics_a"] = battery.drive_efficiency, battery.electronics_a
+    p["capacity_c"] = battery.capacity_mah * 3.6
+    p["stiff_mv"] = 0.0 if settings.supply_v is None else 1000.0 * settings.supply_v
+    p["swap_ns"] = round(settings.recharge_s * 1e9)
+
+
+def _faithful(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
+    """What a real craft has and the base model has not."""
+    p["states"] = ALL_STATES
+    p["supply_ohm"] = vehicle.battery.supply_ohm
+    p["protection_a"] = 4.0
+    p["start_mv"] = 800.0
+    p["adc_filter"] = 1
+    p["coupling"] = 1.0
+    p["rotor_inertia_gyro"] = p["rotor_inertia_yaw"] = vehicle.rotor_inertia_kg_m2
+    p["gyro_noise"] = settings.sensor_noise * math.radians(0.08)
+    p["accel_noise"] = settings.sensor_noise * 0.006 * G
+    p["timer_jitter"] = 1.0
+    in_plane, axial, rate = settings.sensor.shake
+    p["shake"] = in_plane * G, axial * G, math.radians(rate)
+
+
+def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:
+    lags = []
+    pure_delay = 0.0
+    for index, (bandwidth, delay) in enumerate(DLPF[sensor.dlpf]):
+        lag = min(1 / (2 * math.pi * bandwidth), delay)
+        lags.append(lag)
+        if index == 0:
+            pure_delay = delay - lag
+    p["dlpf_s"] = lags
+    pipeline = pure_delay + BUS_S
+    if sensor.delay_s is not None:
+        # The loop fetches a sample half a period after it is ready on average.
+        pipeline = sensor.delay_s - lags[0] - 0.5 * PASS_NS * 1e-9
+        if pipeline < 0:
+            raise ValueError(f"sensor delay_s {sensor.delay_s}: shorter than the DLPF's own lag")
+    clock_ppm = ppm if sensor.clock_ppm is None else sensor.clock_ppm
+    p["pipeline_ns"] = round(pipeline * 1e9)
+    p["sensor_phase_ns"] = round((phase if sensor.phase_s is None else sensor.phase_s) * 1e9)
+    p["sensor_period_ns"] = round(PASS_NS * (1 + clock_ppm * 1e-6))
+
+
+assert CALIBRATION_SAMPLES * PASS_NS == 256_000_000

@@ -1,0 +1,247 @@
+"""The craft as a body in space: four motors, six degrees of freedom, the ground.
+
+State vector (see ``layout``): position and velocity in the inertial frame (ENU), quaternion
+body to inertial, body rates (FLU), rotor speeds in rev/s, then, only where something needs
+them, rotor phases, sensor filters and the states of unlisted effects. Between two passes the
+PWM, the battery voltage and the noise are constant; a classical Runge-Kutta step keeps the
+numerical error below the noise by many orders (a step of 0.5 ms is 1/100 of the fastest time
+constant in flight).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from firmware_sim.compiled import inner
+from firmware_sim.effects.air import drag_force, flapping_acceleration, ground_factor, inflow_loss
+from firmware_sim.effects.body import coupling_torque, damping_torque, gravity_offset_torque
+from firmware_sim.effects.rotors import (
+    acceleration_torque,
+    armature_mv,
+    gyroscopic_torque,
+    rotor_acceleration,
+)
+from firmware_sim.effects.unlisted import (
+    ATTACHMENT_M,
+    bent_propeller,
+    cracked_arm,
+    side_gust,
+    slung_load,
+)
+from firmware_sim.imu import filter_slopes
+from firmware_sim.layout import (
+    CORE_STATES,
+    FIXED,
+    FREE,
+    GYRO_LAG,
+    LOAD,
+    PHASE,
+    QUATERNION,
+    RATE,
+    ROTOR,
+    VELOCITY,
+    Record,
+)
+
+GROUND_PULSATION = 125.0
+"""The legs: a critically damped spring of 20 Hz under the craft's weight, rad/s."""
+HAND_PULSATION = 25.0
+"""How stiffly a hand holds the craft at an attitude, rad/s."""
+
+
+@inner
+def integrate(p: Record, s: Record, start_s: float, span_s: float) -> None:
+    """Advance ``s.y`` by ``span_s`` with inputs held (Runge-Kutta, order 4)."""
+    y, start, slope, total = s.y, s.start, s.slope, s.sum
+    n = p.states
+    steps = max(1, int(math.ceil(span_s / p.longest_step - 1e-9)))
+    h = span_s / steps
+    for step in range(steps):
+        t = start_s + step * h
+        for i in range(n):
+            start[i] = y[i]
+        derivative(p, s, t, y, total)
+        for i in range(n):
+            y[i] = start[i] + 0.5 * h * total[i]
+        derivative(p, s, t + 0.5 * h, y, slope)
+        for i in range(n):
+            total[i] += 2.0 * slope[i]
+            y[i] = start[i] + 0.5 * h * slope[i]
+        derivative(p, s, t + 0.5 * h, y, slope)
+        for i in range(n):
+            total[i] += 2.0 * slope[i]
+            y[i] = start[i] + h * slope[i]
+        derivative(p, s, t + h, y, slope)
+        for i in range(n):
+            y[i] = start[i] + h / 6.0 * (total[i] + slope[i])
+        for i in range(ROTOR, ROTOR + 4):
+            y[i] = max(y[i], 0.0)
+    norm = math.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
+    for i in range(QUATERNION, QUATERNION + 4):
+        y[i] /= norm
+
+
+@inner
+def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
+    """dy/dt; leaves the specific force (m/s^2, body axes) in ``s.force``."""
+    w, a, b, c = y[6], y[7], y[8], y[9]
+    roll_rate, pitch_rate, yaw_rate = y[10], y[11], y[12]
+    # Third column of R (body z in the inertial frame) and the rest where needed (eq. 3.6).
+    r13, r23, r33 = 2 * (a * c + w * b), 2 * (b * c - w * a), 1 - 2 * (a * a + b * b)
+    r11, r12 = 1 - 2 * (b * b + c * c), 2 * (a * b - w * c)
+    r21, r22 = 2 * (a * b + w * c), 1 - 2 * (a * a + c * c)
+    r31, r32 = 2 * (a * c - w * b), 2 * (b * c + w * a)
+
+    thrust = 0.0
+    roll = 0.0
+    pitch = 0.0
+    yaw = 0.0
+    spin_sum = 0.0
+    spin_acceleration = 0.0
+    lift = p.thrust
+    if p.ground_gain != 0.0:
+        lift *= ground_factor(p, y[2])
+    for i in range(4):
+        speed = y[ROTOR + i]
+        acceleration = rotor_acceleration(p, armature_mv(p, s.duty[i] * s.supply_mv), speed)
+        dy[ROTOR + i] = acceleration
+        square = p.strength[i] * speed * speed
+        one = lift * square
+        if p.arm_gain != 0.0 and p.arm_rotor == i:
+            one += cracked_arm(p, y, dy, one)
+        thrust += one
+        roll += p.rotor_y[i] * one
+        pitch -= p.rotor_x[i] * one
+        yaw -= p.spin[i] * p.drag * square
+        spin_sum += p.spin[i] * speed
+        spin_acceleration += p.spin[i] * acceleration
+
+    if p.rotor_inertia_gyro != 0.0:
+        on_roll, on_pitch = gyroscopic_torque(p, roll_rate, pitch_rate, spin_sum)
+        roll += on_roll
+        pitch += on_pitch
+    if p.rotor_inertia_yaw != 0.0:
+        yaw += acceleration_torque(p, spin_acceleration)
+    if p.coupling != 0.0:
+        on_roll, on_pitch, on_yaw = coupling_torque(p, roll_rate, pitch_rate, yaw_rate)
+        roll += on_roll
+        pitch += on_pitch
+        yaw += on_yaw
+    if p.rate_damping != 0.0 or p.quadratic_damping != 0.0:
+        roll += damping_torque(p, roll_rate)
+        pitch += damping_torque(p, pitch_rate)
+    if p.yaw_damping != 0.0:
+        yaw -= p.yaw_damping * yaw_rate
+    if p.gravity_x != 0.0 or p.gravity_y != 0.0:
+        on_roll, on_pitch = gravity_offset_torque(p, thrust)
+        roll += on_roll
+        pitch += on_pitch
+
+    # Body forces in N; inertial acceleration of everything but gravity.
+    force_x = 0.0
+    force_y = 0.0
+    force_z = thrust
+    moment_x = 0.0
+    moment_y = 0.0
+    if p.rotor_drag != 0.0 or p.velocity_moment != 0.0 or p.climb_inflow != 0.0:
+        forward = r11 * y[3] + r21 * y[4] + r31 * y[5]
+        left = r12 * y[3] + r22 * y[4] + r32 * y[5]
+        climb = r13 * y[3] + r23 * y[4] + r33 * y[5]
+        force_x, force_y = drag_force(p, forward, left)
+        moment_x, moment_y = flapping_acceleration(p, forward, left)
+        force_z += p.mass * inflow_loss(p, climb)
+    if p.states > CORE_STATES:
+        for i in range(4):
+            dy[PHASE + i] = y[ROTOR + i]
+        if p.bent_torque != 0.0:
+            i = p.bent_rotor
+            on_roll, on_pitch = bent_propeller(p, y[ROTOR + i], y[PHASE + i])
+            roll += on_roll
+            pitch += on_pitch
+    push_x = (r11 * force_x + r12 * force_y + r13 * force_z) / p.mass + s.noise[3]
+    push_y = (r21 * force_x + r22 * force_y + r23 * force_z) / p.mass + s.noise[4]
+    push_z = (r31 * force_x + r32 * force_y + r33 * force_z) / p.mass + s.noise[5]
+    if p.gust_force != 0.0 or p.gust_moment != 0.0:
+        on_y, on_roll = side_gust(p, time_s)
+        push_y += on_y / p.mass
+        roll += on_roll
+    if p.load_mass != 0.0:
+        pull_x, pull_y, pull_z = slung_load(p, y, dy, push_z * p.mass)
+        push_x += pull_x / p.mass
+        push_y += pull_y / p.mass
+        push_z += pull_z / p.mass
+        dy[LOAD + 2] -= push_x
+        dy[LOAD + 3] -= push_y
+        roll += ATTACHMENT_M * (r12 * pull_x + r22 * pull_y + r32 * pull_z)
+        pitch -= ATTACHMENT_M * (r11 * pull_x + r21 * pull_y + r31 * pull_z)
+
+    roll_acceleration = roll / p.inertia[0] + moment_x + s.noise[0]
+    pitch_acceleration = pitch / p.inertia[1] + moment_y + s.noise[1]
+    yaw_acceleration = yaw / p.inertia[2] + s.noise[2]
+
+    if s.mode == FREE:
+        if y[2] < 0.0:
+            load = -GROUND_PULSATION * (GROUND_PULSATION * y[2] + 2.0 * y[5])
+            if load > 0.0:
+                share = min(load / p.gravity, 1.0)
+                push_z += load
+                push_x -= share * 50.0 * y[3]
+                push_y -= share * 50.0 * y[4]
+                upright = math.copysign(GROUND_PULSATION * GROUND_PULSATION, r33)
+                brake = 2.0 * GROUND_PULSATION
+                roll_acceleration -= share * (upright * r32 + brake * roll_rate)
+                pitch_acceleration -= share * (-upright * r31 + brake * pitch_rate)
+                yaw_acceleration -= share * brake * yaw_rate
+        for i in range(3):
+            dy[i] = y[VELOCITY + i]
+        dy[3] = push_x
+        dy[4] = push_y
+        dy[5] = push_z - p.gravity
+    else:
+        push_x, push_y, push_z = 0.0, 0.0, p.gravity
+        for i in range(6):
+            dy[i] = 0.0
+        if s.mode == FIXED:
+            roll_acceleration, pitch_acceleration, yaw_acceleration = 0.0, 0.0, 0.0
+        else:
+            roll_acceleration, pitch_acceleration, yaw_acceleration = _hand(s, y)
+
+    dy[6] = 0.5 * (-a * roll_rate - b * pitch_rate - c * yaw_rate)
+    dy[7] = 0.5 * (w * roll_rate + b * yaw_rate - c * pitch_rate)
+    dy[8] = 0.5 * (w * pitch_rate + c * roll_rate - a * yaw_rate)
+    dy[9] = 0.5 * (w * yaw_rate + a * pitch_rate - b * roll_rate)
+    dy[RATE] = roll_acceleration
+    dy[RATE + 1] = pitch_acceleration
+    dy[RATE + 2] = yaw_acceleration
+    s.force[0] = r11 * push_x + r21 * push_y + r31 * push_z
+    s.force[1] = r12 * push_x + r22 * push_y + r32 * push_z
+    s.force[2] = r13 * push_x + r23 * push_y + r33 * push_z
+    if p.states > GYRO_LAG:
+        filter_slopes(p, s, y, dy)
+
+
+@inner
+def _hand(s: Record, y: Any) -> Any:
+    """Angular acceleration (rad/s^2) of a hand that turns the craft to ``s.target``."""
+    half_r, half_p, half_y = 0.5 * s.target[0], 0.5 * s.target[1], 0.5 * s.target[2]
+    cr, sr = math.cos(half_r), math.sin(half_r)
+    cp, sp = math.cos(half_p), math.sin(half_p)
+    cy, sy = math.cos(half_y), math.sin(half_y)
+    tw = cr * cp * cy + sr * sp * sy
+    tx = sr * cp * cy - cr * sp * sy
+    ty = cr * sp * cy + sr * cp * sy
+    tz = cr * cp * sy - sr * sp * cy
+    w, x, v, z = y[6], -y[7], -y[8], -y[9]
+    # conj(q) * target: the rotation still to be made, in body axes.
+    ew = w * tw - x * tx - v * ty - z * tz
+    ex = w * tx + x * tw + v * tz - z * ty
+    ey = w * ty - x * tz + v * tw + z * tx
+    ez = w * tz + x * ty - v * tx + z * tw
+    gain = 2.0 * HAND_PULSATION * HAND_PULSATION * (1.0 if ew >= 0.0 else -1.0)
+    brake = 2.0 * HAND_PULSATION
+    return (
+        gain * ex - brake * y[RATE],
+        gain * ey - brake * y[RATE + 1],
+        gain * ez - brake * y[RATE + 2],
+    )

@@ -1,0 +1,341 @@
+"""What the pilot flies: programmes in TOML, a few of them built in.
+
+A programme is a list of segments, flown one after the other; ``repeat`` starts again from a
+segment for ever. Each segment lasts ``seconds`` and says what the sticks do::
+
+    name = "doublets"
+    repeat = 1                      # index of the segment to go back to, absent: stop at the end
+
+    [[segment]]
+    kind = "rest"                   # motors off
+    seconds = 3
+    [[segment]]
+    kind = "fly"
+    seconds = 30
+    height_m = 0.8
+    [[segment.excite]]
+    axis = "roll"                   # roll, pitch (deg), yaw (deg/s), height (m)
+    shape = "doublet"               # step, doublet, sine, multisine, chirp, random
+    amplitude = 8
+    period_s = 2.0
+    start_s = 1.0
+
+Kinds: ``rest``; ``fly`` (the pilot holds height and place); ``bench`` (craft fixed, ``thrust``
+16-bit with ``excite`` on axis ``thrust``); ``hand`` (held: roll, pitch and yaw of the craft in
+degrees, pitch nose down positive as everywhere outside the firmware).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.layout import (
+    FIXED,
+    FREE,
+    HELD,
+    PASS_NS,
+    PILOT_PASSES,
+    ROW_COLUMNS,
+    ROW_KEEP,
+    ROW_LEVEL,
+    ROW_MODE,
+    ROW_PITCH,
+    ROW_ROLL,
+    ROW_THRUST,
+    ROW_YAW,
+    THRUST_DIRECT,
+    THRUST_HEIGHT,
+    THRUST_OFF,
+)
+
+TICK_S = PILOT_PASSES * PASS_NS * 1e-9
+
+
+class Excitation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One signal on one axis of a segment.
+
+    shape: ``step`` (on from start to end), ``doublet`` (plus, minus, pause, in thirds of the
+        period, repeated), ``sine``, ``multisine`` (eight lines from low_hz to high_hz, random
+        phases), ``chirp`` (low_hz to high_hz over the window), ``random`` (a new level each
+        period), ``trapeze`` (smoothly to the amplitude, to its negative, and back to zero).
+    """
+
+    axis: Literal["roll", "pitch", "yaw", "height", "thrust"]
+    shape: Literal["step", "doublet", "sine", "multisine", "chirp", "random", "trapeze"]
+    amplitude: float
+    period_s: float = 1.0
+    start_s: float = 0.0
+    end_s: float | None = None
+    low_hz: float = 0.2
+    high_hz: float = 5.0
+
+
+class Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A stretch of a programme."""
+
+    kind: Literal["rest", "fly", "bench", "hand"]
+    seconds: float
+    height_m: float = 0.8
+    thrust: float = 0.0
+    keep: float = 1.0
+    excite: tuple[Excitation, ...] = ()
+
+
+class Programme(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Segments in order; ``repeat`` is the index to go on from after the last."""
+
+    name: str
+    segment: tuple[Segment, ...]
+    repeat: int | None = None
+
+
+def load_programme(source: str) -> Programme:
+    """A built-in programme by name or a TOML file. Raises ValueError saying what is wrong."""
+    if source in BUILT_IN:
+        return BUILT_IN[source]
+    path = Path(source)
+    if not path.is_file():
+        raise ValueError(
+            f"pilot programme {source!r}: neither built in ({', '.join(BUILT_IN)}) nor a file"
+        )
+    try:
+        programme = msgspec.toml.decode(path.read_bytes(), type=Programme)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        raise ValueError(f"pilot programme {path}: {error}; correct the file") from error
+    if not programme.segment or any(not s.seconds >= TICK_S for s in programme.segment):
+        raise ValueError(f"pilot programme {path}: needs segments of at least {TICK_S} s")
+    if programme.repeat is not None and not 0 <= programme.repeat < len(programme.segment):
+        raise ValueError(f"pilot programme {path}: repeat {programme.repeat} is no segment")
+    return programme
+
+
+class Sticks:
+    """The rows of a programme, computed segment by segment as the flight goes on."""
+
+    def __init__(self, programme: Programme, seed: int) -> None:
+        self._programme = programme
+        self._seed = seed
+        self._lengths = [round(s.seconds / TICK_S) for s in programme.segment]
+        self._total = sum(self._lengths)
+        self._cached: tuple[int, NDArray[np.float64]] | None = None
+
+    def rows(self, first: int, count: int) -> NDArray[np.float64]:
+        """Rows ``first`` to ``first + count`` (10 ms each, from power-on), shape (count, 7)."""
+        out = np.zeros((count, ROW_COLUMNS))
+        done = 0
+        while done < count:
+            number, offset = self._locate(first + done)
+            table = self._table(number)
+            if len(table) == 0:
+                out[done:] = _idle(1)
+                break
+            part = table[offset : offset + count - done]
+            out[done : done + len(part)] = part
+            done += len(part)
+        return out
+
+    def _locate(self, tick: int) -> tuple[int, int]:
+        """(running number of the segment, tick inside it); the number counts repetitions on."""
+        segments = len(self._lengths)
+        if tick < self._total:
+            number, rest = 0, tick
+        elif self._programme.repeat is None:
+            return segments, 0
+        else:
+            repeat = self._programme.repeat
+            cycle = sum(self._lengths[repeat:])
+            laps, rest = divmod(tick - self._total, cycle)
+            number = segments + laps * (segments - repeat)
+        while rest >= self._lengths[self._index(number)]:
+            rest -= self._lengths[self._index(number)]
+            number += 1
+        return number, rest
+
+    def _index(self, number: int) -> int:
+        segments = len(self._lengths)
+        if number < segments:
+            return number
+        repeat = self._programme.repeat or 0
+        return repeat + (number - segments) % (segments - repeat)
+
+    def _table(self, number: int) -> NDArray[np.float64]:
+        if self._cached is None or self._cached[0] != number:
+            if self._programme.repeat is None and number >= len(self._lengths):
+                table = np.empty((0, ROW_COLUMNS))
+            else:
+                index = self._index(number)
+                generator = np.random.default_rng((self._seed, number))
+                segment = self._programme.segment[index]
+                table = _segment_rows(segment, self._lengths[index], generator)
+            self._cached = (number, table)
+        return self._cached[1]
+
+
+_COLUMN = {
+    "roll": ROW_ROLL,
+    "pitch": ROW_PITCH,
+    "yaw": ROW_YAW,
+    "height": ROW_LEVEL,
+    "thrust": ROW_LEVEL,
+}
+
+
+def _idle(count: int) -> NDArray[np.float64]:
+    rows = np.zeros((count, ROW_COLUMNS))
+    rows[:, ROW_MODE] = FREE
+    rows[:, ROW_THRUST] = THRUST_OFF
+    return rows
+
+
+def _segment_rows(
+    segment: Segment, ticks: int, generator: np.random.Generator
+) -> NDArray[np.float64]:
+    rows = _idle(ticks)
+    if segment.kind == "fly":
+        rows[:, ROW_THRUST] = THRUST_HEIGHT
+        rows[:, ROW_LEVEL] = segment.height_m
+        rows[:, ROW_KEEP] = segment.keep
+    elif segment.kind == "bench":
+        rows[:, ROW_MODE] = FIXED
+        rows[:, ROW_THRUST] = THRUST_DIRECT
+        rows[:, ROW_LEVEL] = segment.thrust
+    elif segment.kind == "hand":
+        rows[:, ROW_MODE] = HELD
+    time = np.arange(ticks) * TICK_S
+    for excitation in segment.excite:
+        end = segment.seconds if excitation.end_s is None else excitation.end_s
+        inside = (time >= excitation.start_s) & (time < end)
+        window = end - excitation.start_s
+        signal = _signal(excitation, time[inside] - excitation.start_s, window, generator)
+        rows[inside, _COLUMN[excitation.axis]] += signal
+    return rows
+
+
+def _signal(
+    excitation: Excitation,
+    time: NDArray[np.float64],
+    window: float,
+    generator: np.random.Generator,
+) -> NDArray[np.float64]:
+    size, period = excitation.amplitude, excitation.period_s
+    low, high = excitation.low_hz, excitation.high_hz
+    if excitation.shape == "step":
+        return np.full(len(time), size)
+    if excitation.shape == "doublet":
+        place = np.mod(time / period + 1e-9, 1.0)
+        return size * np.select([place < 1 / 3, place < 2 / 3], [1.0, -1.0], 0.0)
+    if excitation.shape == "sine":
+        return size * np.sin(2 * math.pi * time / period)
+    if excitation.shape == "chirp":
+        sweep = low * time + (high - low) * time**2 / (2 * max(window, 1e-9))
+        return size * np.sin(2 * math.pi * sweep)
+    if excitation.shape == "trapeze":
+        corners = np.array([0.0, 0.15, 0.35, 0.65, 0.85, 1.0]) * window
+        levels = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0]) * size
+        # A raised cosine between the corners: a hand neither starts nor stops with a jerk.
+        index = np.clip(np.searchsorted(corners, time, side="right") - 1, 0, 4)
+        share = (time - corners[index]) / (corners[index + 1] - corners[index])
+        smooth = 0.5 - 0.5 * np.cos(math.pi * share)
+        return np.asarray(levels[index] + (levels[index + 1] - levels[index]) * smooth)
+    if excitation.shape == "multisine":
+        lines = np.geomspace(low, high, 8)
+        phases = generator.uniform(0, 2 * math.pi, len(lines))
+        waves = np.sin(2 * math.pi * lines[:, None] * time + phases[:, None])
+        return np.asarray(size * waves.sum(0) / math.sqrt(len(lines) / 2))
+    levels = generator.uniform(-size, size, int(window / period) + 2)
+    return np.asarray(levels[(time / period + 1e-9).astype(int)])
+
+
+def _excite(axis: str, shape: str, amplitude: float, **more: float) -> Excitation:
+    return msgspec.convert(
+        {"axis": axis, "shape": shape, "amplitude": amplitude, **more}, Excitation
+    )
+
+
+_TAKE_OFF = (Segment(kind="rest", seconds=4.0), Segment(kind="fly", seconds=5.0))
+_EXCITE = (
+    Segment(kind="fly", seconds=6.0, excite=(_excite("roll", "doublet", 9.0, period_s=1.5),)),
+    Segment(kind="fly", seconds=6.0, excite=(_excite("pitch", "doublet", 9.0, period_s=1.5),)),
+    Segment(kind="fly", seconds=6.0, excite=(_excite("yaw", "doublet", 90.0, period_s=1.5),)),
+    Segment(
+        kind="fly",
+        seconds=12.0,
+        excite=(
+            _excite("roll", "random", 9.0, period_s=0.35),
+            _excite("pitch", "random", 9.0, period_s=0.35),
+            _excite("yaw", "random", 80.0, period_s=0.5),
+            _excite("height", "random", 0.15, period_s=2.0),
+        ),
+    ),
+    Segment(kind="fly", seconds=4.0),
+)
+
+BUILT_IN: dict[str, Programme] = {
+    # Take off, hover, then move each axis and all together, for ever.
+    "excite": Programme(name="excite", segment=_TAKE_OFF + _EXCITE, repeat=2),
+    "hover": Programme(name="hover", segment=_TAKE_OFF, repeat=1),
+    # For clients: stands with motors off until somebody commands.
+    "wait": Programme(name="wait", segment=(Segment(kind="rest", seconds=10.0),), repeat=0),
+    # Thesis 7.3.3: 30 s still, take off, hover, all axes, land.
+    "thesis_flight": Programme(
+        name="thesis_flight",
+        segment=(
+            Segment(kind="rest", seconds=30.0),
+            Segment(kind="fly", seconds=5.0),
+            *_EXCITE,
+            Segment(kind="fly", seconds=4.0, height_m=0.0),
+            Segment(kind="rest", seconds=3.0),
+        ),
+    ),
+    # Thesis 7.2.1: fixed on the bench, thrust moved arbitrarily.
+    "motor_bench": Programme(
+        name="motor_bench",
+        segment=(
+            Segment(kind="rest", seconds=4.0),
+            Segment(
+                kind="bench",
+                seconds=60.0,
+                thrust=33000.0,
+                excite=(
+                    _excite("thrust", "random", 14000.0, period_s=0.4),
+                    _excite("thrust", "multisine", 3000.0, low_hz=0.1, high_hz=2.0),
+                ),
+            ),
+        ),
+        repeat=1,
+    ),
+    # Thesis 6.2.2: picked up, turned by hand, put back to the same place.
+    "hand_rotation": Programme(
+        name="hand_rotation",
+        segment=(
+            Segment(kind="hand", seconds=4.0),
+            Segment(
+                kind="hand",
+                seconds=20.0,
+                excite=(
+                    _excite("roll", "trapeze", 50.0, start_s=1.0, end_s=9.0),
+                    _excite("pitch", "trapeze", 40.0, start_s=4.0, end_s=14.0),
+                    _excite("yaw", "trapeze", 70.0, start_s=7.0, end_s=18.0),
+                ),
+            ),
+            Segment(kind="hand", seconds=6.0),
+        ),
+    ),
+    # Thesis 6.3: about roll, then pitch, then yaw, positive first.
+    "axis_check": Programme(
+        name="axis_check",
+        segment=(
+            Segment(kind="hand", seconds=4.0),
+            Segment(kind="hand", seconds=5.0, excite=(_excite("roll", "trapeze", 40.0),)),
+            Segment(kind="hand", seconds=5.0, excite=(_excite("pitch", "trapeze", 40.0),)),
+            Segment(kind="hand", seconds=5.0, excite=(_excite("yaw", "trapeze", 60.0),)),
+            Segment(kind="hand", seconds=3.0),
+        ),
+    ),
+}

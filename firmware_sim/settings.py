@@ -1,0 +1,119 @@
+"""What a stand-in is made of: one typed structure, from Python or from a TOML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+
+class Loss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Gilbert-Elliott loss of single radio copies.
+
+    good_loss, bad_loss: probability that a copy is lost in either state.
+    to_bad, to_good: probability of changing the state with each copy sent. ``to_bad`` 0 is
+        independent loss with ``good_loss``.
+    damage: probability that a copy arrives with one bit flipped in spite of the radio's CRC.
+    """
+
+    good_loss: float = 0.01
+    bad_loss: float = 0.9
+    to_bad: float = 0.0
+    to_good: float = 0.1
+    damage: float = 0.0
+
+
+class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The MPU6050 of the faithful plant (biases also in the reduced one).
+
+    dlpf: the chip's DLPF_CFG, 1..6.
+    delay_s: total delay instead of the data sheet's, 0.016 being the thesis's 8 samples; None:
+        the data sheet's, plus 0.4 ms of bus, plus the wait of 0..2 ms for the loop.
+    phase_s: of the sample clock against the loop, None: drawn from the seed.
+    clock_ppm: of the sample clock against the loop, None: drawn from the seed.
+    warm_up_drift_dps: gyro drift reached after warming up, time constant ``warm_up_s``.
+    shake: imbalance felt at 250 rev/s: g in the plane, g along z, deg/s.
+    """
+
+    dlpf: int = 1
+    delay_s: float | None = None
+    phase_s: float | None = None
+    clock_ppm: float | None = None
+    gyro_bias_dps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    warm_up_drift_dps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    warm_up_s: float = 20.0
+    accel_bias_g: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shake: tuple[float, float, float] = (0.30, 0.55, 7.0)
+
+
+class Quirks(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Peculiarities of release 2014.01.0, each as flown by default.
+
+    attitude_dt: the angle PIDs integrate with half their period.
+    clamp_macro: the clamp macro evaluates a rate PID up to three times.
+    lower_limit: only the upper limit of an integral is set, the lower one stays -5000.
+    negate: the negative of -32768 stays -32768 on yaw.
+    """
+
+    attitude_dt: bool = True
+    clamp_macro: bool = True
+    lower_limit: bool = True
+    negate: bool = True
+
+
+class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A stand-in, complete. Every field has a default: a faithful Crazyflie 1.0 in flight.
+
+    plant: ``reduced`` (exactly the base model plus white noise) or ``faithful``.
+    craft: vehicle profile (``crazyflie1``, ``crazyflie21``, a TOML file), ``thesis``, or the
+        path of a fitted model, whose effects then act.
+    program: a pilot programme by name or TOML file, see ``programme``.
+    effects: name -> parameter -> value of what is hidden in the craft, see ``effects``.
+    gains: controller parameters by full name, over stock and the vehicle's own.
+    copies: transmissions of each packet, 500 us apart.
+    bridge_dedup: the bridge forwards one copy of each packet only.
+    bridge_packets: what the bridge's queue holds before it overflows.
+    device_clock_ppm: how much faster the craft's crystal runs than the host's.
+    torque_noise, sensor_noise: scale of the default noise.
+    supply_v: a bench supply instead of the cell, None: the cell.
+    charge: of the first cell, 0..1.
+    recharge_s: without power until a fresh cell is in and the craft starts anew.
+    land_when_low: the pilot lands on a low battery and the cell is changed.
+    altitude_hold: initial ``flightmode.althold``: the pilot holds height under a client.
+    resume_s: a client silent for so long gives the craft back to the pilot.
+    substeps: Runge-Kutta steps per pass.
+    truth: keep the log of what really happened.
+    """
+
+    plant: Literal["reduced", "faithful"] = "faithful"
+    craft: str = "crazyflie1"
+    program: str = "excite"
+    seed: int = 0
+    effects: dict[str, dict[str, float]] = {}
+    gains: dict[str, float] = {}
+    copies: int = 4
+    loss: Loss = Loss()
+    bridge_dedup: bool = False
+    bridge_packets: int = 64
+    device_clock_ppm: float = 8.0
+    sensor: Sensor = Sensor()
+    quirks: Quirks = Quirks()
+    torque_noise: float = 1.0
+    sensor_noise: float = 1.0
+    supply_v: float | None = None
+    charge: float = 1.0
+    recharge_s: float = 10.0
+    land_when_low: bool = True
+    altitude_hold: bool = False
+    resume_s: float = 30.0
+    substeps: int = 4
+    truth: bool = False
+
+
+def load_settings(path: Path) -> StandInSettings:
+    """Read settings from a TOML file. Raises ValueError with the key that is wrong."""
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=StandInSettings)
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        raise ValueError(f"stand-in settings {path}: {error}; correct the file") from error

@@ -1,0 +1,157 @@
+"""The model file: what identification found, in one JSON document.
+
+``thesis`` names a built-in model with the numbers printed in the thesis (eq. 7.10, 7.18, 7.27
+and 7.31).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants, Vehicle, load_vehicle
+from groundstation.errors import BadInputError
+
+SCHEMA_VERSION = 1
+
+
+class BodyConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Body rates and specific force from squared rotor speeds (thesis eq. 7.12-7.14).
+
+    c0, c1, c2: roll, pitch, yaw acceleration in (rad/s^2) per (rev/s)^2 of the mixer (7.19).
+    thrust_per_mass: specific force along z in (m/s^2) per (rev/s)^2, summed over the rotors.
+    """
+
+    c0: float
+    c1: float
+    c2: float
+    thrust_per_mass: float
+
+
+class ArxAxis(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A(q) y = q^-nk B(q) u for one axis; a starts at a1 (a0 is 1), ts in seconds."""
+
+    na: int
+    nb: int
+    nk: int
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    ts: float
+
+
+class Estimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A parameter with its standard error (None where it was given, not estimated)."""
+
+    value: float
+    stderr: float | None = None
+    unit: str = ""
+
+
+class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named effect on top of the base model."""
+
+    name: str
+    parameters: dict[str, Estimate]
+
+
+class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An identified craft.
+
+    vehicle: name of the profile the model was fitted for.
+    vehicle_profile: the profile itself where it is not a built-in one.
+    fit: how it was fitted (recordings with hashes, samples, method, errors, covariance).
+    """
+
+    schema_version: int = SCHEMA_VERSION
+    vehicle: str
+    vehicle_profile: Vehicle | None = None
+    motor: MotorConstants
+    body: BodyConstants | None = None
+    arx: dict[str, ArxAxis] | None = None
+    effects: tuple[EffectTerm, ...] = ()
+    fit: dict[str, Any] = {}
+    created_by: str = ""
+
+
+def load_model(source: str | Path) -> Model:
+    """Read a model file, or the built-in ``thesis``.
+
+    Raises BadInputError with the path inside the document that is wrong.
+    """
+    if str(source) == THESIS.created_by:
+        return THESIS
+    path = Path(source)
+    try:
+        model = msgspec.json.decode(path.read_bytes(), type=Model)
+    except FileNotFoundError as error:
+        raise BadInputError(
+            f"model {str(source)!r}: no such file; give a model file or the built-in 'thesis'"
+        ) from error
+    except OSError as error:
+        raise BadInputError(f"model {path}: cannot be read: {error.strerror}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"model {path}: not a model file: {error}") from error
+    if model.schema_version != SCHEMA_VERSION:
+        raise BadInputError(
+            f"model {path}: schema_version {model.schema_version}, this version reads"
+            f" {SCHEMA_VERSION}; fit the model again or use the version that made it"
+        )
+    _require_usable(model, f"model {path}")
+    return model
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write a model file, indented so that people and diffs can read it."""
+    _require_usable(model, f"model for {path}")
+    try:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n")
+    except OSError as error:
+        raise BadInputError(f"model {path}: cannot be written: {error.strerror}") from error
+
+
+def model_vehicle(model: Model) -> Vehicle:
+    """The profile the model belongs to."""
+    return model.vehicle_profile or load_vehicle(model.vehicle)
+
+
+def vehicle_model(vehicle: Vehicle) -> Model:
+    """The base model that the profile's physical constants amount to."""
+    c0, c1, c2 = vehicle.body_constants
+    return Model(
+        vehicle=vehicle.name,
+        vehicle_profile=vehicle,
+        motor=vehicle.motor,
+        body=BodyConstants(c0, c1, c2, vehicle.thrust_per_mass),
+        created_by="vehicle profile",
+    )
+
+
+def _require_usable(model: Model, where: str) -> None:
+    numbers = {f"motor.{key}": getattr(model.motor, key) for key in ("a0", "a1")}
+    if model.body is not None:
+        for key in ("c0", "c1", "c2", "thrust_per_mass"):
+            numbers[f"body.{key}"] = getattr(model.body, key)
+    for key, value in numbers.items():
+        if not (math.isfinite(value) and value > 0):
+            raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
+    if not math.isfinite(model.motor.a2):
+        raise BadInputError(f"{where}: motor.a2 is {model.motor.a2}, must be finite")
+    if model.body is None and model.arx is None:
+        raise BadInputError(f"{where}: holds neither body nor arx: nothing to simulate")
+
+
+THESIS = Model(
+    vehicle="crazyflie1",
+    motor=THESIS_MOTOR,
+    # thrust_per_mass is not printed; it follows from Figure 5.7 as in the crazyflie1 profile.
+    body=BodyConstants(c0=0.0136, c1=0.0136, c2=0.0005, thrust_per_mass=4.2e-5),
+    arx={
+        "roll": ArxAxis(2, 1, 8, (-1.959, 0.9567), (4.222e-8,), 0.002),
+        "pitch": ArxAxis(2, 1, 8, (-1.959, 0.9567), (4.222e-8,), 0.002),
+        "yaw": ArxAxis(2, 1, 8, (-1.995, 0.9949), (1.382e-9,), 0.002),
+    },
+    created_by="thesis",
+)
