@@ -7,14 +7,15 @@ references into a bounded queue; what does not fit is counted and reported, not 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 
 from groundstation.errors import RecordingError
 from groundstation.recording.mcap_schemas import (
@@ -23,15 +24,16 @@ from groundstation.recording.mcap_schemas import (
     STATISTICS_TOPIC,
     encode_entry,
 )
-from groundstation.recording.recording_file import RecordingFile, pieces
+from groundstation.recording.recording_file import RecordingFile
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 MEBIBYTE = 1024 * 1024
 RecorderState = Literal["recording", "finished", "failed", "low_space"]
 
-_MAX_ROWS = 1024
+_PART_BYTES = 4 * MEBIBYTE
 _RAW_ROW_BYTES = 40
 _SAMPLE_ROW_BYTES = 97
+_ITEM_BYTES = 200
 _OVERFLOW_REPORT_S = 5.0
 _FINISH_TIMEOUT_S = 30.0
 
@@ -74,14 +76,14 @@ _Item = RawBatch | SampleBatch | _Entry
 class McapRecorder:
     """Records into a new MCAP file until ``finish``.
 
-    A killed process loses at most ``batch_s + flush_s`` and what the disk is busy with; the
-    file is readable without having been finished. When the disk fails, its free space falls
+    A killed process loses ``flush_s`` and what the disk is busy with; the file is readable
+    without having been finished. When the disk fails, its free space falls
     under ``low_space_bytes`` or the file is removed, the recording stops, ``on_fault`` gets
     one line (from the recorder's thread) and what was written stays good.
 
     path: must not exist; its folder is created.
     metadata: name -> key -> text; see ``session_metadata`` for the one named ``session``.
-    flush_s: how often written data is handed to the operating system and synced, seconds.
+    flush_s: how often what is queued is written and synced, seconds.
     batch_s: consecutive batches are merged into messages of up to this long, seconds.
     queue_bytes: bound of what waits for the disk.
 
@@ -124,11 +126,11 @@ class McapRecorder:
 
     def raw(self, batch: RawBatch) -> None:
         """Record packets as received. The batch's arrays must not change afterwards."""
-        self._offer(batch, len(batch) * _RAW_ROW_BYTES)
+        self._offer(batch)
 
     def samples(self, batch: SampleBatch) -> None:
         """Record decoded samples. The batch's arrays must not change afterwards."""
-        self._offer(batch, len(batch) * _SAMPLE_ROW_BYTES)
+        self._offer(batch)
 
     def command(self, entry: dict[str, Any]) -> None:
         """Record a setpoint or parameter write; like every entry it has a ``time_ns``."""
@@ -176,10 +178,11 @@ class McapRecorder:
         self.finish()
 
     def _entry(self, topic: str, entry: dict[str, Any]) -> None:
-        payload = encode_entry(entry)  # now, for the caller may change the dictionary
-        self._offer(_Entry(topic, int(entry["time_ns"]), payload), len(payload))
+        # encoded now, for the caller may change the dictionary
+        self._offer(_Entry(topic, int(entry["time_ns"]), encode_entry(entry)))
 
-    def _offer(self, item: _Item, size: int) -> None:
+    def _offer(self, item: _Item) -> None:
+        size = _size(item)
         with self._lock:
             stopped = self._state != "recording" or self._finishing.is_set()
             if stopped or self._queued_bytes + size > self._queue_bytes:
@@ -201,14 +204,10 @@ class McapRecorder:
             self._out.file.abandon()
 
     def _record(self) -> None:
-        flush_due_s = time.monotonic() + self._flush_s
         while True:
-            finishing = self._finishing.wait(self._batch_s)
-            self._write(self._take())
+            finishing = self._finishing.wait(self._flush_s)
+            self._write_queued()
             self._report_overflow()
-            if not finishing and time.monotonic() < flush_due_s:
-                continue
-            flush_due_s = time.monotonic() + self._flush_s
             written = self._out.file.size
             self._out.file.flush()
             if self._out.file.size > written:
@@ -226,29 +225,33 @@ class McapRecorder:
                     self._state = "finished"
                 return
 
-    def _take(self) -> list[_Item]:
-        with self._lock:
-            items = list(self._queue)
-            self._queue.clear()
-            self._queued_bytes = 0
-        return items
+    def _write_queued(self) -> None:
+        """Write what is queued, a part at a time; it counts against the bound until written."""
+        while True:
+            items: list[_Item] = []
+            size = 0
+            with self._lock:
+                while self._queue and size < _PART_BYTES:
+                    item = self._queue.popleft()
+                    items.append(item)
+                    size += _size(item)
+            if not items:
+                return
+            self._write(items)
+            with self._lock:
+                self._queued_bytes -= size
 
     def _write(self, items: list[_Item]) -> None:
-        span_ns = int(self._batch_s * 1e9)
         for item in items:
             if isinstance(item, _Entry):
                 self._out.add(item.topic, item.time_ns, item.payload)
-        raw = [item for item in items if isinstance(item, RawBatch)]
-        for raw_group in _groups(raw, span_ns):
-            packets = RawBatch.concatenate(raw_group)
-            for rows in pieces(len(packets), _MAX_ROWS):
-                self._out.raw(RawBatch(packets.packets[rows], packets.host_time_ns[rows]))
-            self._packets += len(packets)
-        decoded = [item for item in items if isinstance(item, SampleBatch)]
-        for sample_group in _groups(decoded, span_ns):
-            samples = SampleBatch.concatenate(sample_group)
-            for rows in pieces(len(samples), _MAX_ROWS):
-                self._out.samples(samples[rows])
+        packets = RawBatch.concatenate([item for item in items if isinstance(item, RawBatch)])
+        self._out.raw(packets, self._batch_s)
+        self._packets += len(packets)
+        decoded = [item for item in items if isinstance(item, SampleBatch) and len(item)]
+        for _, run in itertools.groupby(decoded, lambda batch: batch.tick_s):
+            samples = SampleBatch.concatenate(list(run))
+            self._out.samples(samples, self._batch_s)
             self._samples += len(samples)
 
     def _space_is_low(self) -> bool:
@@ -288,21 +291,9 @@ def _count(item: _Item) -> int:
     return 1 if isinstance(item, _Entry) else len(item)
 
 
-_Batch = TypeVar("_Batch", RawBatch, SampleBatch)
-
-
-def _groups(batches: list[_Batch], span_ns: int) -> Iterator[list[_Batch]]:
-    """Runs of non-empty batches that share a tick length and last at most ``span_ns``."""
-    group: list[_Batch] = []
-    for batch in batches:
-        if not len(batch):
-            continue
-        if group:
-            lasts_ns = int(batch.host_time_ns[-1] - group[0].host_time_ns[0])
-            same_clock = getattr(batch, "tick_s", None) == getattr(group[0], "tick_s", None)
-            if not same_clock or not 0 <= lasts_ns <= span_ns:
-                yield group
-                group = []
-        group.append(batch)
-    if group:
-        yield group
+def _size(item: _Item) -> int:
+    """Bytes that ``item`` holds, and at least what its place in the queue costs."""
+    if isinstance(item, _Entry):
+        return _ITEM_BYTES + len(item.payload)
+    row = _RAW_ROW_BYTES if isinstance(item, RawBatch) else _SAMPLE_ROW_BYTES
+    return _ITEM_BYTES + len(item) * row

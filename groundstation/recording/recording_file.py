@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import itertools
 import platform
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundstation import __version__
 from groundstation.errors import RecordingError
@@ -31,9 +35,10 @@ from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import StandardMessages
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
-_SAMPLE_ROWS = 25
-_RAW_ROWS = 100
-"""50 ms of a live link: what the recorder merges into one message too."""
+MESSAGE_S = 0.05
+"""How long a message of packets or samples lasts, seconds."""
+_MAX_ROWS = 1024
+_STEP_ROWS = 1000
 
 CHANNELS_METADATA = "channels"
 """Metadata record: channel id -> topic. The definitions live in the first chunk; should that
@@ -41,7 +46,7 @@ one be damaged in a torn file, this is how the rest is still understood."""
 
 
 class RecordingFile:
-    """Writes batches and entries as messages, one message per call.
+    """Writes batches and entries as messages.
 
     Raises BadInputError where ``path`` exists and RecordingError where it cannot be created;
     every other method raises ``OSError`` where the disk fails.
@@ -70,15 +75,18 @@ class RecordingFile:
             topic.name, topic.message_encoding, schema, metadata or {}
         )
 
-    def raw(self, batch: RawBatch) -> None:
-        if len(batch):
-            self.add(RAW_TOPIC, int(batch.host_time_ns.max()), encode_raw(batch))
+    def raw(self, batch: RawBatch, span_s: float = MESSAGE_S) -> None:
+        """Write packets as messages that last up to ``span_s`` each."""
+        for rows in _spans(batch.host_time_ns, span_s):
+            message = RawBatch(batch.packets[rows], batch.host_time_ns[rows])
+            self.add(RAW_TOPIC, int(message.host_time_ns.max()), encode_raw(message))
 
-    def samples(self, batch: SampleBatch) -> None:
-        """Write the samples, and what they add to the topics of standard types."""
-        if not len(batch):
-            return
-        self.add(SAMPLES_TOPIC, int(batch.host_time_ns.max()), encode_samples(batch))
+    def samples(self, batch: SampleBatch, span_s: float = MESSAGE_S) -> None:
+        """Write samples as messages that last up to ``span_s`` each, and what they add to the
+        topics of standard types."""
+        for rows in _spans(batch.host_time_ns, span_s):
+            message = batch[rows]
+            self.add(SAMPLES_TOPIC, int(message.host_time_ns.max()), encode_samples(message))
         for topic, time_ns, payload in self._standard.messages(batch):
             self.add(topic, time_ns, payload)
 
@@ -137,11 +145,6 @@ def session_metadata(link: str) -> dict[str, str]:
     }
 
 
-def pieces(length: int, rows: int) -> Iterator[slice]:
-    """Slices of at most ``rows`` that cover ``length`` rows."""
-    return (slice(start, start + rows) for start in range(0, length, rows))
-
-
 _Step = tuple[int, Callable[[], None]]
 """Host time (ns) of a message, and what writes it."""
 
@@ -149,15 +152,15 @@ _Step = tuple[int, Callable[[], None]]
 def _raw(out: RecordingFile, recording: Recording) -> Iterator[_Step]:
     raw = recording.raw
     if raw is not None:
-        for rows in pieces(len(raw), _RAW_ROWS):
+        for rows in _pieces(len(raw)):
             batch = RawBatch(raw.packets[rows], raw.host_time_ns[rows])
-            yield int(batch.host_time_ns.max()), partial(out.raw, batch)
+            yield int(batch.host_time_ns[0]), partial(out.raw, batch)
 
 
 def _samples(out: RecordingFile, recording: Recording) -> Iterator[_Step]:
-    for rows in pieces(len(recording.samples), _SAMPLE_ROWS):
+    for rows in _pieces(len(recording.samples)):
         batch = recording.samples[rows]
-        yield int(batch.host_time_ns.max()), partial(out.samples, batch)
+        yield int(batch.host_time_ns[0]), partial(out.samples, batch)
 
 
 def _entries(out: RecordingFile, recording: Recording) -> Iterator[Iterator[_Step]]:
@@ -180,3 +183,19 @@ def _origin_ns(samples: SampleBatch) -> int:
     if not len(samples):
         return 0
     return int(samples.host_time_ns[0] - round(float(samples.time_s[0]) * 1e9))
+
+
+def _pieces(length: int) -> Iterator[slice]:
+    """Slices that cover ``length`` rows, small enough to interleave topics by time."""
+    return (slice(start, start + _STEP_ROWS) for start in range(0, length, _STEP_ROWS))
+
+
+def _spans(host_time_ns: NDArray[np.int64], span_s: float) -> Iterator[slice]:
+    """Slices that cover all rows, each at most ``span_s`` and ``_MAX_ROWS`` long."""
+    if not len(host_time_ns):
+        return
+    turn = (host_time_ns - host_time_ns[0]) // int(span_s * 1e9)
+    edges = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(host_time_ns)]
+    for first, last in itertools.pairwise(edges):
+        for start in range(first, last, _MAX_ROWS):
+            yield slice(start, min(start + _MAX_ROWS, last))
