@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
-from groundstation.viewer.log import CRAFT, DEVICE_TIME, EVENTS, LINK
+from groundstation.viewer.channels import CRAFT, DEVICE_TIME, EVENTS, LINK
 
 LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""

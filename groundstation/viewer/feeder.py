@@ -14,12 +14,12 @@ import socket
 import sys
 import time
 
-import msgspec
 import rerun as rr
 
 from groundstation.viewer.blueprint import LIVE_WINDOW_S, pilot_blueprint
+from groundstation.viewer.channels import APPLICATION, EVENTS
 from groundstation.viewer.device_clock import LiveClock
-from groundstation.viewer.log import APPLICATION, EVENTS, ViewerLog
+from groundstation.viewer.log import ViewerLog
 from groundstation.viewer.messages import (
     MAX_BYTES,
     Acknowledgement,
@@ -58,7 +58,7 @@ def main(arguments: list[str]) -> int:
         stream.flush(timeout_sec=ANSWER_S)
         channel.send(encode_message(Acknowledgement(0)))
         return _feed(channel, stream, log, int(port))
-    except (RuntimeError, OSError, msgspec.DecodeError) as error:
+    except (RuntimeError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return FEED_FAILED
 

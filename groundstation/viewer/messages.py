@@ -65,8 +65,11 @@ def encode_message(message: Message | Acknowledgement) -> bytes:
 
 
 def decode_message(data: bytes) -> Message:
-    """Raises msgspec.DecodeError for anything else."""
-    message: Message = _decoder.decode(data)
+    """Raises ValueError for anything else."""
+    try:
+        message: Message = _decoder.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"not a message of the viewer: {error}") from error
     return message
 
 

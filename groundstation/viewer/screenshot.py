@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import GroundStationError
+from groundstation.viewer.channels import DEVICE_TIME
 from groundstation.viewer.child import Child
-from groundstation.viewer.log import DEVICE_TIME
 from groundstation.viewer.viewer import rerun_program
 
 START_S = 60.0

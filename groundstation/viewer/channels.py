@@ -1,0 +1,112 @@
+"""What the viewer calls things, and the units in which people read them.
+
+People get degrees, deg/s, g, per cent, volts and rpm; the values stay exact, because a float32
+in SI survives the way through float64 and back (``scaled``, ``unscaled``).
+
+| entity | values |
+|---|---|
+| /craft | orientation of the craft: body FLU in the world ENU |
+| /telemetry/attitude, rates, accelerometer, motors, battery, rotors | see ``GROUPS`` |
+| /telemetry/packet | ticks, tick_s, segment, copies, debug: for an exact read-back |
+| /link, /link/NAME | link statistics: as JSON, and each number for itself |
+| /events, /commands | what happened and what was commanded: as text, and as JSON |
+
+Timelines: ``device_time`` (duration), ``seq`` (number of the sample) and ``host_time`` (Unix).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+APPLICATION = "groundstation"
+DEVICE_TIME = "device_time"
+SEQUENCE = "seq"
+HOST_TIME = "host_time"
+
+CRAFT = "/craft"
+PACKET = "/telemetry/packet"
+EVENTS = "/events"
+COMMANDS = "/commands"
+LINK = "/link"
+
+SCALARS = "Scalars:scalars"
+OWN_PREFIX = "groundstation."
+PACKET_COLUMNS = ("ticks", "segment", "copies", "debug")
+PACKET_ARCHETYPE = "groundstation.Packet"
+ENTRY_ARCHETYPE = "groundstation.Entry"
+
+ROLL, PITCH, YAW = (239, 83, 80), (102, 187, 106), (66, 165, 245)
+MOTORS = ((255, 167, 38), (38, 198, 218), (171, 127, 230), (212, 225, 87))
+"""Colours of M1..M4, the same on the craft and in the plots."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A channel of the samples and how people read it.
+
+    per_si: what one SI unit is in the shown unit.
+    """
+
+    entity: str
+    column: str
+    per_si: float
+    names: tuple[str, ...]
+    colors: tuple[tuple[int, int, int], ...]
+
+
+GROUPS: tuple[Group, ...] = (
+    Group(
+        "/telemetry/attitude",
+        "attitude",
+        180 / np.pi,
+        ("roll", "pitch (nose down +)", "yaw"),
+        (ROLL, PITCH, YAW),
+    ),
+    Group(
+        "/telemetry/rates",
+        "gyro",
+        180 / np.pi,
+        ("roll rate", "pitch rate", "yaw rate"),
+        (ROLL, PITCH, YAW),
+    ),
+    Group(
+        "/telemetry/accelerometer",
+        "accelerometer",
+        1 / STANDARD_GRAVITY,
+        ("forward", "left", "up"),
+        (ROLL, PITCH, YAW),
+    ),
+    Group(
+        "/telemetry/motors",
+        "duty",
+        100.0,
+        ("M1 front", "M2 right", "M3 rear", "M4 left"),
+        MOTORS,
+    ),
+    Group("/telemetry/battery", "battery_v", 1.0, ("battery",), ((255, 202, 40),)),
+    Group("/telemetry/rotors", "rotor_rev_s", 60.0, ("M1", "M2", "M3", "M4"), MOTORS),
+)
+"""Shown in degrees, deg/s, g, % duty, V and rpm."""
+
+STATISTICS: dict[str, tuple[str, tuple[int, int, int]]] = {
+    "loss_pct": ("lost (%)", (239, 83, 80)),
+    "latency_ms": ("latency (ms)", (255, 202, 40)),
+    "rate_hz": ("samples (1/s)", (102, 187, 106)),
+}
+"""The statistics that the blueprint shows; any other is logged under its own name."""
+
+
+def scaled(group: Group, values: NDArray[np.float32]) -> NDArray[np.float64]:
+    """SI values in the unit that people read."""
+    return values.astype(np.float64) * group.per_si
+
+
+def unscaled(group: Group, shown: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Undo ``scaled``, to the last bit of the float32."""
+    with np.errstate(over="ignore"):  # a damaged file: its checksum tells
+        return (shown / group.per_si).astype(np.float32)

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from groundstation.telemetry.samples import empty_samples
+from groundstation.viewer.channels import CRAFT, GROUPS, PACKET, scaled, unscaled
+from groundstation.viewer.log import quaternions, sample_columns
+
+BY_COLUMN = {group.column: group for group in GROUPS}
+ANGLES = st.floats(-3.125, 3.125, width=32)
+
+
+def shown(samples, column):
+    entity = BY_COLUMN[column].entity
+    (values,) = dict(sample_columns(samples))[entity]
+    flat = values.as_arrow_array().flatten().to_numpy()
+    return flat.reshape(len(samples), -1)
+
+
+@pytest.mark.parametrize(
+    ("column", "si", "people_read"),
+    [
+        ("attitude", math.pi / 6, 30.0),
+        ("gyro", math.pi, 180.0),
+        ("accelerometer", 9.80665, 1.0),
+        ("duty", 0.25, 25.0),
+        ("battery_v", 3.7, 3.7),
+        ("rotor_rev_s", 300.0, 18000.0),
+    ],
+)
+def test_people_read_their_own_units(column, si, people_read):
+    samples = empty_samples(2)
+    getattr(samples, column)[:] = si
+    np.testing.assert_allclose(shown(samples, column), people_read, rtol=1e-6)
+
+
+@given(
+    values=arrays.arrays(np.float32, 20, elements=st.floats(width=32, allow_subnormal=True)),
+    group=st.sampled_from(GROUPS),
+)
+def test_every_float32_survives_the_unit_that_people_read(values, group):
+    back = unscaled(group, scaled(group, values))
+    np.testing.assert_array_equal(back.view(np.uint32)[~np.isnan(values)],
+                                  values.view(np.uint32)[~np.isnan(values)])  # fmt: skip
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(values))
+
+
+@given(roll=ANGLES, pitch=ANGLES, yaw=ANGLES)
+def test_the_pose_is_the_rotation_of_thesis_eq_3_6(roll, pitch, yaw):
+    (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    body_to_world = np.array(
+        [
+            [cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz],
+            [cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz],
+            [-sy, sx * cy, cx * cy],
+        ]
+    )
+    x, y, z, w = quaternions(np.array([[roll, pitch, yaw]], np.float32))[0].astype(float)
+    from_quaternion = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    np.testing.assert_allclose(from_quaternion, body_to_world, atol=2e-6)
+
+
+def test_positive_pitch_puts_the_drawn_nose_down():
+    x, y, z, w = quaternions(np.array([[0, 0.3, 0]], np.float32))[0]
+    nose_height = 2 * (x * z - y * w)
+    assert nose_height == pytest.approx(-math.sin(0.3), abs=1e-6)
+
+
+def test_a_channel_that_the_source_does_not_have_is_not_shown():
+    samples = empty_samples(3)
+    samples.gyro[:] = 1.0
+    assert {entity for entity, _ in sample_columns(samples)} == {BY_COLUMN["gyro"].entity, PACKET}
+
+
+def test_a_craft_without_attitude_is_not_moved(wobble):
+    samples = wobble(3)
+    assert CRAFT in dict(sample_columns(samples))
+    samples.attitude[1, 2] = np.nan
+    assert CRAFT not in dict(sample_columns(samples))
+
+
+def test_every_series_has_a_name_and_a_color():
+    for group in GROUPS:
+        width = getattr(empty_samples(1), group.column).reshape(1, -1).shape[1]
+        assert len(group.names) == len(group.colors) == width
