@@ -3,14 +3,19 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
+GROUNDSTATION_LOCAL_DATA ?= ../shared/data
 
-.PHONY: run test lint bench clean
+.PHONY: run test check-local lint bench clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
 
 test: $(VENV)/.ready-dev lint
 	$(BIN)/pytest -n auto $(ARGS)
+
+# Recordings that may not be committed: a folder with usd_card/ and imrc/.
+check-local: $(VENV)/.ready-dev
+	GROUNDSTATION_LOCAL_DATA=$(GROUNDSTATION_LOCAL_DATA) $(BIN)/pytest tests/local $(ARGS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ without its end that does not read is taken for a torn write: it is left out and
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import io
 import re
@@ -122,20 +123,23 @@ class TextTable:
         if not text.strip():
             return None
         self._require_width(text, first_line)
-        values: NDArray[Any]
         if integers and (b"E+" in text or b"e+" in text):
             text = _EXPONENT.sub(_expand, text)
         try:
-            if integers and not any(mark in text for mark in (b".", b"e", b"E", b"n")):
-                values = self._load(text, np.int64, columns)
-            else:
-                filled = text if integers else _fill_empty(text, self.separator)
-                values = self._load(filled, np.float64, columns)
+            values = self._numbers(text, columns, integers)
         except ValueError as error:
             self._diagnose(text, first_line, columns, integers)
             raise BadInputError(f"{self.path}, after line {first_line}: {error}") from error
         block = Block(self, columns, values, text, first_line)
         return _as_integers(block) if integers else block
+
+    def _numbers(self, text: bytes, columns: Sequence[int], integers: bool) -> NDArray[Any]:
+        if not integers:
+            return self._load(_fill_empty(text, self.separator), np.float64, columns)
+        if not any(mark in text for mark in (b".", b"e", b"E", b"n")):
+            with contextlib.suppress(ValueError):  # beyond 64 bits, or no number at all
+                return self._load(text, np.int64, columns)
+        return self._load(text, np.float64, columns)
 
     def _load(self, text: bytes, kind: type[Any], columns: Sequence[int]) -> NDArray[Any]:
         return np.loadtxt(
