@@ -8,15 +8,18 @@ from functools import cache
 from typing import Any
 
 from firmware_sim.battery import ADC_PASSES, manage_power, protect, read_adc, supply
+from firmware_sim.bench_motor import watch_gate
 from firmware_sim.commander import watch
 from firmware_sim.compiled import inner, kernel, source_stamp
 from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
 from firmware_sim.imu import fetch, sample
 from firmware_sim.layout import (
     CLOCK_STREAM,
+    FIXED,
     FREE,
     NOISE_STREAM,
     PASS_NS,
+    PHASE,
     PILOT_PASSES,
     QUATERNION,
     RATE,
@@ -84,7 +87,10 @@ def fly() -> Callable[..., Any]:
                 _witness(fw, s, truth[written], slot)
             written += 1
             _act(p, fw, s, index)
+            phase, speed = s.y[PHASE], s.y[ROTOR]
             _move(p, s)
+            if s.mode == FIXED:
+                watch_gate(p, s, phase, speed)
             if _power_lost(p, fw, s):
                 s.off_ns = s.now_ns
         return passes, written
@@ -197,15 +203,15 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
             late += 1.0
     elapsed = (s.now_ns - s.boot_ns) / TIMER_NS
     row.time_ns = s.now_ns
-    row.ticks = s.timer_phase + int(math.floor(elapsed + late + 8.0))
+    row.ticks = s.timer_phase + math.floor(elapsed + late + 8.0)
     row.battery = int(fw.battery_filter * 1000.0 + 0.5)
     for i in range(4):
         row.motors[i] = int(s.duty[i] * FULL_COMPARE) << 3
     for i in range(3):
         row.gyro[i] = s.ring_gyro[slot, i]
         row.accelerometer[i] = s.ring_accel[slot, i]
-        row.angles[i] = int(math.floor(100.0 * fw.angles[i] + 0.5))
-    row.debug = 0
+        row.angles[i] = math.floor(100.0 * fw.angles[i] + 0.5)
+    row.debug = s.gate_ticks
 
 
 @inner

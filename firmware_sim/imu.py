@@ -33,12 +33,15 @@ DEGREES = 180.0 / math.pi
 IMBALANCE = (1.0, 0.7, 1.2, 0.9)
 """How badly each propeller is balanced, relative to the craft's ``shake``."""
 SHAKE_REV_S = 250.0
+YAW_SHAKE = 0.3
+"""The yaw gyro shakes less than the others."""
 
 
 @inner
 def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
     """Slopes of the gyro's and the accelerometer's lags, with the rotors' imbalance in them."""
-    in_plane_x, in_plane_y, axial, twist_x, twist_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    in_plane_x, in_plane_y, axial = 0.0, 0.0, 0.0
+    twist_x, twist_y, twist_z = 0.0, 0.0, 0.0
     if p.shake[0] != 0.0 or p.shake[1] != 0.0 or p.shake[2] != 0.0:
         for i in range(4):
             ratio = y[ROTOR + i] / SHAKE_REV_S
@@ -50,6 +53,7 @@ def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
             axial += cosine * p.rotor_y[i] + sine * p.rotor_x[i]
             twist_x += sine
             twist_y += cosine
+            twist_z += p.spin[i] * cosine
     reach = math.sqrt(p.rotor_x[0] * p.rotor_x[0] + p.rotor_y[0] * p.rotor_y[0])
     axial *= p.shake[1] / reach
     felt_x = s.force[0] + p.shake[0] * in_plane_x
@@ -62,7 +66,7 @@ def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
         felt_z += lever_z
     rate_x = y[RATE] + p.shake[2] * twist_x
     rate_y = y[RATE + 1] + p.shake[2] * twist_y
-    rate_z = y[RATE + 2]
+    rate_z = y[RATE + 2] + YAW_SHAKE * p.shake[2] * twist_z
     if p.gyro_lag > 0.0:
         dy[GYRO_LAG] = (rate_x - y[GYRO_LAG]) / p.gyro_lag
         dy[GYRO_LAG + 1] = (rate_y - y[GYRO_LAG + 1]) / p.gyro_lag

@@ -90,6 +90,7 @@ PARAMETERS = np.dtype(
         ("shake", "f8", (3,)),  # imbalance: m/s^2 in plane, m/s^2 axial, rad/s; at 250 rev/s
         # timer
         ("timer_jitter", "f8"),  # ticks
+        ("gate_glitches", "f8"),
         # named effects
         ("rotor_inertia_gyro", "f8"),
         ("rotor_inertia_yaw", "f8"),
@@ -210,6 +211,9 @@ STATE = np.dtype(
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),
+        # optical gate of the motor bench
+        ("gate_ns", "f8"),
+        ("gate_ticks", "i8"),
         # pilot
         ("pilot_height", "f8"),
         ("pilot_integral", "f8"),

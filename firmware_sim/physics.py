@@ -25,6 +25,7 @@ from firmware_sim.layout import (
     PARAMETERS,
     PASS_NS,
 )
+from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
 from groundstation.dynamics.model import Model, load_model, model_vehicle
 from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
@@ -91,8 +92,11 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     p = record[0]
     _body(p, vehicle)
     _power(p, vehicle, settings)
+    if any(s.kind == "bench" for s in load_programme(settings.program).segment):
+        p["states"] = ALL_STATES
     p["longest_step"] = PASS_NS * 1e-9 / settings.substeps
     p["hold_height"] = 0.8
+    p["gate_glitches"] = settings.gate_glitches
     p["resume_ns"] = round(settings.resume_s * 1e9)
     p["land_when_low"] = settings.land_when_low
     draws = np.random.default_rng((settings.seed, 1))

@@ -55,7 +55,7 @@ def integrate(p: Record, s: Record, start_s: float, span_s: float) -> None:
     """Advance ``s.y`` by ``span_s`` with inputs held (Runge-Kutta, order 4)."""
     y, start, slope, total = s.y, s.start, s.slope, s.sum
     n = p.states
-    steps = max(1, int(math.ceil(span_s / p.longest_step - 1e-9)))
+    steps = max(1, math.ceil(span_s / p.longest_step - 1e-9))
     h = span_s / steps
     for step in range(steps):
         t = start_s + step * h

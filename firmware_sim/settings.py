@@ -44,7 +44,7 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     warm_up_drift_dps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     warm_up_s: float = 20.0
     accel_bias_g: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    shake: tuple[float, float, float] = (0.30, 0.55, 7.0)
+    shake: tuple[float, float, float] = (0.30, 0.90, 7.0)
 
 
 class Quirks(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -77,6 +77,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     device_clock_ppm: how much faster the craft's crystal runs than the host's.
     torque_noise, sensor_noise: scale of the default noise.
     supply_v: a bench supply instead of the cell, None: the cell.
+    gate_glitches: scale of what the motor bench's optical gate gets wrong.
     charge: of the first cell, 0..1.
     recharge_s: without power until a fresh cell is in and the craft starts anew.
     land_when_low: the pilot lands on a low battery and the cell is changed.
@@ -102,6 +103,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     torque_noise: float = 1.0
     sensor_noise: float = 1.0
     supply_v: float | None = None
+    gate_glitches: float = 1.0
     charge: float = 1.0
     recharge_s: float = 10.0
     land_when_low: bool = True

@@ -134,7 +134,7 @@ def _bent_propeller(p: Any, values: dict[str, float]) -> None:
 
 
 def _resistance(p: Any, values: dict[str, float]) -> None:
-    p["supply_ohm"] = values["resistance_ohm"]
+    p["supply_ohm"] += values["resistance_ohm"]
 
 
 def _reading_lag(p: Any, values: dict[str, float]) -> None:
