@@ -40,6 +40,8 @@ class Field:
 
     name: str
     dtype: np.dtype[Any]
+    size: int
+    """Bytes of one number."""
     sequence: bool
 
 
@@ -65,7 +67,8 @@ class Definition:
             base = kind.removesuffix("[]")
             if base not in _TYPES or not name:
                 raise ValueError(f"definition line {line!r} is not a number or a number sequence")
-            fields.append(Field(name, np.dtype(_TYPES[base]), kind.endswith("[]")))
+            dtype = np.dtype(_TYPES[base])
+            fields.append(Field(name, dtype, dtype.itemsize, kind.endswith("[]")))
         return cls(text, tuple(fields))
 
     def encode(self, values: Mapping[str, Any]) -> bytes:
@@ -73,7 +76,7 @@ class Definition:
         out = bytearray()
         for field in self.fields:
             data = np.ascontiguousarray(values[field.name], field.dtype)
-            size = field.dtype.itemsize
+            size = field.size
             if field.sequence:
                 out += b"\0" * (-len(out) & 3)
                 out += _LENGTH.pack(data.size)
@@ -97,7 +100,7 @@ class Definition:
         offset = 0
         parts = []
         for field in self.fields:
-            size = field.dtype.itemsize
+            size = field.size
             count = 1
             if field.sequence:
                 offset += -offset & 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,11 @@ from groundstation.telemetry.packet import PACKET_BYTES, TICK_S
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
 
 _NAN = struct.pack("<f", float("nan"))
+_DOUBLE = struct.Struct("<d")
 _NAMED_TOPICS = 5
+
+Sink = Callable[[memoryview], None]
+"""Takes a message's payload. Raises ValueError where it does not decode."""
 
 
 def read_mcap(path: Path, *, raw: bool = False) -> Recording:
@@ -79,7 +84,7 @@ class _Topics:
         self.tables: dict[str, TableColumns] = {}
         self._scan = scan
         self._raw = raw
-        self._sinks: dict[int, Any] = {}
+        self._sinks: dict[int, Sink | None] = {}
         self._faults: Counter[tuple[str, str]] = Counter()
         if scan.channels:
             self.require_ours()  # at once where the index tells, before reading it all
@@ -117,7 +122,7 @@ class _Topics:
             for (topic, reason), count in self._faults.items()
         ]
 
-    def _sink(self, channel: Channel) -> Any:
+    def _sink(self, channel: Channel) -> Sink | None:
         """What takes the messages of ``channel``; None where nobody wants them."""
         topic = channel.topic
         if topic in self.entries:
@@ -127,12 +132,10 @@ class _Topics:
         schema = self._scan.schemas.get(channel.schema_id)
         try:
             if topic == SAMPLES_TOPIC:
-                definition = self._definition(channel, schema, SAMPLES_DEFINITION)
-                return lambda payload: self.samples.add(definition, payload)
+                return self.samples.sink(self._definition(channel, schema, SAMPLES_DEFINITION))
             if topic == RAW_TOPIC:
-                definition = self._definition(channel, schema, RAW_DEFINITION)
-                wanted = self._raw
-                return (lambda payload: self.packets.add(definition, payload)) if wanted else None
+                sink = self.packets.sink(self._definition(channel, schema, RAW_DEFINITION))
+                return sink if self._raw else None
             if topic.startswith(TABLE_PREFIX) and schema is not None:
                 name = topic.removeprefix(TABLE_PREFIX)
                 return self.tables.setdefault(name, TableColumns(channel, schema)).add
@@ -170,24 +173,40 @@ class _SampleColumns:
         self._columns = {column: bytearray() for column in SAMPLE_FIELDS}
         self._types = {field.name: field.dtype for field in SAMPLES_DEFINITION.fields}
 
-    def add(self, definition: Definition, payload: memoryview) -> None:
-        parts = definition.slices(payload)
-        named = {field.name: part for field, part in zip(definition.fields, parts, strict=True)}
-        rows = len(named["ticks"]) // 8
-        if not len(named["rotor_rev_s"]):
-            named["rotor_rev_s"] = memoryview(_NAN * (4 * rows))
-        for name, width in SAMPLE_FIELDS.values():
-            if len(named[name]) != rows * width * self._types[name].itemsize:
-                raise ValueError(f"{name} does not have one row per sample")
-        tick_s = float(np.frombuffer(named["tick_s"], "<f8")[0])
+    def sink(self, definition: Definition) -> Sink:
+        """What takes messages of ``definition``."""
+        places = {field.name: place for place, field in enumerate(definition.fields)}
+        plan = [
+            (places[name], width * self._types[name].itemsize, self._columns[column])
+            for column, (name, width) in SAMPLE_FIELDS.items()
+        ]
+        tick, ticks, rotors = places["tick_s"], places["ticks"], places["rotor_rev_s"]
+
+        def add(payload: memoryview) -> None:
+            parts = definition.slices(payload)
+            rows = len(parts[ticks]) // 8
+            if not len(parts[rotors]):
+                parts[rotors] = memoryview(_NAN * (4 * rows))
+            for place, row_bytes, _ in plan:
+                if len(parts[place]) != rows * row_bytes:
+                    raise ValueError(
+                        f"{definition.fields[place].name} does not have one row per sample"
+                    )
+            parts[ticks] = self._rescaled(parts[ticks], parts[tick])
+            for place, _, column in plan:
+                column += parts[place]
+
+        return add
+
+    def _rescaled(self, ticks: memoryview, tick_s: memoryview) -> memoryview:
+        """``ticks`` in units of the file's first tick length."""
+        length_s: float = _DOUBLE.unpack(tick_s)[0]
         if self._tick_s is None:
-            self._tick_s = tick_s
-        elif tick_s != self._tick_s:
-            ticks = np.frombuffer(named["ticks"], "<i8")
-            rescaled = np.rint(ticks * (tick_s / self._tick_s)).astype("<i8")
-            named["ticks"] = memoryview(rescaled.tobytes())
-        for column, (name, _) in SAMPLE_FIELDS.items():
-            self._columns[column] += named[name]
+            self._tick_s = length_s
+        if length_s == self._tick_s:
+            return ticks
+        counts = np.frombuffer(ticks, "<i8")
+        return memoryview(np.rint(counts * (length_s / self._tick_s)).astype("<i8").tobytes())
 
     def batch(self) -> SampleBatch:
         if self._tick_s is None:
@@ -206,13 +225,19 @@ class _RawColumns:
         self._times = bytearray()
         self._packets = bytearray()
 
-    def add(self, definition: Definition, payload: memoryview) -> None:
-        parts = definition.slices(payload)
-        named = {field.name: part for field, part in zip(definition.fields, parts, strict=True)}
-        if len(named["packets"]) * 8 != len(named["host_time_ns"]) * PACKET_BYTES:
-            raise ValueError("packets and host times differ in number")
-        self._times += named["host_time_ns"]
-        self._packets += named["packets"]
+    def sink(self, definition: Definition) -> Sink:
+        """What takes messages of ``definition``."""
+        names = [field.name for field in definition.fields]
+        times, packets = names.index("host_time_ns"), names.index("packets")
+
+        def add(payload: memoryview) -> None:
+            parts = definition.slices(payload)
+            if len(parts[packets]) * 8 != len(parts[times]) * PACKET_BYTES:
+                raise ValueError("packets and host times differ in number")
+            self._times += parts[times]
+            self._packets += parts[packets]
+
+        return add
 
     def batch(self) -> RawBatch:
         return RawBatch(

@@ -74,7 +74,7 @@ class TableColumns:
     def add(self, payload: memoryview) -> None:
         parts = self._definition.slices(payload)
         rows = len(parts[0]) // 8
-        sizes = [rows * field.dtype.itemsize for field in self._definition.fields]
+        sizes = [rows * field.size for field in self._definition.fields]
         if sizes != [len(part) for part in parts]:
             raise ValueError("a table's columns differ in length")
         for column, part in zip(self._columns, parts, strict=True):
