@@ -23,7 +23,7 @@ def watch_gate(p: Record, s: Record, phase_before: float, speed_before: float) -
     """Time the blade passages of the pass that has just been flown."""
     span = PASS_NS * 1e-9
     phase, speed = s.y[PHASE], s.y[ROTOR]
-    passages = int(math.floor(2.0 * phase)) - int(math.floor(2.0 * phase_before))
+    passages = math.floor(2.0 * phase) - math.floor(2.0 * phase_before)
     for k in range(passages):
         turned = 0.5 * (math.floor(2.0 * phase_before) + 1.0 + k) - phase_before
         # phase(t) = n0 t + (n1 - n0) t^2 / 2T over the pass
@@ -45,8 +45,6 @@ def _passage(p: Record, s: Record, time_ns: float) -> None:
         return
     before = s.gate_ns
     if chance > 1.0 - BOUNCED * p.gate_glitches:
-        s.gate_ticks = int(where * (time_ns - before) / TICK_NS)
-        s.gate_ns = before + where * (time_ns - before)
-        return
-    s.gate_ticks = int((time_ns - before) / TICK_NS)
+        time_ns = before + where * (time_ns - before)
+    s.gate_ticks = math.floor(time_ns / TICK_NS) - math.floor(before / TICK_NS)
     s.gate_ns = time_ns

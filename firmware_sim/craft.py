@@ -157,6 +157,11 @@ class StandIn:
                 self._firmware[0][column][axis] = value
 
     @property
+    def time_s(self) -> float:
+        """Device time since the first power-on."""
+        return self._now_ns * 1e-9
+
+    @property
     def overflows(self) -> int:
         """Packets dropped because the bridge's queue was full."""
         return self._bridge.overflows

@@ -207,10 +207,10 @@ def _segment_rows(
         rows[:, ROW_LEVEL] = segment.thrust
     elif segment.kind == "hand":
         rows[:, ROW_MODE] = HELD
-    time = np.arange(ticks) * TICK_S
+    time = np.arange(ticks, dtype=np.float64) * TICK_S
     for excitation in segment.excite:
         end = segment.seconds if excitation.end_s is None else excitation.end_s
-        inside = (time >= excitation.start_s) & (time < end)
+        inside = np.asarray((time >= excitation.start_s) & (time < end))
         window = end - excitation.start_s
         signal = _signal(excitation, time[inside] - excitation.start_s, window, generator)
         rows[inside, _COLUMN[excitation.axis]] += signal

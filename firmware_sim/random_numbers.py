@@ -21,7 +21,7 @@ _UNIT = 2.0**-53
 def seeded(seed: int, streams: int) -> NDArray[np.uint64]:
     """Independent initial states, shape (streams, 2)."""
     words = np.random.SeedSequence(seed).generate_state(2 * streams, np.uint64)
-    return words.reshape(streams, 2)
+    return words.astype(np.uint64).reshape(streams, 2)
 
 
 @inner
