@@ -35,8 +35,11 @@ SERVER_SILENT = 3
 FEED_FAILED = 4
 """Exit status: the server answers, but did not take the data."""
 
-ANSWER_S = 2.0
+ANSWER_S = 1.5
+"""With ``IDLE_S`` and a flush less than ``viewer.SILENCE_S``: the feeder reports, the daemon need
+not guess."""
 CHECK_S = 1.0
+START_S = 10.0
 IDLE_S = 0.5
 _HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 
@@ -44,7 +47,7 @@ _HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 
 def main(arguments: list[str]) -> int:
     descriptor, port, recording = arguments
     channel = socket.socket(fileno=int(descriptor))
-    if not _await_server(int(port)):
+    if not _server_starts(int(port)):
         return SERVER_SILENT
     stream = rr.RecordingStream(APPLICATION, recording_id=recording)
     stream.connect_grpc(
@@ -60,25 +63,27 @@ def main(arguments: list[str]) -> int:
         return _feed(channel, stream, log, int(port))
     except (RuntimeError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
-        return FEED_FAILED
+        return FEED_FAILED if _server_answers(int(port)) else SERVER_SILENT
 
 
-def server_answers(port: int, timeout_s: float = ANSWER_S) -> bool:
-    """Whether a gRPC server on this machine replies: a stopped one accepts and says nothing."""
+def _server_answers(port: int) -> bool:
+    """Whether the gRPC server replies; a stopped process accepts connections and says nothing."""
     try:
-        with socket.create_connection(("127.0.0.1", port), timeout_s) as connection:
+        with socket.create_connection(("127.0.0.1", port), ANSWER_S) as connection:
             connection.sendall(_HTTP2_PREFACE)
             return bool(connection.recv(1))
     except OSError:
         return False
 
 
-def _await_server(port: int) -> bool:
-    deadline = time.monotonic() + 10.0
+def _server_starts(port: int) -> bool:
+    """Wait until the server listens, then for an answer."""
+    deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
-        if server_answers(port):
-            return True
-        time.sleep(0.05)
+        with contextlib.suppress(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), ANSWER_S).close()
+            return _server_answers(port)
+        time.sleep(0.02)
     return False
 
 
@@ -105,7 +110,7 @@ def _feed(channel: socket.socket, stream: rr.RecordingStream, log: ViewerLog, po
                     taken += 1
         if time.monotonic() >= next_check:
             # flush() alone finds a stopped server only when megabytes have piled up
-            if not server_answers(port):
+            if not _server_answers(port):
                 return SERVER_SILENT
             stream.flush(timeout_sec=0.5)
             next_check = time.monotonic() + CHECK_S

@@ -113,7 +113,7 @@ def _recording(path: Path, entities: dict[str, Columns]) -> Recording:
         },
         metadata=head.get("metadata", {}),
     )
-    if head.get("checksum", _checksum(recording)) != _checksum(recording):
+    if head and head["checksum"] != _checksum(recording):
         raise DamagedRecordingError(
             f"{path} is damaged: its checksum does not fit; convert the original again"
         )

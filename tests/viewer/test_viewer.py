@@ -1,0 +1,397 @@
+"""The live view against real processes: the real feeder and the real rerun server."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import psutil
+import pytest
+
+from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.links.base import LinkEvent
+from groundstation.telemetry.samples import COLUMNS, SampleBatch
+from groundstation.viewer.rrd import read_rrd
+from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
+
+PATIENCE_S = 60
+FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
+
+
+async def until(condition, what):
+    deadline = asyncio.get_running_loop().time() + PATIENCE_S
+    while not condition():
+        assert asyncio.get_running_loop().time() < deadline, f"never happened: {what}"
+        await asyncio.sleep(0.01)
+
+
+def child(marker, parent=None):
+    """The running child process with this word on its command line."""
+    for process in psutil.Process(parent).children(recursive=True):
+        with contextlib.suppress(psutil.Error):
+            if (
+                marker in process.cmdline()
+                and "groundstation.viewer.leash" not in process.cmdline()
+            ):
+                return process
+    return None
+
+
+class Session:
+    """A viewer on free ports, with what it said, and samples that flow while one waits."""
+
+    def __init__(self, free_port, wobble, mode=ViewerMode.SERVE):
+        self.said = []
+        self.port, self.web_port = free_port(), free_port()
+        self.viewer = Viewer(
+            mode,
+            port=self.port,
+            web_port=self.web_port,
+            on_event=lambda kind, text: self.said.append((kind, text)),
+        )
+        self._wobble = wobble
+        self.shown = 0
+
+    async def __aenter__(self):
+        await self.viewer.start()
+        return self
+
+    async def __aexit__(self, *_):
+        await self.viewer.stop()
+
+    def show(self, rows):
+        self.viewer.show_samples(self._wobble(rows, self.shown))
+        self.shown += rows
+
+    async def serving(self):
+        await until(lambda: self.viewer.status()["state"] == "serving", "serving")
+
+    async def flow_until(self, condition, what):
+        def step():
+            self.show(5)
+            return condition()
+
+        await until(step, what)
+
+    def balance(self):
+        status = self.viewer.status()
+        return status["sent"] + status["dropped"]
+
+
+@pytest.fixture
+def session(free_port, wobble):
+    return lambda mode=ViewerMode.SERVE: Session(free_port, wobble, mode)
+
+
+def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_path, free_port):
+    saved = tmp_path / "saved.rrd"
+
+    async def stream():
+        async with session() as s:
+            await s.serving()
+            s.viewer.show_event(LinkEvent(int(wobble(1).host_time_ns[0]), "usb", "lost", "gone"))
+            for _ in range(100):
+                s.show(10)
+            s.viewer.show_statistics(
+                {"loss_pct": 1.5, "rate_hz": 498.0}, int(wobble(1, 999).host_time_ns[0])
+            )
+            # a viewer that comes late gets everything from the server's buffer
+            command = [
+                rerun_program(), f"rerun+http://127.0.0.1:{s.port}/proxy", "--save", saved,
+                "--bind", "127.0.0.1", "--port", str(free_port()),
+            ]  # fmt: skip
+            other = subprocess.Popen(
+                command, stderr=subprocess.DEVNULL, env={**os.environ, "CI": "1"}
+            )
+            await until(lambda: s.viewer.status()["sent"] == 1002, "everything sent")
+            await until(lambda: complete(saved), "everything saved")
+            assert s.viewer.status()["dropped"] == 0
+        other.send_signal(signal.SIGINT)
+        other.wait(PATIENCE_S)
+
+    def complete(path):
+        with contextlib.suppress(GroundStationError):
+            recording = read_rrd(path)
+            return len(recording.samples) == 1000 and recording.statistics
+        return False
+
+    asyncio.run(stream())
+    back = read_rrd(saved)
+    expected = SampleBatch.concatenate([wobble(10, first) for first in range(0, 1000, 10)])
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(back.samples, name), getattr(expected, name), name)
+    assert [entry["text"] for entry in back.events] == ["gone"]
+    assert [entry["loss_pct"] for entry in back.statistics] == [1.5]
+    check_timelines(saved, expected)
+
+
+def check_timelines(path, samples):
+    from rerun.chunk import RrdReader
+
+    times = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == "/telemetry/attitude" and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            for name in ("device_time", "seq", "host_time"):
+                times.setdefault(name, []).append(batch[name].to_numpy(zero_copy_only=False))
+    times = {name: np.concatenate(parts) for name, parts in times.items()}
+    order = np.argsort(times["seq"])
+    np.testing.assert_array_equal(times["seq"][order], np.arange(len(samples)))
+    np.testing.assert_array_equal(
+        times["device_time"][order], np.rint(samples.time_s * 1e9).astype("timedelta64[ns]")
+    )
+    np.testing.assert_array_equal(
+        times["host_time"][order], samples.host_time_ns.astype("datetime64[ns]")
+    )
+
+
+def test_the_printed_address_opens_on_the_stream_and_only_this_machine_can(session):
+    async def look():
+        async with session() as s:
+            await s.serving()
+            web, command = s.viewer.status()["urls"]
+            address = urlsplit(web)
+            stream = f"rerun+http://127.0.0.1:{s.port}/proxy"
+            assert parse_qs(address.query)["url"] == [stream]
+            assert command.endswith(f"--connect {stream}")
+            page = http.client.HTTPConnection(address.hostname, address.port, timeout=PATIENCE_S)
+            page.request("GET", f"/?{address.query}")
+            assert b"rerun" in page.getresponse().read().lower()
+            page.close()
+            listening = child(SERVER).net_connections("inet")
+            assert {c.laddr.ip for c in listening if c.status == "LISTEN"} == {"127.0.0.1"}
+
+    asyncio.run(look())
+
+
+@pytest.mark.parametrize("victim", [FEEDER, SERVER])
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_process_that_dies_or_stalls_is_replaced_and_samples_flow_again(session, victim, how):
+    async def stream():
+        async with session() as s:
+            await s.serving()
+            await s.flow_until(lambda: s.viewer.status()["sent"] > 500, "the first samples")
+            process = child(victim)
+            process.send_signal(how)
+            await s.flow_until(lambda: s.viewer.status()["restarts"] >= 1, "noticed")
+            await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "serving again")
+            sent = s.viewer.status()["sent"]
+            await s.flow_until(lambda: s.viewer.status()["sent"] > sent + 500, "samples again")
+            assert not process.is_running()
+            assert [kind for kind, _ in s.said][:2] == ["viewer", "fault"]
+        assert s.balance() <= s.shown <= s.balance() + 2000  # the rest still waited at the end
+
+    asyncio.run(stream())
+
+
+def test_a_stalled_feeder_costs_samples_but_neither_time_nor_memory(session, wobble):
+    batch = wobble(500)
+
+    async def stream():
+        async with session() as s:
+            await s.serving()
+            child(FEEDER).send_signal(signal.SIGSTOP)
+            memory = psutil.Process().memory_info().rss
+            for _ in range(2000):  # an hour's worth before anybody notices
+                for _ in range(2):
+                    s.viewer.show_samples(batch)
+                await asyncio.sleep(0)
+            await until(lambda: s.viewer.status()["restarts"] == 1, "noticed")
+            assert psutil.Process().memory_info().rss - memory < 20e6
+            status = s.viewer.status()
+            assert status["dropped"] >= 2_000_000 - 4000
+            assert status["sent"] + status["dropped"] <= 2_000_000
+
+    asyncio.run(stream())
+
+
+def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_path):
+    async def stream():
+        async with session() as s:
+            await s.serving()
+            command = [
+                rerun_program(), f"rerun+http://127.0.0.1:{s.port}/proxy",
+                "--save", tmp_path / "other.rrd", "--bind", "127.0.0.1", "--port", str(free_port()),
+            ]  # fmt: skip
+            other = subprocess.Popen(
+                command, stderr=subprocess.DEVNULL, env={**os.environ, "CI": "1"}
+            )
+            await s.flow_until(
+                lambda: (
+                    (tmp_path / "other.rrd").exists()
+                    and (tmp_path / "other.rrd").stat().st_size > 100_000
+                ),
+                "the other viewer receives",
+            )
+            other.send_signal(signal.SIGSTOP)
+            server = child(SERVER)
+
+            def push():
+                s.show(1000)
+                return s.viewer.status()["sent"] > 150_000
+
+            await until(push, "the samples of five minutes sent past the stopped viewer")
+            assert s.viewer.status()["restarts"] == 0
+            assert server.memory_info().rss < 400e6
+        other.kill()
+        other.wait()
+
+    asyncio.run(stream())
+
+
+def test_nothing_outlives_a_daemon_that_is_killed(free_port):
+    daemon = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import asyncio\n"
+            "from groundstation.viewer.viewer import Viewer, ViewerMode\n"
+            "async def main():\n"
+            f"    viewer = Viewer(ViewerMode.SERVE, port={free_port()}, web_port={free_port()},\n"
+            "                    on_event=lambda kind, text: print(kind, flush=True))\n"
+            "    await viewer.start()\n"
+            "    await asyncio.Event().wait()\n"
+            "asyncio.run(main())",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with daemon:
+        assert daemon.stdout.readline() == "viewer\n"
+        children = [child(FEEDER, daemon.pid), child(SERVER, daemon.pid)]
+        children[0].send_signal(signal.SIGSTOP)
+        daemon.kill()
+        daemon.wait()
+        _, alive = psutil.wait_procs(children, timeout=PATIENCE_S)
+        assert not alive
+
+
+@pytest.mark.parametrize("stopped", [(), (FEEDER,), (FEEDER, SERVER)])
+def test_stop_ends_every_child_even_stopped_ones(session, stopped):
+    async def stream():
+        async with session() as s:
+            await s.serving()
+            s.show(100)
+            children = [child(FEEDER), child(SERVER)]
+            for marker in stopped:
+                child(marker).send_signal(signal.SIGSTOP)
+        assert not [process for process in children if process.is_running()]
+        assert s.viewer.status()["state"] == "off"
+        assert s.viewer.status()["sent"] == 100  # what waited was handed over
+        await s.viewer.stop()
+
+    asyncio.run(stream())
+
+
+def test_it_can_be_started_again_on_the_same_ports(session):
+    async def twice():
+        s = session()
+        for _ in range(2):
+            async with s:
+                await s.serving()
+                s.show(10)
+
+    asyncio.run(twice())
+
+
+def test_stopping_before_it_serves_leaves_nothing(session):
+    async def stream():
+        async with session():
+            await until(lambda: child("groundstation.viewer.feeder"), "the feeder starts")
+        assert psutil.Process().children(recursive=True) == []
+
+    asyncio.run(stream())
+
+
+@pytest.mark.parametrize("which", ["port", "web_port"])
+def test_a_taken_port_is_named(session, which):
+    async def start():
+        s = session()
+        with socket.create_server(("127.0.0.1", getattr(s, which))):
+            with pytest.raises(TakenError, match=rf"port {getattr(s, which)} is taken"):
+                await s.viewer.start()
+            assert s.viewer.status()["state"] == "off"
+
+    asyncio.run(start())
+
+
+def test_a_missing_rerun_program_is_one_clear_line(session, monkeypatch, tmp_path):
+    monkeypatch.setenv("RERUN_CLI_PATH", str(tmp_path / "rerun"))
+    with pytest.raises(GroundStationError, match="rerun program is missing"):
+        asyncio.run(session().viewer.start())
+
+
+def test_a_program_that_cannot_serve_is_retried_reported_and_costs_nothing_else(
+    session, monkeypatch, tmp_path
+):
+    broken = tmp_path / "rerun"
+    broken.write_text("#!/bin/sh\necho 'no such flag' >&2\nexit 2\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("RERUN_CLI_PATH", str(broken))
+    monkeypatch.setattr("groundstation.viewer.viewer.BACK_OFF_S", (0.05, 0.1))
+
+    async def stream():
+        async with session() as s:
+            await s.flow_until(lambda: s.viewer.status()["state"] == "failed", "given up hope")
+            assert s.viewer.status()["restarts"] == 3
+            await s.flow_until(lambda: s.viewer.status()["dropped"] > 0, "drops are counted")
+            monkeypatch.delenv("RERUN_CLI_PATH")
+            await s.flow_until(lambda: s.viewer.status()["state"] == "serving", "it recovers")
+        assert (
+            "fault",
+            "the rerun server ended: no such flag; starting it again in 0.05 s",
+        ) in s.said
+
+    asyncio.run(stream())
+
+
+def test_without_a_display_spawn_says_what_to_do_instead(session, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(BadInputError, match="--viewer serve"):
+        asyncio.run(session(ViewerMode.SPAWN).viewer.start())
+
+
+def test_a_window_that_cannot_open_is_reported_and_serving_goes_on(session, monkeypatch):
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", ":987")
+
+    async def stream():
+        async with session(ViewerMode.SPAWN) as s:
+            await until(lambda: len(s.said) == 2, "the window ends")
+            assert s.viewer.status()["state"] == "serving"
+        (_, serving), (kind, text) = s.said
+        assert serving.startswith("serving at http://127.0.0.1:")
+        assert kind == "fault"
+        assert text.startswith("the viewer window ended: ")
+
+    asyncio.run(stream())
+
+
+def test_off_means_off(session, wobble):
+    async def stream():
+        async with session(ViewerMode.OFF) as s:
+            s.viewer.show_samples(wobble(10))
+            s.viewer.show_statistics({"rate_hz": 1.0}, 0)
+            assert s.viewer.status() == {
+                "state": "off", "sent": 0, "dropped": 0, "restarts": 0, "urls": [],
+            }  # fmt: skip
+            assert psutil.Process().children() == []
+
+    asyncio.run(stream())
+
+
+def test_the_daemons_process_never_loads_rerun():
+    code = (
+        "import sys, groundstation.viewer.viewer\n"
+        "sys.exit(any(name.startswith('rerun') for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
