@@ -66,6 +66,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 _TICK_S = 1e-9
 """Tick of a mapped recording whose time is not in the packet's ticks."""
+_LIMITS = {"ticks": (-4e18, 4e18), "debug": (0.0, 2.0**32 - 1)}
 
 
 class Column(msgspec.Struct, forbid_unknown_fields=True):
@@ -246,11 +247,10 @@ def _batch(block: Block, channels: list[_Channel], tick_s: float) -> SampleBatch
     samples = empty_samples(len(block.values), tick_s)
     for place, channel in enumerate(channels):
         values = block.values[:, place]
-        if channel.field in ("ticks", "debug"):
-            limit = 2.0**63 if channel.field == "ticks" else 2.0**32
-            low = -limit if channel.field == "ticks" else 0.0
+        if channel.field in _LIMITS:
+            low, high = _LIMITS[channel.field]
             scaled = np.rint(values * channel.scale)
-            wrong = np.flatnonzero(~((scaled >= low) & (scaled < limit)))
+            wrong = np.flatnonzero(~((scaled >= low) & (scaled <= high)))
             if len(wrong):
                 row = int(wrong[0])
                 raise block.error(row, place, f"{values[row]:g} cannot be {channel.key}")

@@ -39,8 +39,17 @@ THESIS_COLUMNS = (
 """Header of the thesis's layout (thesis figure 5.7)."""
 
 
-_TABLE_EXTRAS = ("segment", "host_time_s", "debug")
 _TABLE_TICK_S = 1e-9
+_MAX_TICKS = 2**47
+"""Four years after the craft was switched on."""
+_MAX_TIME_S = 4e9
+"""Device or Unix time of a physical table, beyond the year 2090."""
+_TABLE_LIMITS = {
+    "time_s": (-_MAX_TIME_S, _MAX_TIME_S),
+    "segment": (0, 2**31 - 1),
+    "host_time_s": (-_MAX_TIME_S, _MAX_TIME_S),
+    "debug": (0, 2**32 - 1),
+}
 _WRITE_ROWS = 20_000
 
 
@@ -114,8 +123,9 @@ def _read_thesis(table: TextTable, places: list[int]) -> Recording:
     channels: list[NDArray[np.int32]] = [np.empty((0, 14), np.int32)]
     debugs: list[NDArray[np.uint32]] = [np.empty(0, np.uint32)]
     for block in table.blocks(places, integers=True):
-        _require_range(block, slice(1, 15), np.iinfo(np.int32))
-        _require_range(block, slice(15, 16), np.iinfo(np.uint32))
+        _require_range(block, slice(0, 1), -_MAX_TICKS, _MAX_TICKS)
+        _require_range(block, slice(1, 15), -(2**31), 2**31 - 1)
+        _require_range(block, slice(15, 16), 0, 2**32 - 1)
         stamps.append(block.values[:, 0].copy())
         channels.append(block.values[:, 1:15].astype(np.int32))
         debugs.append(block.values[:, 15].astype(np.uint32))
@@ -132,12 +142,12 @@ def _read_thesis(table: TextTable, places: list[int]) -> Recording:
     )
 
 
-def _require_range(block: Block, columns: slice, limits: np.iinfo[Any]) -> None:
+def _require_range(block: Block, columns: slice, low: float, high: float) -> None:
     values = block.values[:, columns]
-    outside = np.argwhere((values < limits.min) | (values > limits.max))
+    outside = np.argwhere(~((values >= low) & (values <= high)))
     if len(outside):
         row, column = (int(place) for place in outside[0])
-        why = f"{values[row, column]} is outside {limits.min}..{limits.max}"
+        why = f"{values[row, column]:.15g} is outside {low:.15g}..{high:.15g}"
         raise block.error(row, columns.start + column, why)
 
 
@@ -194,14 +204,12 @@ def _as_packets(
 
 def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
     channels = [channel for channel in CHANNELS if channel.header in positions]
-    extras = [name for name in _TABLE_EXTRAS if name in positions]
-    names = ["time_s", *extras, *(channel.header for channel in channels)]
+    extras = [name for name in _TABLE_LIMITS if name in positions]
+    names = [*extras, *(channel.header for channel in channels)]
     blocks = []
     for block in table.blocks([positions[name] for name in names]):
-        unusable = np.argwhere(~np.isfinite(block.values[:, : 1 + len(extras)]))
-        if len(unusable):
-            row, place = (int(number) for number in unusable[0])
-            raise block.error(row, place, "needs a finite number")
+        for place, name in enumerate(names[: len(extras)]):
+            _require_range(block, slice(place, place + 1), *_TABLE_LIMITS[name])
         values = dict(zip(names, block.values.T, strict=True))
         ticks = np.rint(values["time_s"] / _TABLE_TICK_S).astype(np.int64)
         samples = empty_samples(len(ticks), _TABLE_TICK_S)

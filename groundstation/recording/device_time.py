@@ -9,6 +9,9 @@ RESTART_PAUSE_S = 2.0
 """Silence put before a segment that starts earlier than the one before it ended: long enough
 to be taken for a restart when the recording is replayed (1 s of silence declares one)."""
 
+_LATEST_NS = 1 << 61
+"""Segments of nonsense (decades each) stop adding up here, below what 64 bits hold."""
+
 SYNTHESISED = {"source": "made from device time"}
 """Metadata record ``host_time`` of a recording whose host stamps were never measured."""
 
@@ -26,7 +29,7 @@ def host_time_from_ticks(
     """Host stamps in ns, shape (n,), that keep every device interval and never run backwards.
 
     The first segment starts at its own device time (the Unix epoch plus that), so that the
-    same file always gives the same stamps.
+    same file always gives the same stamps. Device time must lie within +-2^62 ns.
     """
     if len(ticks) == 0:
         return np.empty(0, np.int64)
@@ -38,5 +41,6 @@ def host_time_from_ticks(
     for start, end in zip(starts, ends, strict=True):
         shift_ns = max(0, earliest_ns - int(device_ns[start]))
         offset_ns[start : end + 1] = shift_ns
-        earliest_ns = int(device_ns[end]) + shift_ns + round(RESTART_PAUSE_S * 1e9)
+        ended_ns = int(device_ns[end]) + shift_ns
+        earliest_ns = min(ended_ns + round(RESTART_PAUSE_S * 1e9), _LATEST_NS)
     return device_ns + offset_ns

@@ -27,6 +27,8 @@ MAGIC = 0xBC
 TICK_S = 1e-6
 """Device time of both versions is kept in microseconds."""
 FIXED_FREQUENCY_ID = 0xFFFF
+MAX_TIME_US = 1 << 47
+"""Four years after the craft was switched on."""
 _TIMESTAMPS = {1: ("<u4", 1000), 2: ("<u8", 1)}
 """Version -> type of a record's timestamp, microseconds per count."""
 _LETTERS = {
@@ -93,12 +95,13 @@ def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
         damage.append("no fixed-frequency event: there are tables but no samples")
     else:
         columns, time_us = tables[fixed.name].columns, ticks[FIXED_FREQUENCY_ID]
+    usable = (time_us >= 0) & (time_us < MAX_TIME_US)
     if not sound:
-        in_order = longest_in_order(time_us)
-        if not in_order.all():
-            damage.append(f"{(~in_order).sum()} samples with an impossible time were left out")
-            columns = {name: values[in_order] for name, values in columns.items()}
-            time_us = time_us[in_order]
+        usable[usable] = longest_in_order(time_us[usable])
+    if not usable.all():
+        damage.append(f"{(~usable).sum()} samples with an impossible time were left out")
+        columns = {name: values[usable] for name, values in columns.items()}
+        time_us = time_us[usable]
     samples, notes = samples_from_columns(columns, time_us, TICK_S, gyro_unit)
     return Recording(
         path=path,

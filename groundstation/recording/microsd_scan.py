@@ -67,10 +67,10 @@ def scan_damaged(
         step = walk.step(position)
         if step is None and walk.is_cut_off(position):
             break
-        if step is None or last is None or abs(step.time_us - last.time_us) > _NEAR_US:
+        if step is None or (last and abs(step.time_us - last.time_us) > _NEAR_US):
             resumed = walk.resume(position if last is None else last.start + 1)
-            if last is not None and resumed < position:
-                found[last.number].pop()  # damage that looked like a record
+            if last is not None and walk.is_false(last, resumed):
+                found[last.number].pop()
                 position = last.start
             if resumed > position:
                 damage.append(f"bytes {position}..{resumed - 1} are no records and were left out")
@@ -142,6 +142,14 @@ class _Walk:
         """Whether a record starts here and the end of the file cuts it off."""
         number = int.from_bytes(self._data[position : position + 2], "little")
         return number in self._sizes and position + self._sizes[number] > len(self._data)
+
+    def is_false(self, last: _Step, resumed: int) -> bool:
+        """Whether damage turned one event's id into another's: then the length is wrong."""
+        sizes = set(self._sizes.values())
+        return resumed < last.end or (
+            resumed - last.end not in sizes
+            and resumed - last.start in sizes - {last.end - last.start}
+        )
 
     def resume(self, position: int) -> int:
         """The first place at or after ``position`` where records follow each other."""

@@ -45,7 +45,7 @@ def packet_recordings(draw, max_rows=30):
     """Any packets with unwrapped timestamps that may run backwards."""
     rows = draw(st.integers(1, max_rows))
     raw = draw(hnp.arrays(np.uint8, (rows, 32)))
-    wraps = draw(hnp.arrays(np.int64, rows, elements=st.integers(0, 2**32)))
+    wraps = draw(hnp.arrays(np.int64, rows, elements=st.integers(0, 2**30)))
     ticks = raw[:, :2].copy().view("<u2")[:, 0].astype(np.int64) + wraps * 65536
     host = np.zeros(rows, np.int64)
     samples = samples_from_packets(
