@@ -185,9 +185,9 @@ class McapFile:
     def finish(self) -> None:
         """Write the summary, sync and close. Not finished, the file reads up to its end."""
         self._close_chunk()
-        self._stream.write(_RECORD.pack(Opcode.DATA_END, 4) + struct.pack("<I", self._data_crc))
         self._stream.flush()
-        self._stream.write(self._summary(self._stream.tell()))
+        end = _RECORD.pack(Opcode.DATA_END, 4) + struct.pack("<I", self._data_crc)
+        self._stream.write(end + self._summary(self._stream.tell() + len(end)))
         self._stream.flush()
         os.fsync(self._stream.fd)
         self.abandon()

@@ -1,7 +1,7 @@
 """The recorder: takes what the daemon has and never makes it wait.
 
-A thread of its own merges, encodes, compresses, writes and syncs. The caller only puts
-references into a bounded queue; what does not fit is counted and reported, not waited for.
+A thread of its own merges, encodes, compresses and writes. The caller only puts references
+into a bounded queue; what does not fit is counted and reported, not waited for.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from groundstation.errors import RecordingError
+from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     EVENTS_TOPIC,
@@ -76,8 +77,8 @@ _Item = RawBatch | SampleBatch | _Entry
 class McapRecorder:
     """Records into a new MCAP file until ``finish``.
 
-    A killed process loses ``flush_s`` and what the disk is busy with; the file is readable
-    without having been finished. When the disk fails, its free space falls
+    A killed process loses what arrived in the last ``flush_s``; the file is readable without
+    having been finished. When the disk fails, its free space falls
     under ``low_space_bytes`` or the file is removed, the recording stops, ``on_fault`` gets
     one line (from the recorder's thread) and what was written stays good.
 
@@ -121,6 +122,7 @@ class McapRecorder:
             self._out.discard()
             raise RecordingError(f"{path}: not recording: only {free:.1f} MiB free; make room")
         self._finishing = threading.Event()
+        self._syncer = _Syncer(self._out.file)
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -198,29 +200,32 @@ class McapRecorder:
             self._stop("failed", f"recording stopped: {error.strerror}; what was written is kept")
         except Exception as error:  # a fault of ours must not take the daemon with it
             with contextlib.suppress(OSError):
-                self._out.file.finish()
+                self._finish_file()
             self._stop("failed", f"recording stopped by an internal fault: {error!r}")
         finally:
+            self._syncer.close()
             self._out.file.abandon()
+
+    def _finish_file(self) -> None:
+        self._syncer.close()
+        self._out.file.finish()
 
     def _record(self) -> None:
         while True:
             finishing = self._finishing.wait(self._flush_s)
             self._write_queued()
             self._report_overflow()
-            written = self._out.file.size
             self._out.file.flush()
-            if self._out.file.size > written:
-                self._out.file.sync()
+            self._syncer.request(self._out.file.size)
             if self._out.file.is_removed():
                 self._stop("failed", "recording stopped: the file was removed")
                 return
             if self._space_is_low():
-                self._out.file.finish()
+                self._finish_file()
                 self._stop("low_space", "recording finished early: the disk is almost full")
                 return
             if finishing:
-                self._out.file.finish()
+                self._finish_file()
                 with self._lock:
                     self._state = "finished"
                 return
@@ -285,6 +290,48 @@ class McapRecorder:
         if self._on_fault is not None:
             with contextlib.suppress(Exception):  # the listener's fault is not the recording's
                 self._on_fault(self._text)
+
+
+class _Syncer:
+    """Syncs the file from a thread of its own.
+
+    A sync can take seconds on a memory card; what arrives meanwhile must still be handed to
+    the operating system, or a killed process would lose it.
+    """
+
+    def __init__(self, file: McapFile) -> None:
+        self._file = file
+        self._asked_size = 0
+        self._error: OSError | None = None
+        self._closing = False
+        self._wake = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
+        self._thread.start()
+
+    def request(self, size: int) -> None:
+        """Sync soon where the file has grown to ``size``. Raises what the last sync raised."""
+        if self._error is not None:
+            raise self._error
+        if size > self._asked_size:
+            self._asked_size = size
+            self._wake.set()
+
+    def close(self) -> None:
+        """Wait for a running sync; none starts after this. Safe to call twice."""
+        self._closing = True
+        self._wake.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._closing:
+                return
+            try:
+                self._file.sync()
+            except OSError as error:
+                self._error = error
 
 
 def _count(item: _Item) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.recording.cdr import HEADER
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
 
 IMU_TOPIC = "/imu"
@@ -122,22 +123,21 @@ _BATTERY = _layout(
 class StandardMessages:
     """Thins sample batches to one message per 20 ms of device time and topic.
 
-    Keeps which 20 ms it has served, so that consecutive batches join without a seam.
+    Remembers which 20 ms it has served, so that consecutive batches join without a seam.
     """
 
     def __init__(self) -> None:
-        self._last = (-1, -1)
+        self._segment: int | None = None
+        self._origin_s = 0.0
+        self._slot = -1
 
     def messages(self, batch: SampleBatch) -> Iterator[tuple[str, int, bytes]]:
         """Topic, log time (ns) and CDR payload for what ``batch`` adds."""
         if not len(batch):
             return
-        slots = np.floor(batch.time_s * RATE_HZ).astype(np.int64)
-        new = np.empty(len(batch), np.bool_)
-        new[0] = (int(batch.segment[0]), int(slots[0])) != self._last
-        new[1:] = (np.diff(slots) != 0) | (np.diff(batch.segment) != 0)
-        self._last = (int(batch.segment[-1]), int(slots[-1]))
-        chosen = batch[new]
+        restarts = np.flatnonzero(np.diff(batch.segment)) + 1
+        runs = zip(np.split(batch.segment, restarts), np.split(batch.time_s, restarts), strict=True)
+        chosen = batch[np.concatenate([self._new(int(run[0]), times) for run, times in runs])]
         if not len(chosen):
             return
         times = np.maximum(chosen.host_time_ns, 0)
@@ -149,6 +149,17 @@ class StandardMessages:
         ):
             if not np.isnan(volt):
                 yield BATTERY_TOPIC, time_ns, message.tobytes()
+
+    def _new(self, segment: int, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which samples of one segment are the first of their 20 ms."""
+        if segment != self._segment:
+            self._segment, self._origin_s, self._slot = segment, float(time_s[0]), -1
+        since_s = time_s - self._origin_s
+        # half a sample early, or the rounding of ticks decides which sample is first
+        slots = np.floor((since_s + SAMPLE_PERIOD_S / 2) * RATE_HZ).astype(np.int64)
+        new = np.diff(slots, prepend=self._slot) != 0
+        self._slot = int(slots[-1])
+        return new
 
 
 def quaternion(attitude_rad: NDArray[np.floating]) -> NDArray[np.float64]:
