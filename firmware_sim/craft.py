@@ -83,7 +83,7 @@ class StandIn:
         self._power_on(first=True)
 
     def advance(self, until_s: float) -> tuple[Packets, NDArray[np.float64]]:
-        """Fly to ``until_s`` of host time since power-on.
+        """Fly every pass that is due by ``until_s`` of host time since power-on.
 
         Returns the packets (n, 32) that have reached the host since the last call, and the
         time (s) at which each did. The same for a seed however the time is sliced.
@@ -93,7 +93,7 @@ class StandIn:
             target_ns = int(until_s * 1e9 * scale)
             out = []
             while True:
-                passes = -((self._now_ns - target_ns) // PASS_NS)
+                passes = (target_ns - self._now_ns) // PASS_NS + 1
                 if passes <= 0:
                     break
                 rows = self._fly_passes(min(passes, CHUNK_PASSES))

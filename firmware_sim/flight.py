@@ -37,6 +37,8 @@ WAIT_NS = 1_000_000_000
 """The firmware waits so long before anything moves."""
 TEST_NS, TEST_EVERY_NS, TEST_COMPARE = 50_000_000, 200_000_000, 101
 """The motor test: each motor turns for 50 ms, 200 ms apart, at a fifth of full PWM."""
+FIRST_ROW = 10
+"""Passes until sensors and battery have been read and telemetry starts."""
 TIMER_NS = 73_000.0 / 72.0
 LONG_INTERRUPT = 0.02
 """Share of rows whose timestamp is late by a long interrupt."""
@@ -82,10 +84,11 @@ def fly() -> Callable[..., Any]:
             if index % PILOT_PASSES == 0:
                 decide(p, fw, s, programme[tick], hover * _battery_ratio(fw), s.now_ns)
             _firmware(p, fw, s, index, slot)
-            _report(p, fw, s, rows[written], slot, index)
-            if len(truth) > 0:
-                _witness(fw, s, truth[written], slot)
-            written += 1
+            if index >= FIRST_ROW:
+                _report(p, fw, s, rows[written], slot, index)
+                if len(truth) > 0:
+                    _witness(fw, s, truth[written], slot)
+                written += 1
             _act(p, fw, s, index)
             phase, speed = s.y[PHASE], s.y[ROTOR]
             _move(p, s)

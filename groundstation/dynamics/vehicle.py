@@ -173,7 +173,7 @@ BUILT_IN: dict[str, Vehicle] = {
             capacity_mah=170,
             internal_ohm=0.20,
             supply_ohm=0.08,
-            drive_efficiency=0.31,
+            drive_efficiency=0.37,
             electronics_a=0.12,
         ),
     ),
