@@ -32,6 +32,8 @@ LOW_BATTERY_V = 3.0
 _GYRO_RANGES_DEG_S = (250, 500, 1000, 2000)
 _ACCELEROMETER_RANGES_G = (2, 4, 8, 16, 24)
 _RAIL = 0.9995
+_PERIOD_TOLERANCE = 0.05
+_SINGLE_STEPS = 0.02
 _ENVELOPE_BLOCKS = 50
 
 
@@ -121,7 +123,7 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"{report['repeated_times']} samples repeat the time of the one before"
     if report["segments"] > 1:
         yield f"restarts of the device: {report['segments'] - 1}"
-    if samples.tick_s == TICK_S and not _is_telemetry_period(report["period_s"]):
+    if samples.tick_s == TICK_S and report["period_s"] != SAMPLE_PERIOD_S:
         yield f"a sample every {report['period_s'] * 1e3:.3g} ms where the telemetry has 2 ms"
     for channel, count in report["clipping"].items():
         yield f"{channel} at its limit in {count} samples"
@@ -153,17 +155,16 @@ def _steps(samples: SampleBatch) -> _Steps:
     step_s = np.diff(samples.ticks)[rows].astype(np.float64) * samples.tick_s
     moving = step_s[step_s > 0]
     period_s = float(np.median(moving)) if len(moving) else 0.0
-    if samples.tick_s == TICK_S and (not len(moving) or _is_telemetry_period(period_s)):
-        period_s = SAMPLE_PERIOD_S
+    if samples.tick_s == TICK_S:
+        # Half of the steps may be gaps: a few single steps tell the telemetry's period.
+        single = np.abs(moving / SAMPLE_PERIOD_S - 1) < _PERIOD_TOLERANCE
+        if len(moving) == 0 or single.mean() > _SINGLE_STEPS:
+            period_s = SAMPLE_PERIOD_S
     lost = np.zeros(len(rows), np.int64)
     if period_s > 0:
         lost = np.maximum(np.rint(step_s / period_s).astype(np.int64) - 1, 0)
         lost[step_s <= 1.5 * period_s] = 0
     return _Steps(rows, step_s, lost, period_s)
-
-
-def _is_telemetry_period(period_s: float) -> bool:
-    return abs(period_s / SAMPLE_PERIOD_S - 1) < 0.05
 
 
 def _gaps(samples: SampleBatch, steps: _Steps) -> list[dict[str, Any]]:

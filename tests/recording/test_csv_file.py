@@ -1,4 +1,4 @@
-import os
+import resource
 import tracemalloc
 from pathlib import Path
 
@@ -256,13 +256,17 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path, write):
         write(read_csv(EXCERPT), tmp_path / "nowhere" / "log.csv")
 
 
-def test_a_failed_write_leaves_no_file(tmp_path):
-    samples = packet_recording(np.arange(3) * 1973).samples
-    broken = Recording(Path("x"), "csv", samples, None)
-    broken.samples.ticks.resize(2, refcheck=False)
-    with pytest.raises(ValueError):
-        write_csv(broken, tmp_path / "log.csv")
-    assert os.listdir(tmp_path) == []
+@pytest.mark.parametrize("write", [write_csv, write_table_csv])
+def test_a_disk_that_takes_no_more_is_one_line_and_leaves_no_half_file(tmp_path, write):
+    recording = packet_recording(np.arange(3000) * 1973)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+    try:
+        with pytest.raises(RecordingError, match="log.csv: cannot be written: File too large"):
+            write(recording, tmp_path / "log.csv")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_table_says_its_units_and_leaves_out_what_is_not_there(tmp_path):
