@@ -1,0 +1,97 @@
+"""The software craft as a link. The only module that knows ``firmware_sim``."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from groundstation.clock import HostClock
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.base import Link
+from groundstation.telemetry.samples import RawBatch
+
+BATCH_S = 0.01
+"""Simulated time per batch."""
+FAST_BATCH_S = 0.5
+CATCH_UP_S = 0.25
+"""A stalled process skips simulated time beyond this instead of racing to catch up."""
+
+
+class StandInLink(Link):
+    """Flies a ``firmware_sim.StandIn`` and delivers what its bridge forwards.
+
+    options: settings of the stand-in, as in the configuration's ``[stand_in]`` table.
+    speed: 1 for real time, ``inf`` for as fast as the reader takes batches. The host stamps
+        keep simulated spacing at any speed.
+    """
+
+    def __init__(
+        self, options: dict[str, Any], *, speed: float = 1.0, clock: HostClock | None = None
+    ) -> None:
+        super().__init__("stand-in", clock=clock)
+        if not speed > 0:
+            raise BadInputError(f"stand-in speed {speed:g}: must be greater than 0 (or 'max')")
+        from firmware_sim.settings import StandInSettings
+
+        try:
+            self._settings = msgspec.convert(options, StandInSettings)
+        except msgspec.ValidationError as error:
+            raise BadInputError(f"configuration [stand_in]: {error}") from error
+        self.speed = speed
+        self.silence_s = 2.0
+        self._craft: Any = None
+        self._flown_s = 0.0
+        self._origin_ns = 0
+        self._due_s = 0.0
+        self._flight: asyncio.Future[Any] | None = None
+
+    async def _open(self) -> None:
+        self._craft = await asyncio.to_thread(self._power_on)
+        self._flown_s = 0.0
+        self._flight = None
+        self._origin_ns = self.clock()
+        self._due_s = time.monotonic()
+
+    def _power_on(self) -> Any:
+        from firmware_sim.craft import StandIn
+
+        try:
+            craft = StandIn(self._settings)
+            # compiles on a machine's first run, which must not look like a silent link
+            craft.advance(0.0)
+        except (ValueError, OSError) as error:
+            raise LinkError(f"stand-in: {error}") from error
+        return craft
+
+    async def _read(self) -> RawBatch:
+        step_s = FAST_BATCH_S if self.speed == float("inf") else BATCH_S * max(1.0, self.speed)
+        while True:
+            if self._flight is None:
+                wait_s = self._due_s - time.monotonic()
+                if wait_s > 0:
+                    await asyncio.sleep(wait_s)
+                target_s = self._flown_s + step_s
+                self._flight = asyncio.get_running_loop().run_in_executor(
+                    None, self._craft.advance, target_s
+                )
+            # shielded: a cancelled read leaves the flight for the next one, losing nothing
+            packets, arrival_s = await asyncio.shield(self._flight)
+            self._flight = None
+            self._flown_s += step_s
+            behind_s = time.monotonic() - self._due_s
+            self._due_s += step_s / self.speed
+            if behind_s > CATCH_UP_S and self.speed != float("inf"):
+                self._due_s += behind_s
+                self._origin_ns += int(behind_s * 1e9)
+            if len(packets):
+                stamps = self._origin_ns + np.rint(arrival_s * 1e9).astype(np.int64)
+                return RawBatch(packets, stamps)
+
+    async def _close(self) -> None:
+        if self._flight is not None:
+            await asyncio.wait([self._flight])
+        self._craft = self._flight = None
