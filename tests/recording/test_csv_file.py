@@ -262,7 +262,7 @@ def test_a_disk_that_takes_no_more_is_one_line_and_leaves_no_half_file(tmp_path,
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
     try:
-        with pytest.raises(RecordingError, match="log.csv: cannot be written: File too large"):
+        with pytest.raises(RecordingError, match=r"log\.csv: cannot be written: File too large"):
             write(recording, tmp_path / "log.csv")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
