@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
-GROUNDSTATION_LOCAL_DATA ?= ../shared/data
+GROUNDSTATION_LOCAL_DATA ?= local-data
 
 .PHONY: run test check-local lint bench clean
 

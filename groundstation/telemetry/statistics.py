@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.telemetry.decoder import Decoded, DecoderCounts
+from groundstation.telemetry.samples import SampleBatch
 
 CLOCK_SPAN_S = 20.0
 """The clocks are compared once this much device time has passed."""
@@ -99,6 +100,10 @@ class LinkMeter:
         if self._fastest is None or absolute < self._fastest[1]:
             self._fastest = (float(time_s[best]), absolute)
 
+    def add_samples(self, samples: SampleBatch) -> None:
+        """Samples of a source without packets: counted, nothing to measure on the way."""
+        self._samples += len(samples)
+
     def close_window(self, now_ns: int, counts: DecoderCounts) -> LinkStatistics:
         """Statistics since the last call; ``counts`` are the decoder's totals now."""
         window_s = max((now_ns - self._window_start_ns) * 1e-9, 1e-9)
@@ -115,7 +120,7 @@ class LinkMeter:
             rate_hz=self._samples / window_s,
             packets_hz=packets / window_s,
             loss_pct=100.0 * lost / sent if sent else 0.0,
-            copies=self._copies / self._samples if self._samples else None,
+            copies=self._copies / self._samples if self._copies else None,
             latency_ms=_percentile(lateness_ms, 50),
             latency_p99_ms=_percentile(lateness_ms, 99),
             jitter_ms=_spread(lateness_ms),

@@ -1,0 +1,54 @@
+"""The ``groundstation`` command."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from groundstation import __version__
+from groundstation.cli import control, files, run
+from groundstation.errors import GroundStationError
+
+app = typer.Typer(
+    name="groundstation",
+    help="Ground station for the Crazyflie quadrotor: receive, record, view and replay telemetry.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(f"groundstation {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_show_version, is_eager=True, help="Show the version."
+    ),
+) -> None:
+    pass
+
+
+for module in (run, control, files):
+    module.add_commands(app)
+
+
+def main() -> None:
+    """Run the command line; what went wrong becomes one line and exit status 1."""
+    try:
+        app()
+    except GroundStationError as error:
+        print(f"groundstation: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("groundstation: interrupted", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)

@@ -1,0 +1,182 @@
+"""``groundstation run``: the daemon in the foreground."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import MutableMapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from groundstation.errors import BadInputError, GroundStationError
+
+if TYPE_CHECKING:
+    from groundstation.service.config import Config
+    from groundstation.service.station import Station
+
+DISPLAY_S = 0.5
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("run")(run)
+
+
+def run(
+    config: Path | None = typer.Option(None, help="TOML configuration file."),
+    link: str | None = typer.Option(None, help="stand-in, or replay:FILE."),
+    command: str | None = typer.Option(
+        None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
+    ),
+    duration_s: float | None = typer.Option(
+        None, "--for", min=0.0, help="Stop after so many seconds."
+    ),
+    recordings: Path | None = typer.Option(None, help="Folder for recordings."),
+    record: bool | None = typer.Option(None, "--record/--no-record", help="Record at once."),
+    viewer: str | None = typer.Option(None, help="off, serve (browser) or spawn (window)."),
+    viewer_port: int | None = typer.Option(None, min=1, max=65535, help="rerun's own TCP port."),
+    web_port: int | None = typer.Option(None, min=1, max=65535, help="TCP port for the browser."),
+    speed: str | None = typer.Option(
+        None, help="Of a stand-in or replay: 1 is real time, 'max' as fast as possible."
+    ),
+) -> None:
+    """Receive telemetry, record it and show it live, until Ctrl-C.
+
+    Example: [bold]groundstation run --link stand-in --viewer serve[/bold]
+    """
+    from groundstation.service.config import load_config
+
+    settings = _override(
+        load_config(config),
+        {
+            "link": {"name": link, "speed": _speed(speed)},
+            "recording": {"folder": None if recordings is None else str(recordings),
+                          "enabled": record},
+            "viewer": {"mode": viewer, "port": viewer_port, "web_port": web_port},
+            "command": command,
+        },
+    )  # fmt: skip
+    asyncio.run(_serve(settings, duration_s))
+
+
+async def _serve(config: Config, duration_s: float | None) -> None:
+    from groundstation.service.config import socket_path
+    from groundstation.service.control import ControlServer, ControlSocket
+    from groundstation.service.station import Station
+
+    live = sys.stdout.isatty()
+    _configure_log(live)
+    station = Station(config)
+    control = ControlSocket(socket_path(config.control.socket))
+    server = ControlServer(station, control)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, station.stop)
+    if duration_s is not None:
+        loop.call_later(duration_s, station.stop)
+    display = None
+    try:
+        await server.start()
+        _introduce(station, control.path)
+        if live:
+            display = asyncio.create_task(_display(station), name="display")
+        await station.run()
+    finally:
+        if display is not None:
+            display.cancel()
+            print("\r\033[K", end="")
+        await server.stop()
+        control.close()
+    _conclude(station)
+
+
+def _introduce(station: Station, socket: Path) -> None:
+    config = station.config
+    lines = [("link", station.link.name)]
+    folder = config.recording.folder if config.recording.enabled else "off"
+    lines.append(("recordings", folder))
+    lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
+    lines.append(("control", str(socket)))
+    for name, text in lines:
+        print(f"  {name:<11}{text}")
+    print("  Ctrl-C stops and finishes the recording.", flush=True)
+
+
+def _conclude(station: Station) -> None:
+    """Say what came of it; faults are an error."""
+    statistics, recording = station.statistics, station.sessions.status()
+    if statistics is not None:
+        print(
+            f"received {statistics.samples} samples, {statistics.lost} lost, "
+            f"{statistics.packets} packets; recording: {recording['file'] or 'none'}"
+        )
+    if station.sessions.failed:
+        raise GroundStationError(f"the recording stopped early: {recording['text']}")
+    if station.damaged:
+        raise GroundStationError(
+            f"{station.link.name} is damaged; what could be read was delivered "
+            "(see 'groundstation inspect')"
+        )
+
+
+async def _display(station: Station) -> None:
+    """One line that keeps the operator informed."""
+    while True:
+        await asyncio.sleep(DISPLAY_S)
+        statistics, recording = station.statistics, station.sessions.status()
+        if statistics is None:
+            continue
+        latency = "" if statistics.latency_ms is None else f"{statistics.latency_ms:6.1f} ms late"
+        print(
+            f"\r\033[K{station.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
+            f"{statistics.loss_pct:6.2f} % lost {latency}   "
+            f"{recording['state']} {recording['bytes'] / 1e6:.1f} MB",
+            end="",
+            flush=True,
+        )
+
+
+def _configure_log(live: bool) -> None:
+    """One event a line on stderr: time, source, kind, text."""
+    import structlog
+
+    def render(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
+        clear = "\r\033[K" if live else ""
+        moment = time.strftime("%H:%M:%S")
+        text = event.pop("event")
+        source, kind = event.pop("source", ""), event.pop("kind", "")
+        rest = "".join(f" {key}={value}" for key, value in event.items())
+        mark = "!" if method == "warning" else " "
+        return f"{clear}{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
+
+    structlog.configure(
+        processors=[render], logger_factory=structlog.PrintLoggerFactory(sys.stderr)
+    )
+
+
+def _override(config: Config, changes: dict[str, Any]) -> Config:
+    """The configuration with what the command line says instead."""
+    import msgspec
+
+    tables: dict[str, Any] = msgspec.to_builtins(config)
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            tables[name].update({key: item for key, item in value.items() if item is not None})
+        elif value is not None:
+            tables[name] = value
+    try:
+        return msgspec.convert(tables, type(config))
+    except msgspec.ValidationError as error:
+        raise BadInputError(f"command line: {error}") from error
+
+
+def _speed(text: str | None) -> float | str | None:
+    if text is None or text == "max":
+        return text
+    with contextlib.suppress(ValueError):
+        return float(text)
+    raise BadInputError(f"--speed {text}: give a number or 'max'")

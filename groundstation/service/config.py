@@ -1,0 +1,89 @@
+"""The daemon's configuration: one TOML file, typed; the command line overrides it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from groundstation.errors import BadInputError
+
+MEBIBYTE = 1 << 20
+
+
+class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """name: ``stand-in`` or ``replay:FILE``. speed: of stand-in and replay, or "max"."""
+
+    name: str = "stand-in"
+    speed: float | Literal["max"] = 1.0
+
+
+class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """folder: where recordings go. enabled: record from the start. low_space_mb: a recording is
+    finished cleanly when less than this is free."""
+
+    folder: str = "sessions"
+    enabled: bool = True
+    low_space_mb: float = 64.0
+
+
+class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """mode: off, serve or spawn. port: rerun's own. web_port: the browser's."""
+
+    mode: Literal["off", "serve", "spawn"] = "off"
+    port: int = 9876
+    web_port: int = 9090
+
+
+class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """socket: path of the control socket; empty for the user's runtime folder."""
+
+    socket: str = ""
+
+
+class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Everything the daemon can be told.
+
+    command: URI of the command link (``udp://HOST:PORT`` for a stand-in, ``radio://...`` for a
+    craft), empty for none. vehicle: profile named in the recording. stand_in: settings of the
+    software craft.
+    """
+
+    link: LinkConfig = LinkConfig()
+    recording: RecordingConfig = RecordingConfig()
+    viewer: ViewerConfig = ViewerConfig()
+    control: ControlConfig = ControlConfig()
+    command: str = ""
+    vehicle: str = "crazyflie1"
+    stand_in: dict[str, Any] = {}
+
+
+def load_config(path: Path | None) -> Config:
+    """Read the file, or the defaults when there is none. Errors name the key."""
+    if path is None:
+        return Config()
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=Config)
+    except OSError as error:
+        raise BadInputError(f"configuration {path}: {error.strerror or error}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"configuration {path}: {error}") from error
+
+
+def link_speed(speed: float | Literal["max"]) -> float:
+    """The factor behind a configured speed."""
+    return float("inf") if speed == "max" else float(speed)
+
+
+def socket_path(configured: str = "") -> Path:
+    """Where the control socket is, for the daemon and for those who talk to it."""
+    chosen = configured or os.environ.get("GROUNDSTATION_SOCKET", "")
+    if chosen:
+        return Path(chosen)
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    base = Path(runtime) if runtime else Path(tempfile.gettempdir())
+    name = "groundstation" if runtime else f"groundstation-{os.getuid()}"
+    return base / name / "control.sock"

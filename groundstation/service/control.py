@@ -1,0 +1,138 @@
+"""The control API: HTTP on a Unix socket that only its owner can reach."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import os
+import socket
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+from starlette.routing import Route
+
+from groundstation.errors import GroundStationError, TakenError
+from groundstation.service.station import Station
+
+BACKLOG = 16
+PATH_MOST = 107
+"""Bytes a Unix socket's address can hold."""
+
+
+class ControlSocket:
+    """The listening socket, held by a lock so that one daemon at a time has it."""
+
+    def __init__(self, path: Path) -> None:
+        if len(os.fsencode(path)) > PATH_MOST:
+            raise GroundStationError(
+                f"control socket {path}: longer than {PATH_MOST} bytes; set a shorter one with "
+                "[control] socket or GROUNDSTATION_SOCKET"
+            )
+        self.path = path
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise GroundStationError(f"control socket {path}: {error.strerror}") from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            owner = os.read(self._lock, 32).decode(errors="replace").strip()
+            os.close(self._lock)
+            raise TakenError(
+                f"control socket {path} is taken by another groundstation (process {owner}); stop "
+                "it, or give this one its own with GROUNDSTATION_SOCKET or [control] socket"
+            ) from error
+        os.ftruncate(self._lock, 0)
+        os.pwrite(self._lock, str(os.getpid()).encode(), 0)
+        path.unlink(missing_ok=True)  # left by a daemon that was killed: nobody holds the lock
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        before = os.umask(0o177)
+        try:
+            self.socket.bind(str(path))
+        finally:
+            os.umask(before)
+        self.socket.listen(BACKLOG)
+        self.socket.setblocking(False)
+
+    def close(self) -> None:
+        """Remove the socket and release the lock."""
+        self.socket.close()
+        self.path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to the daemon."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self.should_exit = True
+
+
+class ControlServer:
+    """Serves a station's control API on ``control``."""
+
+    def __init__(self, station: Station, control: ControlSocket) -> None:
+        self._control = control
+        self._server = _Server(
+            uvicorn.Config(
+                control_app(station),
+                log_config=None,
+                access_log=False,
+                lifespan="off",
+                ws="none",
+                timeout_graceful_shutdown=1,
+            )
+        )
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        self._task = asyncio.create_task(
+            self._server.serve(sockets=[self._control.socket]), name="control"
+        )
+
+    async def stop(self) -> None:
+        self._server.should_exit = True
+        if self._task is not None:
+            await self._task
+
+
+def control_app(station: Station) -> Starlette:
+    """The routes; every answer is JSON, errors as ``{"error": text}`` with status 400."""
+
+    async def status(request: Request) -> JSONResponse:
+        return JSONResponse(station.status())
+
+    async def events(request: Request) -> JSONResponse:
+        return JSONResponse([asdict(event) for event in station.events])
+
+    async def record_start(request: Request) -> JSONResponse:
+        station.start_recording()
+        return JSONResponse(station.sessions.status())
+
+    async def record_stop(request: Request) -> JSONResponse:
+        return JSONResponse(await station.stop_recording())
+
+    async def refused(request: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"error": str(error)}, status_code=400)
+
+    return Starlette(
+        routes=[
+            Route("/status", status),
+            Route("/events", events),
+            Route("/record/start", record_start, methods=["POST"]),
+            Route("/record/stop", record_stop, methods=["POST"]),
+        ],
+        exception_handlers={GroundStationError: refused},
+    )

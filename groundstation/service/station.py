@@ -1,0 +1,221 @@
+"""The daemon: a link, a decoder, a recorder, a viewer, and what an operator can ask of them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import structlog
+
+from groundstation.clock import steady_clock
+from groundstation.errors import (
+    LinkEndedError,
+    LinkError,
+    LinkLostError,
+)
+from groundstation.links.base import Link, LinkEvent
+from groundstation.links.factory import make_link
+from groundstation.service.config import MEBIBYTE, Config, link_speed
+from groundstation.service.sessions import Sessions
+from groundstation.telemetry.decoder import Decoded, Decoder
+from groundstation.telemetry.samples import RawBatch
+from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
+from groundstation.viewer.viewer import Viewer, ViewerMode
+
+EVENTS_KEPT = 1000
+STATISTICS_S = 1.0
+RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
+
+
+class Station:
+    """One link's telemetry, decoded, recorded and shown.
+
+    ``run`` returns when ``stop`` was called or a finite link has ended.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.clock = steady_clock()
+        self.events: deque[LinkEvent] = deque(maxlen=EVENTS_KEPT)
+        self.statistics: LinkStatistics | None = None
+        self.damaged = False
+        """Whether the source had parts that could not be read."""
+        self.link: Link = make_link(
+            config.link.name,
+            speed=link_speed(config.link.speed),
+            stand_in=config.stand_in,
+            clock=self.clock,
+        )
+        self.link.on_event = self.take_event
+        self.sessions = Sessions(
+            Path(config.recording.folder),
+            {
+                "vehicle": {"profile": config.vehicle},
+                "configuration": _recorded_configuration(config),
+            },
+            low_space_bytes=round(config.recording.low_space_mb * MEBIBYTE),
+            on_fault=self._recorder_fault,
+        )
+        self.viewer = Viewer(
+            ViewerMode(config.viewer.mode),
+            port=config.viewer.port,
+            web_port=config.viewer.web_port,
+            on_event=lambda kind, text: self.note(kind, text, source="viewer"),
+        )
+        self._log = structlog.get_logger("groundstation")
+        self._started_s = time.monotonic()
+        self._decoder = Decoder()
+        self._meter = LinkMeter(self.clock())
+        self._meter_due_s = time.monotonic() + STATISTICS_S
+        self._retry_s = RETRY_FIRST_S
+        self._stopping = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def stop(self) -> None:
+        """Ask ``run`` to finish."""
+        self._stopping.set()
+
+    async def run(self) -> None:
+        """Receive until stopped. Raises LinkError when a finite link cannot be opened."""
+        self._loop = asyncio.get_running_loop()
+        await self.viewer.start()
+        try:
+            receiving = asyncio.create_task(self._receive(), name="link")
+            stopping = asyncio.create_task(self._stopping.wait(), name="stop")
+            await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            stopping.cancel()
+            if not receiving.done():
+                receiving.cancel()
+            await asyncio.gather(receiving, return_exceptions=True)
+            if not receiving.cancelled():
+                receiving.result()
+        finally:
+            await self.link.close()
+            self._take(self._decoder.finish())
+            self._close_window()
+            await asyncio.to_thread(self.sessions.stop)
+            await self.viewer.stop()
+
+    # -- what an operator can ask ----------------------------------------------------------
+
+    def start_recording(self) -> Path:
+        """Begin a new file. Raises BadInputError when one is being written."""
+        path = self.sessions.start(self.link.name)
+        self.note("recording", f"recording to {path}", source="recorder")
+        return path
+
+    async def stop_recording(self) -> dict[str, Any]:
+        """Finish the file; its final status."""
+        self.note("recording", "recording stopped", source="recorder")
+        await asyncio.to_thread(self.sessions.stop)
+        return self.sessions.status()
+
+    def status(self) -> dict[str, Any]:
+        """The keys of the design's ``status --json``, and more."""
+        statistics = self.statistics
+        return {
+            "link": {
+                "name": self.link.name,
+                "state": self.link.state.value,
+                "rate_hz": statistics.rate_hz if statistics else 0.0,
+                "lost": statistics.lost if statistics else 0,
+                "latency_ms": statistics.latency_ms if statistics else None,
+            },
+            "recording": self.sessions.status(),
+            "viewer": self.viewer.status(),
+            "uptime_s": time.monotonic() - self._started_s,
+            "statistics": statistics.as_dict() if statistics else None,
+        }
+
+    # -- events ----------------------------------------------------------------------------
+
+    def note(self, kind: str, text: str, *, source: str) -> None:
+        """An event of the daemon itself."""
+        self.take_event(LinkEvent(self.clock(), source, kind, text))
+
+    def take_event(self, event: LinkEvent) -> None:
+        """Keep, log, record and show an event."""
+        self.events.append(event)
+        self.damaged |= event.kind == "damage"
+        level = self._log.warning if event.kind in _WARNINGS else self._log.info
+        level(event.text, source=event.link, kind=event.kind)
+        self.sessions.event(event)
+        self.viewer.show_event(event)
+
+    def _recorder_fault(self, text: str) -> None:
+        # called from the recorder's thread
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(lambda: self.note("fault", text, source="recorder"))
+
+    # -- the stream ------------------------------------------------------------------------
+
+    async def _receive(self) -> None:
+        """Open, read, and open again when the device was lost or is not there yet."""
+        opened = False
+        while True:
+            try:
+                await self.link.open()
+                if not opened:
+                    opened = True
+                    self._decoder = Decoder(self.link.start_ticks)
+                    if self.config.recording.enabled:
+                        # not before: a mistyped link leaves no empty file behind
+                        self.start_recording()
+                self._retry_s = RETRY_FIRST_S
+                await self._read()
+            except LinkEndedError:
+                return
+            except LinkLostError:
+                self._take(self._decoder.reconnected())
+            except LinkError as error:
+                self.note("waiting", str(error), source=self.link.name)
+            await self.link.close()
+            await asyncio.sleep(self._retry_s)
+            self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+
+    async def _read(self) -> None:
+        while True:
+            batch = await self.link.read()
+            if batch is None:
+                self._take(self._decoder.idle(self.clock()))
+            elif isinstance(batch, RawBatch):
+                self.sessions.raw(batch)
+                self._take(self._decoder.decode(batch))
+            else:
+                self.sessions.samples(batch)
+                self.viewer.show_samples(batch)
+                self._meter.add_samples(batch)
+            if time.monotonic() >= self._meter_due_s:
+                self._close_window()
+
+    def _take(self, decoded: Decoded) -> None:
+        self._meter.add(decoded)
+        if len(decoded.samples):
+            self.sessions.samples(decoded.samples)
+            self.viewer.show_samples(decoded.samples)
+
+    def _close_window(self) -> None:
+        self._meter_due_s = time.monotonic() + STATISTICS_S
+        statistics = self._meter.close_window(self.clock(), self._decoder.counts())
+        if self.statistics and statistics.restarts > self.statistics.restarts:
+            self.note("restart", "the device restarted: a new segment", source=self.link.name)
+        self.statistics = statistics
+        self.sessions.statistics(statistics.as_dict())
+        self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
+
+
+_WARNINGS = frozenset({"fault", "lost", "silent", "waiting", "restart", "damage"})
+
+
+def _recorded_configuration(config: Config) -> dict[str, str]:
+    """What a recording says of the configuration: never what a stand-in hides."""
+    return {
+        "link": config.link.name,
+        "speed": str(config.link.speed),
+        "command": config.command,
+        "recording": msgspec.json.encode(config.recording).decode(),
+    }
