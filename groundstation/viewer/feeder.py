@@ -13,6 +13,7 @@ import select
 import socket
 import sys
 import time
+from typing import NoReturn
 
 import rerun as rr
 
@@ -44,12 +45,20 @@ IDLE_S = 0.5
 _HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: list[str]) -> NoReturn:
     descriptor, port, recording = arguments
     channel = socket.socket(fileno=int(descriptor))
-    if not _server_starts(int(port)):
-        return SERVER_SILENT
     stream = rr.RecordingStream(APPLICATION, recording_id=recording)
+    status = _run(channel, stream, int(port), recording)
+    # At once: a stream that is released, or a normal exit, waits for ever for a server that does
+    # not take the data.
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def _run(channel: socket.socket, stream: rr.RecordingStream, port: int, recording: str) -> int:
+    if not _server_starts(port):
+        return SERVER_SILENT
     stream.connect_grpc(
         f"rerun+http://127.0.0.1:{port}/proxy",
         default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S),
@@ -60,10 +69,10 @@ def main(arguments: list[str]) -> int:
         log.craft()
         stream.flush(timeout_sec=ANSWER_S)
         channel.send(encode_message(Acknowledgement(0)))
-        return _feed(channel, stream, log, int(port))
+        return _feed(channel, stream, log, port)
     except (RuntimeError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
-        return FEED_FAILED if _server_answers(int(port)) else SERVER_SILENT
+        return FEED_FAILED if _server_answers(port) else SERVER_SILENT
 
 
 def _server_answers(port: int) -> bool:
@@ -119,6 +128,4 @@ def _feed(channel: socket.socket, stream: rr.RecordingStream, log: ViewerLog, po
 
 
 if __name__ == "__main__":
-    status = main(sys.argv[1:])
-    sys.stderr.flush()
-    os._exit(status)  # a normal exit waits for ever for a server that does not take the data
+    main(sys.argv[1:])

@@ -22,6 +22,8 @@ from groundstation.viewer.viewer import rerun_program
 
 START_S = 60.0
 PAINT_S = 30.0
+REST = 2
+"""The viewer fetches data as it paints: so many pictures must not differ from the one before."""
 _SOFTWARE_DRIVERS = Path("/usr/share/vulkan/icd.d")
 
 
@@ -46,15 +48,25 @@ class HiddenViewer:
         """
         if at_s is not None:
             self.client.set_time(DEVICE_TIME, duration=at_s, play_state="paused")
-        view_id = self.views()[view] if view else None
-        before = b""
+        before, same = b"", 0
         deadline = time.monotonic() + PAINT_S
         while time.monotonic() < deadline:
-            picture: bytes = self.client.take_screenshot(view_id)
-            if picture == before and not self.client.get_state().loading:
+            picture = self._paint(view)
+            same = same + 1 if picture and picture == before else 0
+            if same >= REST and not self.client.get_state().loading:
                 return picture
             before = picture
-        raise GroundStationError(f"the viewer was still painting after {PAINT_S:g} s")
+        raise GroundStationError(f"{view or 'the viewer'} did not come to rest in {PAINT_S:g} s")
+
+    def _paint(self, view: str | None) -> bytes:
+        views = self.views()
+        if view is not None and view not in views:  # the layout has not been loaded yet
+            return b""
+        try:
+            picture: bytes = self.client.take_screenshot(views[view] if view else None)
+        except ConnectionError:  # the layout has just replaced the view
+            return b""
+        return picture
 
 
 @contextlib.contextmanager
@@ -73,11 +85,10 @@ def hidden_viewer(path: Path, size: tuple[int, int] = (1920, 1080)) -> Iterator[
     ]  # fmt: skip
     process = Child(command, environment=_driver())
     try:
-        client = _connect(ViewerClient, process, port)
-        opened = client.open(str(path.resolve()))
-        if not opened.store_ids:
-            raise GroundStationError(f"{path} could not be opened in the viewer")
-        yield HiddenViewer(client)
+        client = _open(ViewerClient, process, port, path)
+        viewer = HiddenViewer(client)
+        viewer.picture()
+        yield viewer
     finally:
         process.kill()
         while process.poll() is None:
@@ -97,19 +108,22 @@ def _driver() -> dict[str, str]:
     return {"VK_ICD_FILENAMES": str(driver)}
 
 
-def _connect(client_type: Any, process: Child, port: int) -> Any:
+def _open(client_type: Any, process: Child, port: int, path: Path) -> Any:
+    """Connect as soon as the viewer is up; it may still end for want of a graphics driver."""
     deadline = time.monotonic() + START_S
     while time.monotonic() < deadline:
         if process.poll() is not None:
             raise GroundStationError(
-                f"the viewer ended: {process.last_words}; is a Vulkan driver installed "
+                f"the viewer ended ({process.last_words}): is a Vulkan driver installed "
                 "(Debian: mesa-vulkan-drivers libvulkan1)?"
             )
         with contextlib.suppress(OSError, RuntimeError):
             socket.create_connection(("127.0.0.1", port), 1).close()
             client = client_type.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            client.get_state()
-            return client
+            client.take_screenshot()  # without a driver, it ends when it should paint
+            if client.open(str(path.resolve())).store_ids:
+                return client
+            raise GroundStationError(f"{path} could not be opened in the viewer")
         time.sleep(0.05)
     raise GroundStationError(f"the viewer did not answer within {START_S:g} s")
 

@@ -84,6 +84,7 @@ class Viewer:
         self._retry_at = 0.0
         self._heard_at = 0.0
         self._ready_at: float | None = None
+        self._cut_viewers = False
         self._server: Child | None = None
         self._feeder: Child | None = None
         self._window: Child | None = None
@@ -225,7 +226,10 @@ class Viewer:
                 if self._ready_at is None:
                     self._ready_at = now
                     self._state = "serving"
-                    self._on_event("viewer", f"serving at {self._urls()[0]}")
+                    # rerun's viewers do not come back to a server by themselves (rerun 0.41)
+                    hint = "; reload the viewers that were open" if self._cut_viewers else ""
+                    self._cut_viewers = False
+                    self._on_event("viewer", f"serving at {self._urls()[0]}{hint}")
                     self._open_window()
 
     def _fail(self, now: float, text: str, *, server: bool) -> None:
@@ -239,6 +243,7 @@ class Viewer:
         self._drop("_feeder")
         if server:
             self._drop("_server", "_window")
+            self._cut_viewers = True
         self._on_event("fault", f"{text}; starting it again in {wait_s:g} s")
 
     def _open_window(self) -> None:

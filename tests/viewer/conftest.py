@@ -56,9 +56,15 @@ def flight() -> Recording:
             {"time_ns": START_NS + 10**9, "link": "usb", "kind": "lost", "text": "unplugged"},
         ],
         statistics=[
-            {"time_ns": START_NS + 10**9, "loss_pct": 0.5, "latency_ms": 3.25, "rate_hz": 500.0},
-            {"time_ns": START_NS + 2 * 10**9, "loss_pct": 0.0, "rate_hz": 499.5, "bursts": [1, 4]},
-        ],
+            {
+                "time_ns": START_NS + second * 10**9,
+                "loss_pct": 0.5 * second,
+                "latency_ms": 8.25 - second,
+                "rate_hz": 500.0 - second % 3,
+            }
+            for second in range(9)
+        ]
+        + [{"time_ns": START_NS + 9 * 10**9, "loss_pct": 0.0, "bursts": [1, 4]}],
         commands=[{"time_ns": START_NS + 10**9, "roll_deg": 2.5, "direction": "out"}],
         metadata={"session": {"link": "usb"}, "vehicle": {"name": "crazyflie1"}},
     )
