@@ -147,7 +147,7 @@ class StandardMessages:
         for time_ns, message, volt in zip(
             times.tolist(), _battery(chosen), chosen.battery_v, strict=True
         ):
-            if not np.isnan(volt):
+            if np.isfinite(volt):
                 yield BATTERY_TOPIC, time_ns, message.tobytes()
 
     def _new(self, segment: int, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -183,7 +183,7 @@ def quaternion(attitude_rad: NDArray[np.floating]) -> NDArray[np.float64]:
 
 def _nothing_known(batch: SampleBatch) -> bool:
     channels = (batch.attitude, batch.gyro, batch.accelerometer)
-    return all(bool(np.isnan(channel).all()) for channel in channels)
+    return not any(bool(np.isfinite(channel).any()) for channel in channels)
 
 
 def _stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
@@ -200,15 +200,15 @@ def _stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
 def _imu(batch: SampleBatch) -> NDArray[np.void]:
     out = _stamped(_IMU, batch)
     channels = (
-        ("orientation", quaternion(batch.attitude), (0.0, 0.0, 0.0, 1.0)),
-        ("angular_velocity", batch.gyro, (0.0, 0.0, 0.0)),
-        ("linear_acceleration", batch.accelerometer, (0.0, 0.0, 0.0)),
+        ("orientation", batch.attitude, quaternion),
+        ("angular_velocity", batch.gyro, np.asarray),
+        ("linear_acceleration", batch.accelerometer, np.asarray),
     )
-    for name, values, absent in channels:
-        missing = np.atleast_1d(np.isnan(values).any(axis=1))
-        out[name] = np.where(missing[:, None], absent, values)
+    for name, values, convert in channels:
+        known = np.atleast_2d(np.isfinite(values).all(axis=1, keepdims=True))
+        out[name] = convert(np.where(known, values, 0))
         # a first covariance of -1 is the message's own mark for "no such estimate"
-        out[f"{name}_covariance"][:, 0] = np.where(missing, -1.0, 0.0)
+        out[f"{name}_covariance"][:, 0] = np.where(known[:, 0], 0.0, -1.0)
     return out
 
 

@@ -1,9 +1,14 @@
 """Made flights for the tests of recordings: every value follows from the sample's number."""
 
+import struct
+
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
 
+from groundstation.recording.recording_file import RecordingFile
 from groundstation.telemetry.packet import SAMPLE_TICKS, encode
 from groundstation.telemetry.samples import (
     COLUMNS,
@@ -92,3 +97,33 @@ def raw_batches(draw, max_rows=40):
         draw(hnp.arrays(np.uint8, (rows, 32))),
         draw(hnp.arrays(np.int64, rows, elements=st.integers(0, 2**62))),
     )
+
+
+def write_flight(path, rows, *, metadata=None, chunk_rows=25, finish=True):
+    """A recording of ``rows`` samples in chunks of ``chunk_rows``, finished or as if killed."""
+    out = RecordingFile(path, {"session": {"link": "made"}} if metadata is None else metadata)
+    for start in range(0, rows, chunk_rows):
+        raw, decoded = flight(start, min(chunk_rows, rows - start))
+        out.raw(raw)
+        out.samples(decoded)
+        out.entry("/link/events", {"time_ns": int(raw.host_time_ns[0]), "number": start})
+        out.file.flush()
+    if finish:
+        out.finish()
+    else:
+        out.file.abandon()
+
+
+def records(data):
+    """Offset, opcode and end of every record of an undamaged MCAP file."""
+    offset = len(MCAP0_MAGIC)
+    while offset < len(data) - len(MCAP0_MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, offset)
+        yield offset, opcode, offset + 9 + length
+        offset += 9 + length
+
+
+def chunks(data):
+    """Start and end of every chunk of an MCAP file that is whole up to its end."""
+    whole = data if data.endswith(MCAP0_MAGIC) else data + MCAP0_MAGIC
+    return [(start, end) for start, opcode, end in records(whole) if opcode == Opcode.CHUNK]
