@@ -1,9 +1,10 @@
 """The cell, its protection, and what the firmware reads of it.
 
 Terminal voltage = open-circuit voltage of the charge left, less the internal resistance times
-the current. The current is the motors' supply current by the back-EMF bound (see
-``effects.rotors``) over ``efficiency``, plus the electronics. Both are taken once a pass and
-held over it.
+the current. The cell delivers the motors' supply current by their true back-EMF constant, and
+the electronics'. The wires to the motors drop what ``supply_sag`` is defined by: the current by
+the bound a1/a0, which is smaller (see ``effects.rotors``). All is taken once a pass and held
+over it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ ADC_STEP_V = 0.002
 ADC_NOISE_V = 0.001
 ADC_FILTER = 1.0 / 16.0
 ADC_PASSES = 5
-PROTECTION_NS = 12_000_000
+PROTECTION_NS = 6_000_000
 """How long the protection tolerates too much current."""
 LOW_V, CRITICAL_V = 3.2, 3.0
 PATIENCE_NS = 5_000_000_000
@@ -45,18 +46,14 @@ def supply(p: Record, s: Record) -> None:
     """
     speed = s.y[ROTOR : ROTOR + 4]
     if p.stiff_mv > 0.0:
-        terminal = p.stiff_mv
+        s.supply_mv = motor_supply_mv(p, s.duty, speed, p.stiff_mv, p.supply_ohm, 0.0)
     else:
-        open_mv = 1000.0 * (open_circuit_v(s.charge) - p.internal_ohm * p.electronics_a)
-        terminal = motor_supply_mv(
-            p, s.duty, speed, open_mv, (p.internal_ohm + p.supply_ohm * p.efficiency) / p.efficiency
-        )
-        terminal += p.supply_ohm * 1000.0 * supply_current(p, s.duty, speed, terminal)
-    s.supply_mv = terminal
-    if p.supply_ohm > 0.0:
-        s.supply_mv = motor_supply_mv(p, s.duty, speed, terminal, p.supply_ohm)
-    motors_a = supply_current(p, s.duty, speed, s.supply_mv)
-    s.current_a = max(motors_a, 0.0) / p.efficiency + p.electronics_a
+        source_mv = 1000.0 * (open_circuit_v(s.charge) - p.internal_ohm * p.electronics_a)
+        s.supply_mv = motor_supply_mv(p, s.duty, speed, source_mv, p.supply_ohm, p.internal_ohm)
+    bound_a = supply_current(p, s.duty, speed, s.supply_mv, 1.0)
+    terminal = s.supply_mv + 1000.0 * p.supply_ohm * bound_a
+    motors_a = supply_current(p, s.duty, speed, s.supply_mv, p.emf_share)
+    s.current_a = max(motors_a, 0.0) + p.electronics_a
     if p.stiff_mv == 0.0:
         s.charge = max(s.charge - s.current_a * PASS_NS * 1e-9 / p.capacity_c, 0.0)
     if p.reading_lag > 0.0:
@@ -68,13 +65,11 @@ def supply(p: Record, s: Record) -> None:
 
 @inner
 def protect(p: Record, s: Record) -> bool:
-    """Whether the cell's protection has opened: too much motor current for too long."""
-    if p.protection_a > 0.0:
-        motors_a = (s.current_a - p.electronics_a) * p.efficiency
-        if motors_a > p.protection_a:
-            s.overload_ns += PASS_NS
-        else:
-            s.overload_ns = 0
+    """Whether the cell's protection has opened: too much current for too long."""
+    if p.protection_a > 0.0 and s.current_a > p.protection_a:
+        s.overload_ns += PASS_NS
+    else:
+        s.overload_ns = 0
     return bool(s.overload_ns > PROTECTION_NS)
 
 

@@ -61,7 +61,7 @@ PARAMETERS = np.dtype(
         ("back_emf", "f8"),  # mV per rev/s
         ("internal_ohm", "f8"),
         ("supply_ohm", "f8"),
-        ("efficiency", "f8"),
+        ("emf_share", "f8"),  # true back-EMF constant over ``back_emf``
         ("electronics_a", "f8"),
         ("capacity_c", "f8"),  # coulomb
         ("stiff_mv", "f8"),  # > 0: a bench supply instead of the cell

@@ -200,7 +200,7 @@ def _power(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
     p["winding_ohm"] = vehicle.winding_ohm
     p["back_emf"] = vehicle.motor.a1 / vehicle.motor.a0
     p["internal_ohm"] = battery.internal_ohm
-    p["efficiency"], p["electronics_a"] = battery.drive_efficiency, battery.electronics_a
+    p["emf_share"], p["electronics_a"] = battery.back_emf_share, battery.electronics_a
     p["capacity_c"] = battery.capacity_mah * 3.6
     p["stiff_mv"] = 0.0 if settings.supply_v is None else 1000.0 * settings.supply_v
     p["swap_ns"] = round(settings.recharge_s * 1e9)

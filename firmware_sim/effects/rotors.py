@@ -36,27 +36,29 @@ def rotor_acceleration(p: Record, armature: float, speed: float) -> float:
 
 @inner
 def motor_supply_mv(
-    p: Record, duty: Any, speed: Any, terminal_mv: float, resistance: float
+    p: Record, duty: Any, speed: Any, source_mv: float, wire_ohm: float, cell_ohm: float
 ) -> float:
-    """supply_sag: what is left of the battery's voltage after the wires to the motors.
+    """supply_sag: what a source's voltage leaves for the motors.
 
-    Each motor draws duty (u - k_e n)/R_w with u = duty V, so V = V_t - R I is linear in V.
+    Each motor draws duty (u - k n)/R_w with u = duty V, so V = V_s - R I is linear in V. The
+    wires' current is reckoned with the bound of the back-EMF constant k, the cell's with the
+    true one.
     """
     squares = 0.0
     emf = 0.0
     for i in range(4):
         squares += duty[i] * duty[i]
         emf += duty[i] * speed[i]
-    ratio = resistance / p.winding_ohm
-    return (terminal_mv + ratio * p.back_emf * emf) / (1.0 + ratio * squares)
+    emf_mv = p.back_emf * emf * (wire_ohm + p.emf_share * cell_ohm) / p.winding_ohm
+    return (source_mv + emf_mv) / (1.0 + (wire_ohm + cell_ohm) / p.winding_ohm * squares)
 
 
 @inner
-def supply_current(p: Record, duty: Any, speed: Any, motor_mv: float) -> float:
+def supply_current(p: Record, duty: Any, speed: Any, motor_mv: float, emf_share: float) -> float:
     """The motors' summed supply current in A at a motor supply voltage in mV."""
     current = 0.0
     for i in range(4):
-        current += duty[i] * (duty[i] * motor_mv - p.back_emf * speed[i])
+        current += duty[i] * (duty[i] * motor_mv - emf_share * p.back_emf * speed[i])
     return current / (1000.0 * p.winding_ohm)
 
 

@@ -42,15 +42,15 @@ class BatteryConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     internal_ohm: between the open-circuit voltage and the terminals, where it is measured.
     supply_ohm: between the terminals and the motors (wires, contacts, ground plane).
-    drive_efficiency: motor supply current that the back-EMF bound a1/a0 predicts, over the
-        current drawn from the cell; below 1 for brush, iron and freewheel losses.
+    back_emf_share: true back-EMF constant over its upper bound a1/a0 (a1 holds friction too);
+        sets how much current the motors really draw.
     electronics_a: drawn by everything that is not a motor.
     """
 
     capacity_mah: float
     internal_ohm: float
     supply_ohm: float
-    drive_efficiency: float
+    back_emf_share: float
     electronics_a: float
 
 
@@ -140,7 +140,7 @@ def _require_physical(vehicle: Vehicle, path: Path) -> None:
         "drag_n_m": vehicle.drag_n_m,
         "winding_ohm": vehicle.winding_ohm,
         "battery.capacity_mah": vehicle.battery.capacity_mah,
-        "battery.drive_efficiency": vehicle.battery.drive_efficiency,
+        "battery.back_emf_share": vehicle.battery.back_emf_share,
     }
     for key, value in positive.items():
         if not (math.isfinite(value) and value > 0):
@@ -158,8 +158,8 @@ THESIS_MOTOR = MotorConstants(a0=0.862446, a1=6.814507, a2=0.006149)
 BUILT_IN: dict[str, Vehicle] = {
     # Mass with the add-on radio (thesis chapter 5); inertia is a geometric estimate; thrust from
     # the thesis's Figure 5.7: 1.14 g of specific force at the rotor speeds that its PWM, battery
-    # and (7.10) give; drag so that c2 is the identified 0.0005. Battery resistances and drive
-    # efficiency are tuned: about 7 minutes of hover on 170 mAh.
+    # and (7.10) give; drag so that c2 is the identified 0.0005. Battery resistances and
+    # back-EMF share are tuned: about 7 minutes of hover on 170 mAh.
     "crazyflie1": Vehicle(
         name="crazyflie1",
         mass_kg=0.023,
@@ -173,7 +173,7 @@ BUILT_IN: dict[str, Vehicle] = {
             capacity_mah=170,
             internal_ohm=0.20,
             supply_ohm=0.08,
-            drive_efficiency=0.37,
+            back_emf_share=0.62,
             electronics_a=0.12,
         ),
     ),
@@ -193,7 +193,7 @@ BUILT_IN: dict[str, Vehicle] = {
             capacity_mah=250,
             internal_ohm=0.15,
             supply_ohm=0.06,
-            drive_efficiency=0.31,
+            back_emf_share=0.45,
             electronics_a=0.12,
         ),
     ),
