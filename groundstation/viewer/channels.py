@@ -8,7 +8,7 @@ in SI survives the way through float64 and back (``scaled``, ``unscaled``).
 | /craft | orientation of the craft: body FLU in the world ENU |
 | /telemetry/attitude, rates, accelerometer, motors, battery, rotors | see ``GROUPS`` |
 | /telemetry/packet | ticks, tick_s, segment, copies, debug: for an exact read-back |
-| /link, /link/NAME | link statistics: as JSON, and each number for itself |
+| /link, /link/NAME | link statistics: all as JSON, and those of ``STATISTICS`` as numbers |
 | /events, /commands | what happened and what was commanded: as text, and as JSON |
 
 Timelines: ``device_time`` (duration), ``seq`` (number of the sample) and ``host_time`` (Unix).
@@ -97,8 +97,13 @@ STATISTICS: dict[str, tuple[str, tuple[int, int, int]]] = {
     "loss_pct": ("lost (%)", (239, 83, 80)),
     "latency_ms": ("latency (ms)", (255, 202, 40)),
     "rate_hz": ("samples (1/s)", (102, 187, 106)),
+    "packets_hz": ("packets (1/s)", (66, 165, 245)),
+    "copies": ("copies per sample", (171, 127, 230)),
+    "latency_p99_ms": ("latency, 99 % (ms)", (255, 167, 38)),
+    "jitter_ms": ("jitter (ms)", (212, 225, 87)),
+    "clock_ppm": ("device clock (ppm)", (38, 198, 218)),
 }
-"""The statistics that the blueprint shows; any other is logged under its own name."""
+"""The link statistics that can be plotted; the layout shows the first three."""
 
 
 def scaled(group: Group, values: NDArray[np.float32]) -> NDArray[np.float64]:

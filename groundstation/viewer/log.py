@@ -42,7 +42,6 @@ class ViewerLog:
     def __init__(self, stream: rr.RecordingStream, clock: Clock) -> None:
         self._stream = stream
         self._clock = clock
-        self._named: set[str] = set()
 
     def craft(self) -> None:
         """The drawing of the craft and the names of the series: static, sent once."""
@@ -51,6 +50,9 @@ class ViewerLog:
         for group in GROUPS:
             lines = rr.SeriesLines(names=group.names, colors=group.colors, widths=1.5)
             self._stream.log(group.entity, lines, static=True, strict=True)
+        for name, (label, color) in STATISTICS.items():
+            lines = rr.SeriesLines(names=label, colors=color, widths=1.5)
+            self._stream.log(f"{LINK}/{name}", lines, static=True, strict=True)
 
     def samples(self, batch: SampleBatch, first_seq: int) -> None:
         """Log a batch whose first sample has the number ``first_seq``."""
@@ -78,22 +80,14 @@ class ViewerLog:
         self._send(entity, _times(entries), [*columns, *_json_columns(entries)])
 
     def statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
-        """Log link statistics: dictionaries with ``time_ns`` and numbers, one entity each."""
+        """Log link statistics: dictionaries with ``time_ns`` (Unix) and numbers by name."""
         times = _times(entries)
         self._send(LINK, times, _json_columns(entries))
-        names = dict.fromkeys(name for entry in entries for name in entry if name != "time_ns")
-        for name in names:
-            found = [isinstance(entry.get(name), int | float) for entry in entries]
-            values = [entry[name] for entry, present in zip(entries, found, strict=True) if present]
-            if not values:
-                continue
-            entity = f"{LINK}/{name}"
-            if name not in self._named:
-                label, color = STATISTICS.get(name, (name.replace("_", " "), (158, 158, 158)))
-                lines = rr.SeriesLines(names=label, colors=color, widths=1.5)
-                self._stream.log(entity, lines, static=True, strict=True)
-                self._named.add(name)
-            self._send(entity, times[found], rr.Scalars.columns(scalars=values))
+        for name in STATISTICS:
+            values = np.array([entry.get(name) for entry in entries], np.float64)
+            known = ~np.isnan(values)
+            columns = rr.Scalars.columns(scalars=values[known])
+            self._send(f"{LINK}/{name}", times[known], columns)
 
     def _send(self, entity: str, times: NDArray[np.int64], columns: Any) -> None:
         if len(times):

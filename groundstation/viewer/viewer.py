@@ -125,7 +125,7 @@ class Viewer:
     def show_statistics(self, values: dict[str, float], time_ns: int) -> None:
         """Plot link statistics valid at Unix time ``time_ns``; never blocks.
 
-        The layout shows ``loss_pct``, ``latency_ms`` and ``rate_hz``; others can be added there.
+        ``channels.STATISTICS`` names those that can be plotted.
         """
         if self._task is not None:
             self._outbox.put_note(StatisticsMessage({"time_ns": time_ns, **values}))
