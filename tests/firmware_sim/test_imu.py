@@ -1,0 +1,114 @@
+"""The sensor: ranges, steps, delay, its own clock, drift."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from stand_in_bench import flown
+
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.imu import register
+from firmware_sim.physics import DLPF
+from firmware_sim.settings import Loss, Sensor
+
+QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
+
+
+def measured_delay_s(seconds: float = 20.0, **settings):
+    """Delay of the gyro against the true rate by the best shift over a hand-turned craft."""
+    craft, rows = flown(seconds, truth=True, **QUIET, **settings)
+    truth = craft.truth()[: len(rows["gyro"])]
+    window = slice(2500, len(truth) - 100)
+    seen = np.radians(rows["gyro"][window, 0] / 16.384)
+    shifts = np.arange(0.0, 0.03, 0.0001)
+    errors = [
+        np.square(
+            np.interp(truth["time_s"][window] - shift, truth["time_s"], truth["rate_rad_s"][:, 0])
+            - seen
+        ).sum()
+        for shift in shifts
+    ]
+    return shifts[int(np.argmin(errors))], craft
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory):
+    path = tmp_path_factory.mktemp("programme") / "turning.toml"
+    path.write_text(
+        'name = "turning"\n[[segment]]\nkind = "hand"\nseconds = 3\n'
+        '[[segment]]\nkind = "hand"\nseconds = 30\n'
+        '[[segment.excite]]\naxis = "roll"\nshape = "sine"\namplitude = 40\nperiod_s = 1.0\n'
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize("setting", sorted(DLPF))
+def test_the_data_sheets_delay_plus_bus_plus_wait_comes_out(turning, setting):
+    sensor = Sensor(dlpf=setting, phase_s=0.0007, clock_ppm=0.0, shake=(0.0, 0.0, 0.0))
+    delay, craft = measured_delay_s(program=turning, sensor=sensor)
+    bandwidth_hz, data_sheet_s = DLPF[setting][0]
+    lag = min(1 / (2 * math.pi * bandwidth_hz), data_sheet_s)
+    age = craft.truth()["sensor_age_s"][-1]
+    wait = age + lag - data_sheet_s - 0.4e-3
+    assert 0 <= wait <= 2e-3
+    assert delay == pytest.approx(data_sheet_s + 0.4e-3 + wait, abs=0.3e-3)
+
+
+def test_a_total_delay_of_the_thesis_s_eight_samples_can_be_set(turning):
+    sensor = Sensor(dlpf=2, delay_s=0.016, clock_ppm=30.0, shake=(0.0, 0.0, 0.0))
+    delay, _ = measured_delay_s(program=turning, sensor=sensor, seconds=33.0)
+    assert delay == pytest.approx(0.016, abs=1.1e-3)  # the wait for the loop is 0..2 ms
+
+
+def test_the_faithful_sensor_is_about_3_3_ms_old_on_average():
+    delays = []
+    for seed in range(20):
+        craft = StandIn(StandInSettings(seed=seed, truth=True, program="wait"))
+        craft.advance(1.0)
+        delays.append(craft.truth()["sensor_age_s"].mean() + 1 / (2 * math.pi * 188))
+    assert np.mean(delays) == pytest.approx(3.3e-3, abs=0.3e-3)
+    assert min(delays) > 2.2e-3
+    assert max(delays) < 4.4e-3
+
+
+def test_the_sensors_clock_is_not_the_loops():
+    sensor = Sensor(phase_s=0.0, clock_ppm=200.0)
+    craft = StandIn(StandInSettings(truth=True, program="wait", sensor=sensor))
+    craft.advance(21.0)
+    age = craft.truth()["sensor_age_s"]
+    assert age.max() - age.min() == pytest.approx(2e-3, rel=0.05)
+    assert np.abs(np.diff(age)).max() > 1.9e-3  # now and then a sample is read twice
+
+
+@pytest.mark.parametrize(
+    ("counts", "stored"),
+    [(0.4, 0), (0.6, 1), (-0.6, -1), (32767.4, 32767), (1e9, 32767), (-1e9, -32768)],
+)
+def test_a_register_rounds_and_saturates(counts, stored):
+    assert register(counts) == stored
+
+
+def test_the_gyro_saturates_at_2000_degrees_per_second():
+    sensor = Sensor(gyro_bias_dps=(3000.0, -3000.0, 0.0))
+    _, rows = flown(2.0, program="wait", sensor=sensor)
+    assert set(rows["gyro"][50:, 0]) == {32767}
+    assert set(rows["gyro"][50:, 1]) == {-32768}
+
+
+def test_the_gyro_drifts_while_it_warms_up():
+    sensor = Sensor(warm_up_drift_dps=(2.0, 0.0, 0.0), warm_up_s=5.0)
+    _, rows = flown(20.0, program="wait", sensor=sensor)
+    drift = rows["gyro"][:, 0] / 16.384
+    assert drift[100:300].mean() == pytest.approx(2 * (1 - math.exp(-0.4 / 5)), abs=0.05)
+    assert drift[-500:].mean() == pytest.approx(2 * (1 - math.exp(-19.5 / 5)), abs=0.05)
+
+
+def test_noise_scales():
+    spreads = [
+        flown(5.0, plant="reduced", program="wait", sensor_noise=scale)[1]["gyro"][1600:, 0].std()
+        for scale in (1.0, 6.0)
+    ]
+    assert spreads[0] == pytest.approx(0.10 * 16.384, rel=0.1)
+    assert spreads[1] == pytest.approx(6 * 0.10 * 16.384, rel=0.1)

@@ -1,0 +1,228 @@
+"""The firmware's loops, and each quirk of the release by its effect."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from stand_in_bench import flown, rows_of
+
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.physics import firmware, parameters
+from firmware_sim.settings import Quirks, Sensor
+from firmware_sim.stabilizer import angle_loops, rate_loop, stabilize
+
+NO_QUIRKS = Quirks(attitude_dt=False, clamp_macro=False, lower_limit=False, negate=False)
+
+
+def loops(quirks: Quirks = NO_QUIRKS, craft: str = "crazyflie1", **gains: float) -> Any:
+    settings = StandInSettings(quirks=quirks, craft=craft, gains=gains)
+    fw, p = firmware(settings), parameters(settings)
+    fw["thrust"] = 40000.0
+    return p, fw
+
+
+def test_stock_gains_make_the_stated_output():
+    _, fw = loops()
+    fw["rate_desired"] = 10.0, 0.0, 0.0
+    assert rate_loop(fw[0], 0, 0.0) == 700.0
+    assert rate_loop(fw[0], 1, 5.0) == -350.0
+
+
+def test_without_the_quirk_the_angle_loop_integrates_over_its_real_period():
+    integrals = []
+    for quirks in (NO_QUIRKS, Quirks()):
+        _, fw = loops(quirks)
+        fw["setpoint"] = 5.0, 0.0, 0.0
+        for _ in range(100):
+            angle_loops(fw[0])
+        integrals.append(fw["angle_integral"][0, 0])
+    assert integrals == pytest.approx([100 * 5 * 0.004, 100 * 5 * 0.002])
+
+
+def test_the_clamp_macro_makes_the_yaw_integral_three_times_as_fast():
+    integrals = []
+    for quirks in (NO_QUIRKS, Quirks()):
+        _, fw = loops(quirks)
+        fw["rate_desired"] = 0.0, 0.0, 10.0
+        for _ in range(50):
+            rate_loop(fw[0], 2, 0.0)
+        integrals.append(fw["rate_integral"][0, 2])
+    assert integrals == pytest.approx([50 * 10 * 0.002, 3 * 50 * 10 * 0.002])
+
+
+def test_the_clamp_macro_takes_the_derivative_away():
+    outputs = []
+    for quirks in (NO_QUIRKS, Quirks()):
+        _, fw = loops(quirks, **{"pid_rate.roll_kd": 0.5})
+        fw["rate_desired"] = 10.0, 0.0, 0.0
+        outputs.append(rate_loop(fw[0], 0, 0.0))
+    assert outputs == [700.0 + 0.5 * 10 / 0.002, 700.0]
+
+
+def test_a_saturated_output_is_evaluated_less_often():
+    _, fw = loops(Quirks())
+    fw["rate_desired"] = 0.0, 0.0, 4000.0
+    assert rate_loop(fw[0], 2, 0.0) == 32767.0
+    assert fw["rate_integral"][0, 2] == pytest.approx(2 * 4000 * 0.002)
+    _, fw = loops(Quirks())
+    fw["rate_desired"] = 0.0, 0.0, -4000.0
+    assert rate_loop(fw[0], 2, 0.0) == -32768.0
+    assert fw["rate_integral"][0, 2] == pytest.approx(-4000 * 0.002)
+
+
+def test_only_the_upper_limit_of_an_integral_holds():
+    bounds = []
+    for quirks in (NO_QUIRKS, Quirks(clamp_macro=False)):
+        for rate in (400.0, -400.0):
+            _, fw = loops(quirks)
+            fw["rate_desired"] = 0.0, 0.0, rate
+            for _ in range(5000):
+                rate_loop(fw[0], 2, 0.0)
+            bounds.append(fw["rate_integral"][0, 2])
+    assert bounds == pytest.approx([500, -500, 500, -4000])
+
+
+def test_the_most_negative_yaw_output_keeps_its_sign():
+    differences = []
+    for quirks in (NO_QUIRKS, Quirks(clamp_macro=False)):
+        p, fw = loops(quirks)
+        fw["rate_desired"] = 0.0, 0.0, -4000.0
+        stabilize(p[0], fw[0])
+        differences.append(int(fw["compare"][0, 0] - fw["compare"][0, 1]))
+    assert differences[0] > 0 > differences[1]
+
+
+@pytest.mark.parametrize(
+    ("craft", "output", "signs"),
+    [
+        ("crazyflie1", (100.0, 0.0, 0.0), (0, -1, 0, 1)),
+        ("crazyflie1", (0.0, 100.0, 0.0), (1, 0, -1, 0)),
+        ("crazyflie1", (0.0, 0.0, 100.0), (-1, 1, -1, 1)),
+        ("crazyflie21", (100.0, 0.0, 0.0), (-1, -1, 1, 1)),
+        ("crazyflie21", (0.0, 100.0, 0.0), (1, -1, -1, 1)),
+        ("crazyflie21", (0.0, 0.0, 100.0), (-1, 1, -1, 1)),
+    ],
+)
+def test_the_mixer_of_each_frame(craft, output, signs):
+    p, fw = loops(craft=craft)
+    fw["rate_desired"] = output
+    stabilize(p[0], fw[0])
+    rest = 40000 >> 7
+    assert np.sign(fw["compare"][0] - rest).tolist() == list(signs)
+
+
+def test_motor_outputs_clamp_one_by_one():
+    p, fw = loops()
+    fw["thrust"] = 60000.0
+    fw["rate_desired"] = 0.0, 400.0, 0.0
+    stabilize(p[0], fw[0])
+    assert fw["compare"][0].tolist() == [511, 60000 >> 7, (60000 - 28000) >> 7, 60000 >> 7]
+
+
+def test_zero_thrust_stops_the_motors_and_forgets_the_integrals():
+    p, fw = loops(Quirks())
+    fw["rate_desired"] = 50.0, 50.0, 50.0
+    for _ in range(10):
+        stabilize(p[0], fw[0])
+    assert np.abs(fw["rate_integral"]).min() > 0
+    fw["thrust"] = 0.0
+    stabilize(p[0], fw[0])
+    assert fw["compare"][0].tolist() == [0, 0, 0, 0]
+    assert not fw["rate_integral"].any()
+
+
+def test_a_quirk_switch_changes_the_flight():
+    flights = [
+        flown(12.0, program="excite", quirks=quirks)[1]["gyro"]
+        for quirks in (
+            Quirks(),
+            Quirks(attitude_dt=False),
+            Quirks(clamp_macro=False),
+        )
+    ]
+    for other in flights[1:]:
+        shorter = min(len(flights[0]), len(other))
+        assert (flights[0][:shorter] != other[:shorter]).any()
+
+
+def waiting() -> StandIn:
+    craft = StandIn(StandInSettings(program="wait", plant="reduced"))
+    craft.advance(4.0)
+    return craft
+
+
+def test_a_lost_client_means_level_after_half_a_second_and_silence_after_two():
+    craft = waiting()
+    craft.command(10.0, -5.0, 20.0, 45000)
+    history = []
+    for step in range(300):
+        craft.advance(4.0 + 0.01 * (step + 1))
+        history.append((craft.state().thrust, tuple(craft._firmware[0]["setpoint"])))
+    assert history[45] == (45000, (10.0, -5.0, 20.0))
+    assert history[55] == (45000, (0.0, 0.0, 0.0))
+    assert history[195][0] == 45000
+    assert history[205][0] == 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "given"), [(10000, 0), (10001, 10001), (60000, 60000), (65535, 60000)]
+)
+def test_thrust_has_a_floor_and_a_ceiling(asked, given):
+    craft = waiting()
+    craft.command(0.0, 0.0, 0.0, asked)
+    craft.advance(4.01)
+    assert craft.state().thrust == given
+
+
+def test_a_client_that_stays_silent_gives_the_craft_back_to_the_pilot():
+    craft = StandIn(StandInSettings(program="hover", plant="reduced", resume_s=3.0))
+    craft.advance(8.0)
+    craft.command(0.0, 0.0, 0.0, 0)
+    craft.advance(10.0)
+    assert craft.state().position_m[2] < 0.1
+    craft.advance(16.0)
+    assert craft.state().position_m[2] == pytest.approx(0.8, abs=0.1)
+
+
+def test_with_altitude_hold_the_pilot_keeps_the_height_while_a_client_steers():
+    craft = StandIn(StandInSettings(program="wait", altitude_hold=True))
+    time_s = 4.0
+    craft.advance(time_s)
+    heights = []
+    for step in range(1000):
+        craft.command(4.0 if step % 200 > 150 else 0.0, 0.0, 0.0, 40000)
+        time_s += 0.01
+        craft.advance(time_s)
+        heights.append(craft.state().position_m[2])
+    assert np.array(heights[500:]) == pytest.approx(0.8, abs=0.1)
+    craft.command(0.0, 0.0, 0.0, 0)
+    craft.advance(time_s + 3.0)
+    assert craft.state().position_m[2] < 0.01
+
+
+def test_the_gyro_bias_is_found_once_at_start_up_and_kept_out_of_the_loops():
+    sensor = Sensor(gyro_bias_dps=(3.0, -2.0, 1.0))
+    craft = StandIn(StandInSettings(program="wait", sensor=sensor))
+    packets, _ = craft.advance(1.5)
+    assert not craft.state().calibrated
+    craft.advance(2.5)
+    assert craft.state().calibrated
+    assert craft._firmware[0]["bias"] == pytest.approx([49, -33, 16], abs=1)
+    assert np.abs(craft.state().gyro_dps).max() < 0.5
+    raw = rows_of(packets)["gyro"][300:].mean(axis=0)  # telemetry carries the raw register
+    assert raw == pytest.approx([49.2, -32.8, 16.4], abs=2.0)
+
+
+def test_a_craft_that_is_moved_finds_no_bias(tmp_path):
+    path = tmp_path / "shaky.toml"
+    path.write_text(
+        'name = "shaky"\n[[segment]]\nkind = "hand"\nseconds = 20\n'
+        '[[segment.excite]]\naxis = "roll"\nshape = "sine"\namplitude = 5\nend_s = 6\n'
+    )
+    craft = StandIn(StandInSettings(program=str(path)))
+    craft.advance(5.5)
+    assert not craft.state().calibrated
+    craft.advance(8.0)
+    assert craft.state().calibrated
