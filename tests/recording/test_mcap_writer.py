@@ -1,4 +1,5 @@
 import contextlib
+import errno
 import os
 import random
 import signal
@@ -416,6 +417,43 @@ def test_an_overflowing_queue_counts_what_it_drops_and_never_blocks(path, faults
     expected = flight(0, ROWS)[1]
     rows = np.searchsorted(expected.ticks, recording.samples.ticks)
     assert_same_samples(recording.samples, expected[rows])
+
+
+def test_a_slow_sync_does_not_keep_data_from_the_operating_system(path, monkeypatch):
+    """A memory card may take seconds; a killed process must not lose them."""
+    syncing, disk = threading.Event(), threading.Event()
+
+    def slow_sync(file):
+        syncing.set()
+        assert disk.wait(60)
+
+    monkeypatch.setattr(McapFile, "sync", slow_sync)
+    recorder = McapRecorder(path, METADATA, flush_s=0.01)
+    record_flight(recorder, 100)
+    assert syncing.wait(60)
+    record_flight(recorder, 100, first=100)
+    while recorder.status().samples < 200:
+        disk.wait(0.01)
+    while recorder.status().bytes > path.stat().st_size or len(read_mcap(path).samples) < 200:
+        disk.wait(0.01)
+    assert_same_samples(read_mcap(path).samples, flight(0, 200)[1])
+    disk.set()
+    assert recorder.finish().state == "finished"
+
+
+def test_a_failing_sync_is_a_fault(path, faults, monkeypatch):
+    def failing_sync(file):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(McapFile, "sync", failing_sync)
+    listen, heard = fault_event(faults)
+    recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
+    record_flight(recorder, 100)
+    while not heard.is_set():
+        recorder.event({"time_ns": START_NS})
+        heard.wait(0.01)
+    assert recorder.finish().state == "failed"
+    assert "Input/output error" in faults[0]
 
 
 def test_samples_of_another_clock_start_a_new_message(path):

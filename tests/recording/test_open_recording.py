@@ -1,0 +1,79 @@
+from pathlib import Path
+
+import pytest
+from flights import assert_same_samples, flight, write_flight
+
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.csv_file import write_csv
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.session import Recording
+from groundstation.viewer.rrd import write_rrd
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "flight.whatever"
+
+
+def test_an_mcap_file_is_known_by_its_content(path):
+    write_flight(path, 50)
+    recording = open_recording(path, raw=True)
+    assert recording.kind == "mcap"
+    assert len(recording.raw) == 200
+
+
+def test_an_mcap_file_with_a_damaged_first_byte_is_still_one(path):
+    write_flight(path, 50)
+    data = bytearray(path.read_bytes())
+    data[0] ^= 0xFF
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert_same_samples(recording.samples, flight(0, 50)[1])
+    assert "opening mark" in recording.damage[0]
+
+
+def test_a_csv_file_is_known_by_its_content(path):
+    write_csv(Recording(path, "made", flight(0, 50)[1]), path)
+    recording = open_recording(path)
+    assert recording.kind == "csv"
+    assert (recording.samples.ticks == flight(0, 50)[1].ticks).all()
+
+
+def test_a_rerun_recording_is_known_by_its_content(path):
+    write_rrd(Recording(path, "made", flight(0, 50)[1]), path)
+    recording = open_recording(path)
+    assert recording.kind == "rrd"
+    assert len(recording.samples) == 50
+
+
+def test_a_microsd_log_is_known_by_its_content(path):
+    header = b"\xbc\x02\x00\x01\x00\xff\xfffixedFrequency\x00\x01\x00gyro.x(f)\x00"
+    path.write_bytes(header + b"\0" * 4)
+    assert open_recording(path).kind == "microsd"
+
+
+def test_a_column_map_is_for_csv_files(path, tmp_path):
+    write_flight(path, 50)
+    with pytest.raises(BadInputError, match="takes no column map"):
+        open_recording(path, column_map=tmp_path / "map.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "line"), [(b"", "is empty"), (b"\x7fELF\2\1\1\0" * 9, "neither MCAP")]
+)
+def test_anything_else_is_one_clear_line(path, content, line):
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=line) as caught:
+        open_recording(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_one_clear_line():
+    with pytest.raises(BadInputError, match="no such file"):
+        open_recording(Path("nowhere.mcap"))
+
+
+def test_a_folder_is_one_clear_line(tmp_path):
+    with pytest.raises(BadInputError, match="not a file"):
+        open_recording(tmp_path)
