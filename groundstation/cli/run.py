@@ -114,8 +114,8 @@ def _conclude(station: Station) -> None:
             f"received {statistics.samples} samples, {statistics.lost} lost, "
             f"{statistics.packets} packets; recording: {recording['file'] or 'none'}"
         )
-    if station.sessions.failed:
-        raise GroundStationError(f"the recording stopped early: {recording['text']}")
+    if station.sessions.fault:
+        raise GroundStationError(f"the recording is not complete: {station.sessions.fault}")
     if station.damaged:
         raise GroundStationError(
             f"{station.link.name} is damaged; what could be read was delivered "

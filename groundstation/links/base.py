@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from groundstation.clock import HostClock, steady_clock
-from groundstation.errors import LinkEndedError, LinkLostError
+from groundstation.errors import LinkEndedError, LinkError, LinkLostError
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 LinkBatch = RawBatch | SampleBatch
@@ -70,7 +70,9 @@ class Link(ABC):
         self.on_event: EventSink = lambda event: None
 
     async def open(self) -> None:
-        """Open the source. Raises LinkError when it cannot be opened now."""
+        """Open the source. Raises LinkError when it cannot be opened now, or is open."""
+        if self.state is not LinkState.CLOSED:
+            raise LinkError(f"{self.name} is open already; close it first")
         self._enter(LinkState.OPENING, "opening")
         try:
             await self._open()
@@ -81,10 +83,15 @@ class Link(ABC):
     async def read(self) -> LinkBatch | None:
         """The next batch, or None when ``silence_s`` passed without one.
 
-        Raises LinkLostError when the device went away, LinkEndedError at the end of a replay.
+        Raises LinkLostError when the device went away, LinkEndedError at the end of a replay,
+        LinkError when the link is not open.
         """
+        if self.state is LinkState.CLOSED:
+            raise LinkError(f"{self.name} is not open; open it before reading")
         try:
-            batch = await asyncio.wait_for(self._read(), self.silence_s)
+            # not wait_for, which in Python 3.11 can swallow the cancellation of its caller
+            async with asyncio.timeout(self.silence_s):
+                batch = await self._read()
         except TimeoutError:
             self._enter(LinkState.SILENT, f"nothing received for {self.silence_s:g} s")
             return None
@@ -115,6 +122,10 @@ class Link(ABC):
         trace: TracebackType | None,
     ) -> None:
         await self.close()
+
+    def now_ns(self) -> int:
+        """The present on the time base of this link's host stamps."""
+        return self.clock()
 
     def emit(self, kind: str, text: str, **details: Any) -> None:
         """Report an event of this link."""

@@ -15,7 +15,7 @@ from groundstation.links.base import Link, LinkBatch
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
-BATCH_S = 0.01
+BATCH_S = 0.02
 """Span of one batch at normal speed."""
 FAST_PACKETS = 4096
 """Size of a batch when replaying as fast as possible."""
@@ -80,3 +80,10 @@ class ReplayLink(Link):
 
     async def _close(self) -> None:
         self._source = None
+
+    def now_ns(self) -> int:
+        """Stamps keep their spacing at any speed: so must the time that has passed since."""
+        if self._source is None or self.speed == FAST:
+            return self.clock()
+        passed_s = time.monotonic() - self._started_s
+        return int(self._source.host_time_ns[0]) + int(passed_s * self.speed * 1e9)

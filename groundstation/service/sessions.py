@@ -36,8 +36,8 @@ class Sessions:
         self._on_fault = on_fault
         self._recorder: McapRecorder | None = None
         self._last: RecorderStatus | None = None
-        self.failed = False
-        """Whether any recording stopped by a fault."""
+        self.fault = ""
+        """What kept a recording from being complete, if anything did."""
 
     def start(self, link: str) -> Path:
         """Begin a new file named after the time and the link."""
@@ -52,6 +52,13 @@ class Sessions:
             on_fault=self._fault,
         )
         return path
+
+    def require_started(self) -> None:
+        """Raises BadInputError when there is nothing to stop."""
+        if self._recorder is None:
+            raise BadInputError(
+                "nothing is being recorded; 'groundstation record start' begins a recording"
+            )
 
     def stop(self) -> RecorderStatus | None:
         """Finish the file; None when nothing was being recorded."""
@@ -97,7 +104,7 @@ class Sessions:
         }
 
     def _fault(self, text: str) -> None:
-        self.failed = True
+        self.fault = text
         self._on_fault(text)
 
     def _free_name(self, link: str) -> Path:

@@ -109,7 +109,8 @@ class Station:
         return path
 
     async def stop_recording(self) -> dict[str, Any]:
-        """Finish the file; its final status."""
+        """Finish the file; its final status. Raises BadInputError when there is none."""
+        self.sessions.require_started()
         self.note("recording", "recording stopped", source="recorder")
         await asyncio.to_thread(self.sessions.stop)
         return self.sessions.status()
@@ -181,7 +182,7 @@ class Station:
         while True:
             batch = await self.link.read()
             if batch is None:
-                self._take(self._decoder.idle(self.clock()))
+                self._take(self._decoder.idle(self.link.now_ns()))
             elif isinstance(batch, RawBatch):
                 self.sessions.raw(batch)
                 self._take(self._decoder.decode(batch))
