@@ -1,0 +1,102 @@
+"""The model file."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import pytest
+
+from groundstation.dynamics.model import (
+    THESIS,
+    BodyConstants,
+    EffectTerm,
+    Estimate,
+    Model,
+    load_model,
+    model_vehicle,
+    save_model,
+    vehicle_model,
+)
+from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.errors import BadInputError
+
+
+def test_the_built_in_model_has_the_printed_numbers():
+    model = load_model("thesis")
+    assert (model.motor.a0, model.motor.a1, model.motor.a2) == (0.862446, 6.814507, 0.006149)
+    assert model.body is not None
+    assert (model.body.c0, model.body.c1, model.body.c2) == (0.0136, 0.0136, 0.0005)
+    assert model.arx is not None
+    assert model.arx["roll"].a == (-1.959, 0.9567)
+    assert model.arx["yaw"].b == (1.382e-9,)
+    assert {axis.nk for axis in model.arx.values()} == {8}
+
+
+def test_a_model_survives_its_file(tmp_path):
+    path = tmp_path / "model.json"
+    drag = EffectTerm("rotor_drag", {"drag_n_s_m": Estimate(0.01, 0.001, "N s/m")})
+    model = msgspec.structs.replace(THESIS, effects=(drag,), fit={"samples": 4000})
+    save_model(model, path)
+    assert load_model(path) == model
+
+
+def test_the_file_has_the_layout_others_read(tmp_path):
+    path = tmp_path / "model.json"
+    save_model(THESIS, path)
+    document = json.loads(path.read_text())
+    assert document["schema_version"] == 1
+    assert document["vehicle"] == "crazyflie1"
+    assert set(document["motor"]) == {"a0", "a1", "a2"}
+    assert set(document["body"]) == {"c0", "c1", "c2", "thrust_per_mass"}
+    assert set(document["arx"]["roll"]) == {"na", "nb", "nk", "a", "b", "ts"}
+    assert {"effects", "fit", "created_by"} <= set(document)
+
+
+def test_a_profile_as_a_model_predicts_hover():
+    vehicle = load_vehicle("crazyflie21")
+    model = vehicle_model(vehicle)
+    assert model_vehicle(model) == vehicle
+    assert model.body is not None
+    assert model.body.thrust_per_mass * vehicle.mass_kg == pytest.approx(vehicle.thrust_n)
+
+
+def test_a_model_for_a_built_in_craft_needs_no_embedded_profile():
+    assert model_vehicle(THESIS) == load_vehicle("crazyflie1")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema_version": 7}, "schema_version 7"),
+        ({"motor": {"a0": 1.0, "a1": 2.0}}, r"a2.*\$\.motor"),
+        ({"motor": {"a0": -1.0, "a1": 2.0, "a2": 0.0}}, "motor.a0 is -1.0"),
+        ({"wind": 3}, "wind"),
+        ({"body": None, "arx": None}, "nothing to simulate"),
+    ],
+)
+def test_a_bad_model_is_refused_with_its_reason(tmp_path, change, message):
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({**msgspec.to_builtins(THESIS), **change}))
+    with pytest.raises(BadInputError, match=message):
+        load_model(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "not a model file"), (b"\xff\xfe", "not a model file"), (None, "no such file")],
+)
+def test_what_is_no_model_at_all_is_refused(tmp_path, content, message):
+    path = tmp_path / "model.json"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(BadInputError, match=message):
+        load_model(path)
+
+
+def test_a_model_that_cannot_be_simulated_is_not_written(tmp_path):
+    path = tmp_path / "model.json"
+    nan = BodyConstants(float("nan"), 1.0, 1.0, 1.0)
+    with pytest.raises(BadInputError, match=r"body\.c0 is nan"):
+        save_model(Model(vehicle="crazyflie1", motor=THESIS.motor, body=nan), path)
+    assert not path.exists()

@@ -1,0 +1,85 @@
+"""Vehicle profiles."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+
+from groundstation.dynamics.vehicle import (
+    BUILT_IN,
+    THESIS_MOTOR,
+    lever_arm_m,
+    load_vehicle,
+    rotor_positions_m,
+)
+from groundstation.errors import BadInputError
+
+
+def as_toml(**changes) -> bytes:
+    profile = msgspec.to_builtins(BUILT_IN["crazyflie1"])
+    profile.update(changes)
+    lines = []
+    for key, value in profile.items():
+        if isinstance(value, dict):
+            lines.append(f"{key} = {{ {', '.join(f'{k} = {v}' for k, v in value.items())} }}")
+        elif isinstance(value, str):
+            lines.append(f'{key} = "{value}"')
+        else:
+            lines.append(f"{key} = {list(value) if isinstance(value, tuple) else value}")
+    return "\n".join(lines).encode()
+
+
+def test_the_motor_settles_where_the_thesis_says():
+    assert THESIS_MOTOR.steady_rev_s(3700) == pytest.approx(354.8, abs=0.1)
+
+
+@pytest.mark.parametrize("speed", [50.0, 241.6, 350.0])
+def test_armature_voltage_and_steady_speed_are_inverse(speed):
+    assert THESIS_MOTOR.steady_rev_s(THESIS_MOTOR.armature_mv(speed)) == pytest.approx(speed)
+
+
+def test_the_default_craft_has_a_plausible_agility():
+    c0, c1, c2 = load_vehicle("crazyflie1").body_constants
+    assert 0.0038 < c0 == c1 < 0.0054
+    assert c2 == pytest.approx(0.0005)
+
+
+def test_rotors_stand_where_the_frame_says():
+    plus, x = load_vehicle("crazyflie1"), load_vehicle("crazyflie21")
+    assert rotor_positions_m(plus) == ((0.045, 0), (0, -0.045), (-0.045, 0), (0, 0.045))
+    lever = 0.046 / math.sqrt(2)
+    assert lever_arm_m(x) == pytest.approx(lever)
+    assert rotor_positions_m(x)[0] == pytest.approx((lever, -lever))
+    assert rotor_positions_m(x)[2] == pytest.approx((-lever, lever))
+
+
+def test_a_profile_can_be_a_toml_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_bytes(as_toml(name="mine", mass_kg=0.021))
+    vehicle = load_vehicle(path)
+    assert (vehicle.name, vehicle.mass_kg) == ("mine", 0.021)
+    assert vehicle.motor == THESIS_MOTOR
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mass_kg": -1.0}, "mass_kg is -1.0, must be positive"),
+        ({"mass_kg": "heavy"}, r"mass_kg"),
+        ({"wings": 2}, "wings"),
+        ({"configuration": "y"}, "configuration"),
+        ({"inertia_kg_m2": (1e-5, 1e-5, 4e-5)}, "not that of a body"),
+    ],
+)
+def test_a_bad_profile_is_refused_with_the_key(tmp_path, changes, message):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(as_toml(**changes))
+    with pytest.raises(BadInputError, match=message):
+        load_vehicle(path)
+
+
+def test_an_unknown_profile_names_those_that_exist():
+    with pytest.raises(BadInputError, match="crazyflie1, crazyflie21"):
+        load_vehicle("crazyflie9")

@@ -1,0 +1,203 @@
+"""The official client library over UDP, and datagrams that no client sends."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cflib.crtp
+import psutil
+import pytest
+from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
+
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.crtp import PARAMETERS, VARIABLES
+from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
+
+
+class Flight:
+    """A stand-in flown in real time by a thread, served by a loop in another."""
+
+    def __init__(self, craft: StandIn) -> None:
+        self.craft = craft
+        self.loop = asyncio.new_event_loop()
+        self.server = CrtpServer(craft, port=0)
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=self.loop.run_forever),
+            threading.Thread(target=self._fly),
+        ]
+
+    def start(self) -> None:
+        for thread in self._threads:
+            thread.start()
+        asyncio.run_coroutine_threadsafe(self.server.start(), self.loop).result(10)
+
+    def stop(self) -> None:
+        asyncio.run_coroutine_threadsafe(self.server.close(), self.loop).result(10)
+        self._stop.set()
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        for thread in self._threads:
+            thread.join(10)
+        self.loop.close()
+
+    def _fly(self) -> None:
+        start = time.monotonic() - self.craft.time_s
+        while not self._stop.wait(0.005):
+            self.craft.advance(time.monotonic() - start)
+
+    def wait_for(self, condition, timeout_s: float = 10.0) -> None:
+        """Poll a condition of the running craft."""
+        end = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < end, "the condition never came true"
+            time.sleep(0.005)
+
+
+@pytest.fixture(scope="module")
+def flight() -> Iterator[Flight]:
+    craft = StandIn(StandInSettings(program="wait", resume_s=1e6))
+    craft.advance(3.0)
+    running = Flight(craft)
+    running.start()
+    yield running
+    running.stop()
+
+
+@contextmanager
+def connected(flight: Flight) -> Iterator[Crazyflie]:
+    cflib.crtp.init_drivers()
+    crazyflie = Crazyflie()
+    ready = threading.Event()
+    crazyflie.fully_connected.add_callback(lambda uri: ready.set())
+    crazyflie.open_link(f"udp://127.0.0.1:{flight.server.port}")
+    try:
+        assert ready.wait(10), "never fully connected"
+        yield crazyflie
+    finally:
+        crazyflie.close_link()
+
+
+def test_the_client_lists_every_parameter_and_log_variable_twice_in_a_row(flight):
+    for _ in range(2):
+        with connected(flight) as crazyflie:
+            listed = {f"{g}.{n}" for g, names in crazyflie.param.toc.toc.items() for n in names}
+            logged = {f"{g}.{n}" for g, names in crazyflie.log.toc.toc.items() for n in names}
+    assert listed == {name for name, _ in PARAMETERS}
+    assert logged == {name for name, *_ in VARIABLES}
+
+
+def test_every_gain_is_written_and_read_back(flight):
+    gains = [name for name, _ in PARAMETERS if name.startswith("pid_")]
+    before = {name: flight.craft.get_parameter(name) for name in gains}
+    with connected(flight) as crazyflie:
+        seen = {}
+        done = threading.Event()
+
+        def updated(name: str, value: str) -> None:
+            seen[name] = float(value)
+            if len(seen) == len(gains):
+                done.set()
+
+        for name in gains:
+            group, variable = name.split(".")
+            crazyflie.param.add_update_callback(group=group, name=variable, cb=updated)
+        for number, name in enumerate(gains):
+            crazyflie.param.set_value(name, 0.5 * number)
+        assert done.wait(10)
+    assert seen == {name: 0.5 * number for number, name in enumerate(gains)}
+    assert {name: flight.craft.get_parameter(name) for name in gains} == seen
+    for name, value in before.items():
+        flight.craft.set_parameter(name, value)
+
+
+def test_log_blocks_come_100_times_a_second_and_setpoints_fly_the_craft(flight):
+    with connected(flight) as crazyflie:
+        received: list[tuple[int, dict[str, float]]] = []
+        enough = threading.Event()
+
+        def arrived(stamp: int, values: dict[str, float], _: LogConfig) -> None:
+            received.append((stamp, values))
+            if len(received) >= 150:
+                enough.set()
+
+        log = LogConfig("live", 10)
+        for name in ("stabilizer.thrust", "stabilizer.roll", "motor.m1", "pm.vbat", "gyro.x"):
+            log.add_variable(name)
+        crazyflie.log.add_config(log)
+        log.data_received_cb.add_callback(arrived)
+        log.start()
+        while not enough.is_set():
+            crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 46000)
+            enough.wait(0.02)
+        steps = [b[0] - a[0] for a, b in zip(received, received[1:], strict=False)]
+        assert sum(steps) / len(steps) == pytest.approx(10, rel=0.2)
+        assert received[-1][1]["stabilizer.thrust"] == 46000
+        assert 30000 < received[-1][1]["motor.m1"] < 60000
+        assert flight.craft.state().position_m[2] > 0.2
+        assert flight.craft.state().rotor_rev_s[0] > 200
+
+
+def test_a_client_that_falls_silent_is_levelled_and_stopped_in_the_firmwares_time(flight):
+    with connected(flight) as crazyflie:
+        crazyflie.commander.send_setpoint(8.0, 0.0, 0.0, 30000)
+        flight.wait_for(lambda: flight.craft.state().thrust == 30000)
+        sent_s = flight.craft.time_s
+        seen: dict[str, float] = {}
+
+        def watch() -> bool:
+            now = flight.craft.time_s - sent_s
+            if flight.craft._firmware[0]["setpoint"][0] == 0.0:
+                seen.setdefault("level", now)
+            if flight.craft.state().thrust == 0:
+                seen.setdefault("stopped", now)
+            return len(seen) == 2
+
+        flight.wait_for(watch)
+    assert seen["level"] == pytest.approx(0.5, abs=0.15)
+    assert seen["stopped"] == pytest.approx(2.0, abs=0.15)
+
+
+def test_garbage_neither_stops_the_server_nor_fills_its_memory(flight):
+    process = psutil.Process()
+    address = ("127.0.0.1", flight.server.port)
+    senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3 * MAX_CLIENTS)]
+    sizes = (0, 1, 2, 15, 31, 32, 64, 1500, 9000)
+
+    def flood(rounds: int) -> None:
+        for number in range(rounds):
+            sender = senders[number % len(senders)]
+            sender.sendto(os.urandom(sizes[number % len(sizes)]), address)
+            if number % 200 == 0:  # let the server drain: the kernel's buffer is not the subject
+                before = flight.server.counts.received
+                flight.wait_for(lambda before=before: flight.server.counts.received >= before)
+                time.sleep(0.002)
+
+    flood(10000)
+    settled = process.memory_info().rss
+    flood(60000)
+    assert process.memory_info().rss - settled < 3e6
+    assert len(flight.server._clients) <= MAX_CLIENTS
+    assert flight.server.counts.received > 30000
+    assert flight.server.counts.forgotten > 0
+    for sender in senders:
+        sender.close()
+    with connected(flight) as crazyflie:
+        assert crazyflie.param.values["pid_rate"]["roll_kp"] == "70.0"
+
+
+def test_a_port_that_is_taken_is_an_os_error(flight):
+    async def second() -> None:
+        server = CrtpServer(flight.craft, port=flight.server.port)
+        with pytest.raises(OSError, match=r"[Aa]ddress"):
+            await server.start()
+        await server.close()
+        await server.close()
+
+    asyncio.run(second())
