@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import socket
+import statistics
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import cflib.crtp
@@ -22,12 +24,13 @@ from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
 
 
 class Flight:
-    """A stand-in flown in real time by a thread, served by a loop in another."""
+    """A stand-in flown by a thread in steps of 10 ms, served by a loop in another."""
 
     def __init__(self, craft: StandIn) -> None:
         self.craft = craft
         self.loop = asyncio.new_event_loop()
         self.server = CrtpServer(craft, port=0)
+        self.each_step: Callable[[], None] = lambda: None
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(target=self.loop.run_forever),
@@ -48,9 +51,11 @@ class Flight:
         self.loop.close()
 
     def _fly(self) -> None:
-        start = time.monotonic() - self.craft.time_s
-        while not self._stop.wait(0.005):
-            self.craft.advance(time.monotonic() - start)
+        flown_s = self.craft.time_s
+        while not self._stop.wait(0.009):
+            flown_s += 0.01
+            self.craft.advance(flown_s)
+            self.each_step()
 
     def wait_for(self, condition, timeout_s: float = 10.0) -> None:
         """Poll a condition of the running craft."""
@@ -136,8 +141,8 @@ def test_log_blocks_come_100_times_a_second_and_setpoints_fly_the_craft(flight):
         while not enough.is_set():
             crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 46000)
             enough.wait(0.02)
-        steps = [b[0] - a[0] for a, b in zip(received, received[1:], strict=False)]
-        assert sum(steps) / len(steps) == pytest.approx(10, rel=0.2)
+        steps = [b[0] - a[0] for a, b in itertools.pairwise(received)]
+        assert statistics.median(steps) == 10
         assert received[-1][1]["stabilizer.thrust"] == 46000
         assert 30000 < received[-1][1]["motor.m1"] < 60000
         assert flight.craft.state().position_m[2] > 0.2
@@ -151,17 +156,18 @@ def test_a_client_that_falls_silent_is_levelled_and_stopped_in_the_firmwares_tim
         sent_s = flight.craft.time_s
         seen: dict[str, float] = {}
 
-        def watch() -> bool:
+        def watch() -> None:
             now = flight.craft.time_s - sent_s
             if flight.craft._firmware[0]["setpoint"][0] == 0.0:
                 seen.setdefault("level", now)
             if flight.craft.state().thrust == 0:
                 seen.setdefault("stopped", now)
-            return len(seen) == 2
 
-        flight.wait_for(watch)
-    assert seen["level"] == pytest.approx(0.5, abs=0.15)
-    assert seen["stopped"] == pytest.approx(2.0, abs=0.15)
+        flight.each_step = watch
+        flight.wait_for(lambda: len(seen) == 2)
+        flight.each_step = lambda: None
+    assert seen["level"] == pytest.approx(0.5, abs=0.1)
+    assert seen["stopped"] == pytest.approx(2.0, abs=0.1)
 
 
 def test_garbage_neither_stops_the_server_nor_fills_its_memory(flight):
