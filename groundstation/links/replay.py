@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +18,8 @@ from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 BATCH_S = 0.02
 """Span of one batch at normal speed."""
-FAST_PACKETS = 4096
-"""Size of a batch when replaying as fast as possible."""
+PIECE = 4096
+"""Rows read ahead; also a batch when replaying as fast as possible."""
 FAST = float("inf")
 
 
@@ -28,6 +29,7 @@ class ReplayLink(Link):
     speed: 1 for real time, 2 for twice as fast, ``FAST`` for as fast as the reader takes them.
     Host stamps keep the recorded spacing whatever the speed and are moved by one constant, so
     that the first is the moment of opening: what is recorded again has the same intervals.
+    A recording is read piece by piece: an hour needs no more memory than a minute.
     """
 
     def __init__(self, path: Path, *, speed: float = 1.0, clock: HostClock | None = None) -> None:
@@ -36,54 +38,86 @@ class ReplayLink(Link):
             raise BadInputError(f"replay speed {speed:g}: must be greater than 0 (or 'max')")
         self.path = path
         self.speed = speed
-        self.silence_s = 0.5
-        self._source: RawBatch | SampleBatch | None = None
+        self._pieces: Iterator[LinkBatch] = iter(())
+        self._piece: LinkBatch | None = None
         self._at = 0
+        self._first_ns = 0
+        self._shift_ns = 0
         self._started_s = 0.0
 
     async def _open(self) -> None:
-        recording = await asyncio.to_thread(open_recording, self.path, raw=True)
-        source: RawBatch | SampleBatch | None = recording.raw
-        if source is None or len(source) == 0:
-            source = recording.samples
-        if len(source) == 0:
+        self._pieces = self._read_pieces()
+        self._piece = await asyncio.to_thread(next, self._pieces, None)
+        if self._piece is None:
             raise BadInputError(f"{self.path} holds no telemetry to replay")
-        for line in recording.damage:
-            self.emit("damage", f"{self.path}: {line}")
-        if len(recording.samples):
-            self.start_ticks = int(recording.samples.ticks[0])
-        shift = self.clock() - int(source.host_time_ns[0])
-        self._source = replace(source, host_time_ns=source.host_time_ns + shift)
         self._at = 0
+        self._first_ns = int(self._piece.host_time_ns[0])
+        self._shift_ns = self.clock() - self._first_ns
         self._started_s = time.monotonic()
 
     async def _read(self) -> LinkBatch:
-        source = self._source
-        if source is None or self._at >= len(source):
+        piece = self._piece
+        if piece is None:
             raise LinkEndedError(f"the end of {self.path}")
-        stamps = source.host_time_ns
+        stamps = piece.host_time_ns
         if self.speed == FAST:
             await asyncio.sleep(0)
-            end = min(self._at + FAST_PACKETS, len(source))
+            end = len(piece)
         else:
-            due_s = (int(stamps[self._at] - stamps[0]) * 1e-9) / self.speed
-            wait_s = self._started_s + due_s + BATCH_S - time.monotonic()
-            await asyncio.sleep(max(0.0, wait_s))
+            due_s = (int(stamps[self._at]) - self._first_ns) * 1e-9 / self.speed
+            await asyncio.sleep(max(0.0, self._started_s + due_s + BATCH_S - time.monotonic()))
             passed_ns = (time.monotonic() - self._started_s) * self.speed * 1e9
-            end = int(np.searchsorted(stamps, stamps[0] + int(passed_ns), side="right"))
-            end = min(max(end, self._at + 1), self._at + FAST_PACKETS)
+            end = int(np.searchsorted(stamps, self._first_ns + int(passed_ns), side="right"))
+            end = max(end, self._at + 1)
         rows = slice(self._at, end)
         self._at = end
-        if isinstance(source, SampleBatch):
-            return source[rows]
-        return RawBatch(source.packets[rows], stamps[rows])
+        if end == len(piece):
+            # no await between here and the return: a cancelled read has lost nothing
+            self._piece, self._at = next(self._pieces, None), 0
+        shifted = stamps[rows] + self._shift_ns
+        if isinstance(piece, SampleBatch):
+            return replace(piece[rows], host_time_ns=shifted)
+        return RawBatch(piece.packets[rows], shifted)
 
     async def _close(self) -> None:
-        self._source = None
+        self._pieces, self._piece = iter(()), None
 
-    def now_ns(self) -> int:
-        """Stamps keep their spacing at any speed: so must the time that has passed since."""
-        if self._source is None or self.speed == FAST:
-            return self.clock()
-        passed_s = time.monotonic() - self._started_s
-        return int(self._source.host_time_ns[0]) + int(passed_s * self.speed * 1e9)
+    def _read_pieces(self) -> Iterator[LinkBatch]:
+        """Packets from an MCAP file as they are read; anything else is loaded at once."""
+        from groundstation.recording.mcap_reader import RawStream
+
+        if _is_mcap(self.path):
+            stream = RawStream(self.path, batch_packets=PIECE)
+            some = False
+            for batch in stream.batches():
+                self.start_ticks = stream.first_ticks
+                some = True
+                yield batch
+            if some:
+                self._report(stream.damage)
+                return
+        recording = open_recording(self.path, raw=True)
+        if len(recording.samples):
+            self.start_ticks = int(recording.samples.ticks[0])
+        source = recording.raw if recording.raw is not None else recording.samples
+        for at in range(0, len(source), PIECE):
+            rows = slice(at, at + PIECE)
+            if isinstance(source, SampleBatch):
+                yield source[rows]
+            else:
+                yield RawBatch(source.packets[rows], source.host_time_ns[rows])
+        self._report(recording.damage)
+
+    def _report(self, damage: list[str]) -> None:
+        for line in damage:
+            self.emit("damage", f"{self.path}: {line}")
+
+
+def _is_mcap(path: Path) -> bool:
+    from groundstation.recording.mcap_scan import looks_like_mcap
+
+    try:
+        with path.open("rb") as file:
+            return looks_like_mcap(file.read(8))
+    except OSError:
+        return False  # the general reader says what is wrong with it

@@ -14,9 +14,9 @@ from groundstation.errors import BadInputError, LinkError
 from groundstation.links.base import Link
 from groundstation.telemetry.samples import RawBatch
 
-BATCH_S = 0.01
+BATCH_S = 0.02
 """Simulated time per batch."""
-FAST_BATCH_S = 0.5
+FAST_BATCH_S = 5.0
 CATCH_UP_S = 0.25
 """A stalled process skips simulated time beyond this instead of racing to catch up."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,41 @@ def read_mcap(path: Path, *, raw: bool = False) -> Recording:
         metadata=metadata,
         damage=damage + topics.damage(),
     )
+
+
+class RawStream:
+    """The packets of a recording in order, in memory for a few thousand at a time.
+
+    first_ticks: device time of the first sample, known once a batch has come.
+    damage: complete when ``batches`` has ended.
+
+    Raises as ``read_mcap``.
+    """
+
+    def __init__(self, path: Path, *, batch_packets: int = 4096) -> None:
+        self._path = path
+        self._batch_packets = batch_packets
+        self.first_ticks: int | None = None
+        self.damage: list[str] = []
+
+    def batches(self) -> Iterator[RawBatch]:
+        """Batches of about ``batch_packets``; nothing for a recording without packets."""
+        with McapScan(self._path) as scan:
+            topics = _Topics(scan, raw=True)
+            for channel_id, _, _, payload in scan.messages():
+                topic = scan.topic(channel_id)
+                if topic == RAW_TOPIC:
+                    topics.add(channel_id, payload)
+                    if len(topics.packets) >= self._batch_packets:
+                        yield topics.packets.take()
+                elif topic == SAMPLES_TOPIC and self.first_ticks is None:
+                    topics.add(channel_id, payload)
+                    self.first_ticks = int(topics.samples.batch().ticks[0])
+            topics.require_ours()
+            self.damage = [*(damage.line(scan.start_ns) for damage in scan.damage)]
+            self.damage += topics.damage()
+            if len(topics.packets):
+                yield topics.packets.take()
 
 
 class _Topics:
@@ -220,6 +255,15 @@ class _SampleColumns:
 
 class _RawColumns:
     """Packets as received, growing in place."""
+
+    def __len__(self) -> int:
+        return len(self._times) // 8
+
+    def take(self) -> RawBatch:
+        """What has come so far, and start anew."""
+        batch = self.batch()
+        self._times, self._packets = bytearray(), bytearray()
+        return batch
 
     def __init__(self) -> None:
         self._times = bytearray()

@@ -17,14 +17,17 @@ from numpy.typing import NDArray
 
 from groundstation.telemetry import reassembly as kernel
 from groundstation.telemetry import reassembly_state as layout
-from groundstation.telemetry.packet import PACKET_BYTES, Packets, motor_counts
-from groundstation.telemetry.packet import decode as decode_packets
+from groundstation.telemetry.packet import PACKET_BYTES, Packets, encode
 from groundstation.telemetry.samples import RawBatch, SampleBatch, samples_from_packets
 
 COMPILE_FROM = 4096
 """Batches at least this large run compiled: a live daemon never pays for importing numba."""
 CHUNK = 1 << 18
 """Packets handled at a time: bounds the memory of a bulk call."""
+MOTOR_LOW_BITS = tuple(
+    encode(0, 0, [[7, 7, 7, 7]], [[0] * 3], [[0] * 3], [[0] * 3], 0).view(np.uint64)[0, :2]
+)
+"""The three lowest bits of each motor in a packet's first two 64-bit words."""
 BATTERY_MOST_MV = 6000
 """One lithium cell cannot show more: such a packet is not ours."""
 
@@ -149,24 +152,23 @@ class Decoder:
 
     def _decode(self, packets: Packets, host_time_ns: NDArray[np.int64]) -> Decoded:
         self._packets += len(packets)
-        packets = np.ascontiguousarray(packets, np.uint8)
-        plausible = is_plausible(packets)
-        if not plausible.all():
-            self._malformed += int(len(packets) - np.count_nonzero(plausible))
-            packets, host_time_ns = packets[plausible], host_time_ns[plausible]
         if len(packets) and self._origin_ns is None:
             self._origin_ns = int(host_time_ns[0])
-        words = packets.view(np.uint64).reshape(-1, 4)
+        words = np.ascontiguousarray(packets, np.uint8).view(np.uint64).reshape(-1, 4)
         first = np.ones(len(words), np.bool_)
         first[1:] = (words[1:] != words[:-1]).any(axis=1)
         starts = np.flatnonzero(first)
-        contents = words[starts]
+        contents, host = words[starts], host_time_ns[starts] - (self._origin_ns or 0)
+        ends = np.append(starts[1:], len(words))
+        counts = ends - starts
+        plausible = _is_plausible(contents)
+        if not plausible.all():
+            self._malformed += int(counts[~plausible].sum())
+            contents, host, counts = contents[plausible], host[plausible], counts[plausible]
         stamps = (contents[:, 0] & np.uint64(0xFFFF)).astype(np.int64)
-        counts = np.diff(starts, append=len(words))
-        host = host_time_ns[starts] - (self._origin_ns or 0)
         reassemble = _compiled() if len(packets) >= COMPILE_FROM else kernel.reassemble
         return self._run(
-            lambda out: reassemble(self._state, out, contents, stamps, counts, host), len(starts)
+            lambda out: reassemble(self._state, out, contents, stamps, counts, host), len(stamps)
         )
 
     def _run(self, step: Callable[[layout.Output], None], incoming: int) -> Decoded:
@@ -203,16 +205,15 @@ def decode_all(
     return SampleBatch.concatenate(parts), decoder.counts()
 
 
-def is_plausible(packets: Packets) -> NDArray[np.bool_]:
-    """Whether each of (n, 32) byte rows can be a telemetry packet at all.
+def _is_plausible(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Whether each row of (n, 4) words, a packet's bytes, can be a telemetry packet at all.
 
     The packet has no checksum. Its twelve always-zero bits (motors are multiples of eight) and
     the battery's range refuse shifted or foreign bytes with odds of 45,000 to 1.
     """
-    records = decode_packets(packets)
-    low_bits = np.bitwise_or.reduce(motor_counts(records) & 7, axis=1)
-    filled = packets.any(axis=1)
-    return (low_bits == 0) & (records["battery"] <= BATTERY_MOST_MV) & filled
+    zero_bits = (words[:, 0] & MOTOR_LOW_BITS[0]) | (words[:, 1] & MOTOR_LOW_BITS[1])
+    battery_mv = (words[:, 0] >> np.uint64(16)) & np.uint64(0xFFFF)
+    return (zero_bits == 0) & (battery_mv <= BATTERY_MOST_MV) & words.any(axis=1)
 
 
 @functools.cache
