@@ -4,25 +4,55 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError
 from groundstation.links.base import Link
+from groundstation.links.command import CommandLink
 
 KINDS = "stand-in, replay:FILE"
 
 
 def make_link(
-    name: str, *, speed: float, stand_in: dict[str, Any], clock: HostClock | None = None
+    name: str,
+    *,
+    speed: float,
+    stand_in: dict[str, Any],
+    command: str = "",
+    clock: HostClock | None = None,
 ) -> Link:
-    """``stand-in`` or ``replay:FILE``. Raises BadInputError for anything else."""
+    """``stand-in`` or ``replay:FILE``. Raises BadInputError for anything else.
+
+    command: URI of the command link: a stand-in answers there when it is ``udp://``.
+    """
     kind, _, argument = name.partition(":")
     if kind == "stand-in" and not argument:
         from groundstation.links.stand_in import StandInLink
 
-        return StandInLink(stand_in, speed=speed, clock=clock)
+        return StandInLink(stand_in, speed=speed, crtp=_udp_address(command), clock=clock)
     if kind == "replay" and argument:
         from groundstation.links.replay import ReplayLink
 
         return ReplayLink(Path(argument), speed=speed, clock=clock)
     raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
+
+
+def make_command_link(uri: str, *, clock: HostClock | None = None) -> CommandLink:
+    """``udp://HOST:PORT`` for a stand-in, ``radio://...`` for a craft."""
+    from groundstation.links.crazyflie import CrazyflieLink
+
+    return CrazyflieLink(uri, clock=clock)
+
+
+def _udp_address(uri: str) -> tuple[str, int] | None:
+    parts = urlsplit(uri)
+    if parts.scheme != "udp":
+        return None
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if host is None or port is None:
+        raise BadInputError(f"command link {uri!r}: give it as udp://HOST:PORT")
+    return host, port

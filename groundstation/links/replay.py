@@ -82,6 +82,13 @@ class ReplayLink(Link):
     async def _close(self) -> None:
         self._pieces, self._piece = iter(()), None
 
+    def now_ns(self) -> int:
+        """Stamps keep their spacing at any speed: so must the time that has passed since."""
+        if self._piece is None or self.speed == FAST:
+            return self.clock()
+        passed_s = time.monotonic() - self._started_s
+        return self._first_ns + self._shift_ns + int(passed_s * self.speed * 1e9)
+
     def _read_pieces(self) -> Iterator[LinkBatch]:
         """Packets from an MCAP file as they are read; anything else is loaded at once."""
         from groundstation.recording.mcap_reader import RawStream
@@ -99,7 +106,9 @@ class ReplayLink(Link):
         recording = open_recording(self.path, raw=True)
         if len(recording.samples):
             self.start_ticks = int(recording.samples.ticks[0])
-        source = recording.raw if recording.raw is not None else recording.samples
+        has_packets = recording.raw is not None and len(recording.raw) > 0
+        source = recording.raw if has_packets else recording.samples
+        assert source is not None
         for at in range(0, len(source), PIECE):
             rows = slice(at, at + PIECE)
             if isinstance(source, SampleBatch):

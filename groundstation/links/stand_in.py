@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 
 from groundstation.clock import HostClock
-from groundstation.errors import BadInputError, LinkError
+from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
 from groundstation.telemetry.samples import RawBatch
 
-BATCH_S = 0.02
+BATCH_S = 0.01
 """Simulated time per batch."""
 FAST_BATCH_S = 5.0
 CATCH_UP_S = 0.25
@@ -27,10 +27,16 @@ class StandInLink(Link):
     options: settings of the stand-in, as in the configuration's ``[stand_in]`` table.
     speed: 1 for real time, ``inf`` for as fast as the reader takes batches. The host stamps
         keep simulated spacing at any speed.
+    crtp: host and UDP port on which the craft answers clients of the official library.
     """
 
     def __init__(
-        self, options: dict[str, Any], *, speed: float = 1.0, clock: HostClock | None = None
+        self,
+        options: dict[str, Any],
+        *,
+        speed: float = 1.0,
+        crtp: tuple[str, int] | None = None,
+        clock: HostClock | None = None,
     ) -> None:
         super().__init__("stand-in", clock=clock)
         if not speed > 0:
@@ -43,6 +49,9 @@ class StandInLink(Link):
             raise BadInputError(f"configuration [stand_in]: {error}") from error
         self.speed = speed
         self.silence_s = 2.0
+        self._step_s = FAST_BATCH_S if speed == float("inf") else BATCH_S * max(1.0, speed)
+        self._crtp = crtp
+        self._server: Any = None
         self._craft: Any = None
         self._flown_s = 0.0
         self._origin_ns = 0
@@ -51,10 +60,23 @@ class StandInLink(Link):
 
     async def _open(self) -> None:
         self._craft = await asyncio.to_thread(self._power_on)
+        if self._crtp is not None:
+            await self._serve(*self._crtp)
         self._flown_s = 0.0
         self._flight = None
         self._origin_ns = self.clock()
-        self._due_s = time.monotonic()
+        # a batch is due when its last packet has arrived: a stamp is never from the future
+        self._due_s = time.monotonic() + self._step_s / self.speed
+
+    async def _serve(self, host: str, port: int) -> None:
+        from firmware_sim.crtp_server import CrtpServer
+
+        server = CrtpServer(self._craft, host, port)
+        try:
+            await server.start()
+        except OSError as error:
+            raise TakenError(f"command port {host}:{port} of the stand-in: {error}") from error
+        self._server = server
 
     def _power_on(self) -> Any:
         from firmware_sim.craft import StandIn
@@ -64,26 +86,25 @@ class StandInLink(Link):
             # compiles on a machine's first run, which must not look like a silent link
             craft.advance(0.0)
         except (ValueError, OSError) as error:
-            raise LinkError(f"stand-in: {error}") from error
+            raise BadInputError(f"configuration [stand_in]: {error}") from error
         return craft
 
     async def _read(self) -> RawBatch:
-        step_s = FAST_BATCH_S if self.speed == float("inf") else BATCH_S * max(1.0, self.speed)
         while True:
             if self._flight is None:
                 wait_s = self._due_s - time.monotonic()
                 if wait_s > 0:
                     await asyncio.sleep(wait_s)
-                target_s = self._flown_s + step_s
+                target_s = self._flown_s + self._step_s
                 self._flight = asyncio.get_running_loop().run_in_executor(
                     None, self._craft.advance, target_s
                 )
             # shielded: a cancelled read leaves the flight for the next one, losing nothing
             packets, arrival_s = await asyncio.shield(self._flight)
             self._flight = None
-            self._flown_s += step_s
+            self._flown_s += self._step_s
             behind_s = time.monotonic() - self._due_s
-            self._due_s += step_s / self.speed
+            self._due_s += self._step_s / self.speed
             if behind_s > CATCH_UP_S and self.speed != float("inf"):
                 self._due_s += behind_s
                 self._origin_ns += int(behind_s * 1e9)
@@ -94,4 +115,6 @@ class StandInLink(Link):
     async def _close(self) -> None:
         if self._flight is not None:
             await asyncio.wait([self._flight])
-        self._craft = self._flight = None
+        if self._server is not None:
+            await self._server.close()
+        self._craft = self._flight = self._server = None

@@ -1,0 +1,90 @@
+"""Every backend under the same contract."""
+
+import asyncio
+from typing import ClassVar
+
+import flights
+import numpy as np
+from link_contract import FiniteLinkContract, LinkContract
+
+from groundstation.links.factory import make_link
+from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.session import Recording
+from groundstation.telemetry.samples import SampleBatch
+
+SOUND_RADIO = {"loss": {"good_loss": 0.0}}
+ROWS = 150
+
+
+def open_and_close(link):
+    async def session():
+        async with link:
+            pass
+
+    asyncio.run(session())
+
+
+class MadeByTheFactory:
+    """Links as the daemon makes them."""
+
+    name = ""
+    options: ClassVar[dict] = {}
+
+    def make(self, tmp_path):
+        return make_link(self.name.format(tmp_path=tmp_path), speed=1.0, stand_in=self.options)
+
+    def open_wrongly(self, name, options):
+        settings = {key: value for key, value in options.items() if key != "speed"}
+        open_and_close(make_link(name, speed=options.get("speed", 1.0), stand_in=settings))
+
+
+class TestStandIn(MadeByTheFactory, LinkContract):
+    name = "stand-in"
+    options = SOUND_RADIO
+    bad = (
+        ("stand-in", {"copys": 4}, "copys"),
+        ("stand-in", {"plant": "perfect"}, "plant"),
+        ("stand-in", {"program": "no such programme"}, "no such programme"),
+        ("stand-in", {"effects": {"phlogiston": {}}}, "phlogiston"),
+        ("stand-in", {"speed": 0.0}, "greater than 0"),
+        ("stand-in:2", {}, "stand-in:2"),
+        ("teleport", {}, "stand-in, replay:FILE"),
+    )
+
+
+class TestStandInThatFiltersCopies(MadeByTheFactory, LinkContract):
+    """The bridge of the thesis forwards each packet once."""
+
+    name = "stand-in"
+    options = SOUND_RADIO | {"bridge_dedup": True}
+    copies = 1
+    bad = (("stand-in", {"bridge_dedup": 7}, "bridge_dedup"),)
+
+
+class TestReplay(MadeByTheFactory, FiniteLinkContract):
+    name = "replay:{tmp_path}/flight.mcap"
+    bad = (
+        ("replay:{tmp_path}/nowhere.mcap", {}, "nowhere.mcap"),
+        ("replay:", {}, "replay"),
+        ("replay:{tmp_path}/flight.mcap", {"speed": -1.0}, "greater than 0"),
+        ("replay:{tmp_path}/flight.mcap", {"speed": float("nan")}, "greater than 0"),
+    )
+
+    def make(self, tmp_path):
+        flights.write_flight(tmp_path / "flight.mcap", ROWS)
+        return super().make(tmp_path)
+
+
+class TestReplayOfSamples(MadeByTheFactory, FiniteLinkContract):
+    """A source that never had packets, as a microSD log."""
+
+    name = "replay:{tmp_path}/samples.mcap"
+    kind = SampleBatch
+    bad = (("replay:{tmp_path}/nowhere", {}, "nowhere"),)
+
+    def make(self, tmp_path):
+        _, samples = flights.flight(0, ROWS)
+        samples.ticks[:] = np.arange(ROWS) * 2000
+        recording = Recording(tmp_path, "microsd", samples)
+        write_mcap(recording, tmp_path / "samples.mcap")
+        return super().make(tmp_path)

@@ -1,0 +1,121 @@
+"""Commands through the official client library to a stand-in over UDP."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+from flown_link import flown, free_udp_port
+
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.command import CommandState
+from groundstation.links.crazyflie import CrazyflieLink
+from groundstation.links.factory import make_command_link
+
+Scenario = Callable[[CrazyflieLink, list[dict[str, Any]]], Awaitable[None]]
+
+
+def on_a_stand_in(scenario: Scenario) -> None:
+    async def play() -> None:
+        async with flown({"program": "wait"}) as uri:
+            link = CrazyflieLink(uri)
+            entries: list[dict[str, Any]] = []
+            link.on_entry = entries.append
+            await link.open()
+            try:
+                await scenario(link, entries)
+            finally:
+                await link.close()
+
+    asyncio.run(play())
+
+
+def test_every_gain_is_known_after_connecting() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        assert link.state is CommandState.CONNECTED
+        parameters = link.parameters()
+        assert parameters["pid_rate.roll_kp"] == 70
+        assert parameters["pid_attitude.pitch_kp"] == 3.5
+
+    on_a_stand_in(scenario)
+
+
+def test_a_written_gain_is_confirmed_by_the_craft_and_recorded_both_ways() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        assert await link.write_parameter("pid_rate.roll_kp", 55.5) == 55.5
+        assert link.parameters()["pid_rate.roll_kp"] == 55.5
+        assert [(e["direction"], e["kind"], e["value"]) for e in entries] == [
+            ("out", "parameter", 55.5),
+            ("in", "parameter", 55.5),
+        ]
+
+    on_a_stand_in(scenario)
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw", "thrust"),
+    [(math.nan, 0, 0, 0), (0, math.inf, 0, 0), (0, 0, 1e4, 0), (60, 0, 0, 0), (0, 0, 0, 70000)],
+)
+def test_a_setpoint_that_is_not_sane_is_refused_before_it_is_sent(
+    roll: float, pitch: float, yaw: float, thrust: int
+) -> None:
+    link = CrazyflieLink("udp://127.0.0.1:1")
+    entries: list[dict[str, Any]] = []
+    link.on_entry = entries.append
+    with pytest.raises(BadInputError, match="setpoint"):
+        link.setpoint(roll, pitch, yaw, thrust)
+    assert entries == []
+
+
+def test_a_setpoint_is_recorded_as_sent() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        link.setpoint(1.5, -2.0, 10.0, 30000)
+        assert entries[0]["kind"] == "setpoint"
+        assert entries[0]["thrust"] == 30000
+        assert entries[0]["pitch_deg"] == -2.0
+
+    on_a_stand_in(scenario)
+
+
+def test_unknown_parameters_and_values_that_are_no_numbers_are_refused() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        with pytest.raises(BadInputError, match="no parameter"):
+            await link.write_parameter("pid_rate.nonsense", 1.0)
+        with pytest.raises(BadInputError, match="finite"):
+            await link.write_parameter("pid_rate.roll_kp", math.nan)
+        assert entries == []
+
+    on_a_stand_in(scenario)
+
+
+def test_two_connections_in_a_row_work() -> None:
+    async def play() -> None:
+        async with flown({"program": "wait"}) as uri:
+            for _ in range(2):
+                link = make_command_link(uri)
+                await link.open()
+                assert "pid_rate.yaw_ki" in link.parameters()
+                await link.close()
+                await link.close()
+                assert link.state is CommandState.CLOSED
+
+    asyncio.run(play())
+
+
+def test_a_craft_that_does_not_answer_gives_one_clear_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("groundstation.links.crazyflie.CONNECT_S", 0.5)
+    link = CrazyflieLink(f"udp://127.0.0.1:{free_udp_port()}")
+    with pytest.raises(LinkError, match=r"no craft answered within 0\.5 s|refused"):
+        asyncio.run(link.open())
+    assert link.state is CommandState.CLOSED
+
+
+@pytest.mark.parametrize("uri", ["http://x", "udp:", "nonsense"])
+def test_an_unknown_kind_of_command_link_is_refused(uri: str) -> None:
+    with pytest.raises(BadInputError, match="not known"):
+        make_command_link(uri)
