@@ -32,6 +32,7 @@ def status(as_json: bool = JSON_OPTION) -> None:
         typer.echo(json.dumps(answer, indent=2))
         return
     link, recording, viewer = answer["link"], answer["recording"], answer["viewer"]
+    command = answer["command"]
     latency = "" if link["latency_ms"] is None else f", {link['latency_ms']:.1f} ms late"
     rows = [
         ("link", f"{link['name']}  {link['state']}"),
@@ -39,6 +40,7 @@ def status(as_json: bool = JSON_OPTION) -> None:
         ("recording", _recording_line(recording)),
         ("viewer", f"{viewer['state']}, {viewer['dropped']} dropped"),
         *(("", url) for url in viewer["urls"]),
+        ("command", "off" if command is None else f"{command['uri']}  {command['state']}"),
         ("up", f"{answer['uptime_s']:.0f} s"),
     ]
     for name, text in rows:
@@ -56,7 +58,7 @@ def events(as_json: bool = JSON_OPTION) -> None:
         return
     for event in answer:
         moment = time.strftime("%H:%M:%S", time.localtime(event["time_ns"] * 1e-9))
-        typer.echo(f"{moment}  {event['link']:<12}{event['kind']:<11}{event['text']}")
+        typer.echo(f"{moment}  {event['link']:<24} {event['kind']:<11}{event['text']}")
 
 
 @record.command("start")

@@ -7,7 +7,9 @@ The only module that imports cflib, which is GPLv3 and an optional extra:
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from groundstation.clock import HostClock
@@ -35,7 +37,8 @@ class CrazyflieLink(CommandLink):
             raise BadInputError(
                 f"command link {uri!r} is not known: udp://HOST:PORT or radio://..."
             )
-        self._new_craft: Callable[[], Any] = Crazyflie
+        cache = _cache_folder()
+        self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(cache))
         self._craft: Any = None
 
     async def open(self) -> None:
@@ -110,6 +113,12 @@ class CrazyflieLink(CommandLink):
         if self._craft is None or self.state is not CommandState.CONNECTED:
             raise LinkError(f"{self.uri} is not connected ({self.state.value})")
         return self._craft
+
+
+def _cache_folder() -> Path:
+    """Where cflib keeps tables of contents by their checksum, so that they are read once."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "groundstation" / "crazyflie"
 
 
 def _resolve(future: asyncio.Future[Any], result: Any) -> None:

@@ -17,8 +17,9 @@ from groundstation.errors import (
     LinkError,
     LinkLostError,
 )
-from groundstation.links.base import Link, LinkEvent
-from groundstation.links.factory import make_link
+from groundstation.links.base import Link, LinkEvent, LinkState
+from groundstation.links.command import CommandLink, CommandState
+from groundstation.links.factory import make_command_link, make_link
 from groundstation.service.config import MEBIBYTE, Config, link_speed
 from groundstation.service.sessions import Sessions
 from groundstation.telemetry.decoder import Decoded, Decoder
@@ -48,9 +49,14 @@ class Station:
             config.link.name,
             speed=link_speed(config.link.speed),
             stand_in=config.stand_in,
+            command=config.command,
             clock=self.clock,
         )
         self.link.on_event = self.take_event
+        self.command: CommandLink | None = None
+        if config.command:
+            self.command = make_command_link(config.command, clock=self.clock)
+            self.command.on_event = self.take_event
         self.sessions = Sessions(
             Path(config.recording.folder),
             {
@@ -66,6 +72,8 @@ class Station:
             web_port=config.viewer.web_port,
             on_event=lambda kind, text: self.note(kind, text, source="viewer"),
         )
+        if self.command is not None:
+            self.command.on_entry = self.sessions.command
         self._log = structlog.get_logger("groundstation")
         self._started_s = time.monotonic()
         self._decoder = Decoder()
@@ -85,15 +93,19 @@ class Station:
         await self.viewer.start()
         try:
             receiving = asyncio.create_task(self._receive(), name="link")
+            commanding = asyncio.create_task(self._connect_command(), name="command")
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
             await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
             stopping.cancel()
+            commanding.cancel()
             if not receiving.done():
                 receiving.cancel()
-            await asyncio.gather(receiving, return_exceptions=True)
+            await asyncio.gather(receiving, commanding, return_exceptions=True)
             if not receiving.cancelled():
                 receiving.result()
         finally:
+            if self.command is not None:
+                await self.command.close()
             await self.link.close()
             self._take(self._decoder.finish())
             self._close_window()
@@ -128,6 +140,9 @@ class Station:
             },
             "recording": self.sessions.status(),
             "viewer": self.viewer.status(),
+            "command": None
+            if self.command is None
+            else {"uri": self.command.uri, "state": self.command.state.value},
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
@@ -151,6 +166,22 @@ class Station:
         # called from the recorder's thread
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(lambda: self.note("fault", text, source="recorder"))
+
+    # -- the way to the craft --------------------------------------------------------------
+
+    async def _connect_command(self) -> None:
+        """Keep the command link connected while telemetry is on."""
+        command = self.command
+        while command is not None:
+            # a stand-in answers only once its link is open
+            if self.link.state is LinkState.STREAMING and command.state is not _CONNECTED:
+                try:
+                    await command.close()
+                    await command.open()
+                except LinkError as error:
+                    self.note("waiting", str(error), source=command.uri)
+                    await asyncio.sleep(RETRY_MOST_S)
+            await asyncio.sleep(RETRY_FIRST_S)
 
     # -- the stream ------------------------------------------------------------------------
 
@@ -209,6 +240,7 @@ class Station:
         self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
 
 
+_CONNECTED = CommandState.CONNECTED
 _WARNINGS = frozenset({"fault", "lost", "silent", "waiting", "restart", "damage"})
 
 
