@@ -1,0 +1,84 @@
+"""The brushed motor with its propeller (thesis 3.15): constants, and speed from voltage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.dynamics.vehicle import MotorConstants
+
+Array = NDArray[np.float64]
+REVOLUTION = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class DcMotor:
+    """Physical constants of an armature-controlled motor (thesis eq. 3.75-3.80), SI.
+
+    torque_constant: k_T, N m/A. back_emf: k_M, V per rad/s. winding_ohm: R.
+    rotor_inertia: I_r, kg m^2. load: k_L, N m per (rad/s)^2 of the propeller's drag. Eq. 3.79
+    adds the thrust coefficient k to it, which is a force; only the drag b loads the shaft.
+    """
+
+    torque_constant: float
+    back_emf: float
+    winding_ohm: float
+    rotor_inertia: float
+    load: float
+
+    def current_a(self, armature_v: ArrayLike, rotor_rad_s: ArrayLike) -> Array:
+        """Armature current in A (thesis eq. 3.78)."""
+        emf = self.back_emf * np.asarray(rotor_rad_s, np.float64)
+        return np.asarray((np.asarray(armature_v, np.float64) - emf) / self.winding_ohm)
+
+    @property
+    def constants(self) -> MotorConstants:
+        """a0, a1, a2 of eq. 3.82 in rev/s and mV, from eq. 3.81 in rad/s and V."""
+        push = self.torque_constant / (self.winding_ohm * self.rotor_inertia)
+        return MotorConstants(
+            a0=push / REVOLUTION / 1000.0,
+            a1=push * self.back_emf,
+            a2=self.load / self.rotor_inertia * REVOLUTION,
+        )
+
+
+def armature_mv(duty: ArrayLike, supply_v: ArrayLike) -> Array:
+    """Mean motor voltage in mV of a PWM-driven switch (thesis eq. 3.83-3.84).
+
+    duty: (..., motors) 0..1; supply_v: (...) in V.
+    """
+    supply_mv = 1000.0 * np.asarray(supply_v, np.float64)
+    return np.asarray(duty, np.float64) * supply_mv[..., None]
+
+
+def simulate_motor(
+    motor: MotorConstants,
+    voltage_mv: ArrayLike,
+    period_s: float,
+    initial_rev_s: ArrayLike | None = None,
+    substeps: int = 2,
+) -> tuple[Array, Array]:
+    """Rotor speeds driven by voltages that are held over each period (thesis eq. 3.82).
+
+    voltage_mv: (k, motors), row i acts from sample i to i + 1.
+    initial_rev_s: (motors,), default: at rest at the first voltage's steady speed.
+
+    Returns speeds (k + 1, motors) in rev/s at the samples, and the mean of the squared speed over
+    each period (k, motors) in (rev/s)^2, which is what torques are made of.
+    """
+    from groundstation.dynamics.kernels import motor_run
+
+    voltage = np.ascontiguousarray(voltage_mv, np.float64)
+    if voltage.ndim != 2 or len(voltage) == 0:
+        raise ValueError(f"voltage_mv has shape {voltage.shape}, expected (samples, motors)")
+    if initial_rev_s is None:
+        start = np.array([motor.steady_rev_s(value) for value in voltage[0]])
+    else:
+        start = np.broadcast_to(np.asarray(initial_rev_s, np.float64), voltage.shape[1:]).copy()
+    speed = np.empty((len(voltage) + 1, voltage.shape[1]))
+    square = np.empty_like(voltage)
+    motor_run(motor.a0, motor.a1, motor.a2, voltage, period_s, substeps, start, speed, square)
+    return speed, square
