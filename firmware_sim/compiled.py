@@ -14,8 +14,14 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def inner(function: Function) -> Function:
-    """Compile a piece of a kernel; it is cached as part of the kernel that calls it."""
-    compiled: Function = njit(nogil=True, error_model="numpy")(function)
+    """Compile a piece of a kernel; it is cached as part of the kernel that calls it.
+
+    It can be called from kernels only: leaving out the entry for the interpreter saves a fifth
+    of the time that the first start takes.
+    """
+    compiled: Function = njit(
+        nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
     return compiled
 
 

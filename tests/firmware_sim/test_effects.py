@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_in_bench import flown, fly, plant, rotation, slopes
+from stand_in_bench import callable_piece, flown, fly, plant, rotation, slopes
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import EFFECTS
+from firmware_sim.imu import lever_arm_acceleration
 from firmware_sim.layout import ARM, LOAD, PHASE
 from firmware_sim.settings import Loss
 
@@ -329,13 +330,13 @@ def test_a_misaligned_sensor_sees_gravity_askew():
 
 
 def test_a_sensor_away_from_the_centre_feels_the_rotation():
-    from firmware_sim.imu import lever_arm_acceleration
-
     p, s = moving_plant({"imu_lever_arm": {"x_m": 0.003, "y_m": -0.002, "z_m": 0.001}})
     slope = slopes(p, s)
     rate, arm = s["y"][0, 10:13], np.array([0.003, -0.002, 0.001])
     expected = np.cross(slope[10:13], arm) + np.cross(rate, np.cross(rate, arm))
-    assert lever_arm_acceleration(p[0], s["y"][0], slope) == pytest.approx(expected, rel=1e-9)
+    assert callable_piece(lever_arm_acceleration)(p[0], s["y"][0], slope) == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 def test_the_attitude_leans_towards_the_accelerometer():

@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_in_bench import flown, rows_of
+from stand_in_bench import callable_piece, flown, rows_of
 
+from firmware_sim import stabilizer
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.physics import firmware, parameters
 from firmware_sim.settings import Quirks, Sensor
-from firmware_sim.stabilizer import angle_loops, rate_loop, stabilize
+
+angle_loops = callable_piece(stabilizer.angle_loops)
+rate_loop = callable_piece(stabilizer.rate_loop)
+stabilize = callable_piece(stabilizer.stabilize)
 
 NO_QUIRKS = Quirks(attitude_dt=False, clamp_macro=False, lower_limit=False, negate=False)
 
