@@ -121,6 +121,7 @@ def _recording(path: Path, entities: dict[str, Columns]) -> Recording:
 
 
 def _write(recording: Recording, path: Path) -> None:
+    os.environ.setdefault("RUST_LOG", "off")  # what goes wrong is raised, and said once
     import rerun as rr
 
     from groundstation.viewer.blueprint import pilot_blueprint

@@ -165,8 +165,8 @@ class Viewer:
         while True:
             try:
                 self._step(loop.time())
-            except (OSError, GroundStationError) as error:
-                self._fail(loop.time(), str(error), server=True)
+            except Exception as error:  # whatever it is, the view is started again and says so
+                self._fail(loop.time(), str(error) or repr(error), server=True)
             await asyncio.sleep(SEND_PERIOD_S)
 
     def _step(self, now: float) -> None:
