@@ -76,18 +76,19 @@ async def _serve(config: Config, duration_s: float | None) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, station.stop)
-    if duration_s is not None:
-        loop.call_later(duration_s, station.stop)
-    display = None
+    tasks: list[asyncio.Task[None]] = []
     try:
         await server.start()
         _introduce(station, control.path)
+        if duration_s is not None:
+            tasks.append(asyncio.create_task(_stop_after(station, duration_s), name="timer"))
         if live:
-            display = asyncio.create_task(_display(station), name="display")
+            tasks.append(asyncio.create_task(_display(station), name="display"))
         await station.run()
     finally:
-        if display is not None:
-            display.cancel()
+        for task in tasks:
+            task.cancel()
+        if live:
             print("\r\033[K", end="")
         await server.stop()
         control.close()
@@ -121,6 +122,13 @@ def _conclude(station: Station) -> None:
             f"{station.link.name} is damaged; what could be read was delivered "
             "(see 'groundstation inspect')"
         )
+
+
+async def _stop_after(station: Station, duration_s: float) -> None:
+    """Preparing the link does not count."""
+    await station.tried.wait()
+    await asyncio.sleep(duration_s)
+    station.stop()
 
 
 async def _display(station: Station) -> None:

@@ -81,6 +81,8 @@ class Station:
         self._meter_due_s = time.monotonic() + STATISTICS_S
         self._retry_s = RETRY_FIRST_S
         self._stopping = asyncio.Event()
+        self.tried = asyncio.Event()
+        """Set when the link has been opened, or has turned out not to be there yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def stop(self) -> None:
@@ -190,7 +192,10 @@ class Station:
         opened = False
         while True:
             try:
-                await self.link.open()
+                try:
+                    await self.link.open()
+                finally:
+                    self.tried.set()
                 if not opened:
                     opened = True
                     self._decoder = Decoder(self.link.start_ticks)

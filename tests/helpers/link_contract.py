@@ -148,14 +148,14 @@ class LinkContract:
                             await asyncio.sleep(0)
                         if turns == 21:
                             await asyncio.wait([reading], timeout=0.003)
-                        reading.cancel()
+                        cancelled = reading.cancel()
                         done = (await asyncio.gather(reading, return_exceptions=True))[0]
-                        if isinstance(done, LinkEndedError):
-                            break
-                        if isinstance(done, self.kind):
-                            batches.append(done)
-                        elif done is not None:
+                        if cancelled:  # never swallowed, or a daemon could not stop
                             assert isinstance(done, asyncio.CancelledError), done
+                        elif isinstance(done, LinkEndedError):
+                            break
+                        else:
+                            batches.append(done)
                         covered = batches and (
                             batches[-1].host_time_ns[-1] - batches[0].host_time_ns[0]
                         )

@@ -1,0 +1,159 @@
+"""The installed ``groundstation`` command, as a user runs it."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+
+from groundstation.errors import GroundStationError
+from groundstation.service.client import ask
+
+COMMAND = Path(sys.executable).with_name("groundstation")
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+PATIENCE_S = 60.0
+
+
+def groundstation(*arguments, socket_path=None, cwd=None):
+    """Run one command to its end."""
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env=_environment(socket_path),
+        cwd=cwd,
+        timeout=PATIENCE_S,
+    )
+
+
+def require_failure(result, status=1):
+    """A failed command says why in one line and shows no traceback; that line."""
+    assert result.returncode == status, result.stderr or result.stdout
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("groundstation: ")
+    return lines[0]
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def until(condition, what, timeout_s=PATIENCE_S):
+    """Wait for ``condition`` to give something true; that."""
+    deadline = time.monotonic() + timeout_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"never happened: {what}"
+        time.sleep(0.01)
+    return value
+
+
+class Daemon:
+    """``groundstation run`` in a folder of its own: recordings in ``sessions``.
+
+    Used as a context it is never left behind.
+    """
+
+    def __init__(self, folder, *arguments, socket_path=None):
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.socket = socket_path or self.folder / "control.sock"
+        self.sessions = self.folder / "sessions"
+        self._out, self._err = self.folder / "stdout", self.folder / "stderr"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self.process = subprocess.Popen(
+                [COMMAND, "run", *map(str, arguments)],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                env=_environment(self.socket),
+                cwd=self.folder,
+            )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+    @property
+    def stdout(self):
+        return self._out.read_text()
+
+    @property
+    def stderr(self):
+        return self._err.read_text()
+
+    @property
+    def last_line(self):
+        """What the program said last on stderr: an error, or an event."""
+        lines = self.stderr.strip().splitlines()
+        return lines[-1] if lines else ""
+
+    def ask(self, method, route):
+        return ask(self.socket, method, route)
+
+    def status(self):
+        """The daemon's status, or None while it does not answer yet."""
+        assert self.process.poll() is None, f"it has ended: {self.stdout}{self.stderr}"
+        with contextlib.suppress(GroundStationError):
+            return self.ask("GET", "/status")
+        return None
+
+    def status_when(self, condition, what):
+        """The first status for which ``condition`` holds."""
+
+        def look():
+            status = self.status()
+            return status if status and condition(status) else None
+
+        return until(look, what)
+
+    def recording(self, samples=1):
+        """Wait until ``samples`` are in the file; the status then."""
+        return self.status_when(
+            lambda status: status["recording"]["samples"] >= samples, f"{samples} samples"
+        )
+
+    def files(self):
+        return sorted(self.sessions.glob("*.mcap"))
+
+    def only_file(self):
+        (file,) = self.files()
+        return file
+
+    def children(self):
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+    def stop(self, number=signal.SIGINT):
+        """Send a signal and wait; the exit status."""
+        self.process.send_signal(number)
+        return self.wait()
+
+    def wait(self):
+        return self.process.wait(PATIENCE_S)
+
+
+def inspected(path):
+    """``inspect --json`` of a file, which must be sound."""
+    result = groundstation("inspect", path, "--json")
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+def _environment(socket_path):
+    environment = {**os.environ, "NO_COLOR": "1"}
+    environment.pop("FORCE_COLOR", None)
+    if socket_path is not None:
+        environment["GROUNDSTATION_SOCKET"] = str(socket_path)
+    return environment
