@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,7 @@ class Station:
         self._decoder = Decoder()
         self._meter = LinkMeter(self.clock())
         self._meter_due_s = time.monotonic() + STATISTICS_S
+        self._ready_made = 0  # samples of a source that needs no decoder
         self._retry_s = RETRY_FIRST_S
         self._stopping = asyncio.Event()
         self.tried = asyncio.Event()
@@ -226,6 +228,7 @@ class Station:
                 self.sessions.samples(batch)
                 self.viewer.show_samples(batch)
                 self._meter.add_samples(batch)
+                self._ready_made += len(batch)
             if time.monotonic() >= self._meter_due_s:
                 self._close_window()
 
@@ -237,7 +240,9 @@ class Station:
 
     def _close_window(self) -> None:
         self._meter_due_s = time.monotonic() + STATISTICS_S
-        statistics = self._meter.close_window(self.clock(), self._decoder.counts())
+        counts = self._decoder.counts()
+        counts = replace(counts, samples=counts.samples + self._ready_made)
+        statistics = self._meter.close_window(self.clock(), counts)
         if self.statistics and statistics.restarts > self.statistics.restarts:
             self.note("restart", "the device restarted: a new segment", source=self.link.name)
         self.statistics = statistics

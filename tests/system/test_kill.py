@@ -1,0 +1,78 @@
+"""kill -9 at any moment: what was received is in the file, up to the last half second."""
+
+import random
+import signal
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from flights import assert_same_packets, assert_same_samples
+from installed import RECORDINGS, Daemon
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+from groundstation.recording.recover import recover
+from groundstation.telemetry.samples import COLUMNS
+
+KILLS, GROUPS = 20, 4
+TOGETHER = 2
+MISSING_MOST_S = 0.5
+SOURCE = RECORDINGS / "stand_in_flight.mcap"
+
+
+def kill_at(folder, delay_s, *arguments):
+    """Kill a recording daemon after ``delay_s``: the file, and the host time of the kill."""
+    with Daemon(folder, *arguments) as daemon:
+        daemon.recording()
+        time.sleep(delay_s)
+        killed_ns = time.time_ns()
+        assert daemon.stop(signal.SIGKILL) == -signal.SIGKILL
+        return daemon.only_file(), killed_ns
+
+
+def require_all_but_the_end(path, killed_ns):
+    """Nothing is missing but the last half second, before the repair and after it."""
+    killed = open_recording(path, raw=True)
+    report = inspect_recording(killed)
+    assert (report["lost_samples"], report["gap_count"], report["segments"]) == (0, 0, 1)
+    for stamps in (killed.samples.host_time_ns, killed.raw.host_time_ns):
+        assert 0 <= (killed_ns - stamps[-1]) * 1e-9 <= MISSING_MOST_S
+    repair = recover(path)
+    if not repair.sound:
+        assert repair.output != path
+        repaired = open_recording(repair.output, raw=True)
+        assert repaired.damage == []
+        assert_same_samples(repaired.samples, killed.samples)
+        assert_same_packets(repaired.raw, killed.raw)
+    return killed
+
+
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_a_kill_at_a_random_moment_costs_at_most_the_last_half_second(tmp_path, group):
+    chance = random.Random(group)
+    delays = [chance.uniform(0, 1.2) for _ in range(KILLS // GROUPS)]
+    folders = [tmp_path / str(number) for number in range(len(delays))]
+    with ThreadPoolExecutor(TOGETHER) as pool:
+        killed = list(
+            pool.map(
+                lambda folder, delay_s: kill_at(folder, delay_s, "--link", f"replay:{SOURCE}"),
+                folders,
+                delays,
+            )
+        )
+    source = open_recording(SOURCE, raw=True)
+    for path, killed_ns in killed:
+        copy = require_all_but_the_end(path, killed_ns)
+        rows = len(copy.raw)
+        np.testing.assert_array_equal(copy.raw.packets, source.raw.packets[:rows])
+        rows = len(copy.samples)
+        for name in COLUMNS:
+            if name != "host_time_ns":
+                got, expected = getattr(copy.samples, name), getattr(source.samples, name)
+                np.testing.assert_array_equal(got, expected[:rows], err_msg=name)
+
+
+def test_a_killed_flight_of_the_stand_in_is_kept_too(tmp_path):
+    path, killed_ns = kill_at(tmp_path, 0.7)
+    assert require_all_but_the_end(path, killed_ns).link == "stand-in"
