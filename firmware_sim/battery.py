@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from firmware_sim.compiled import inner
 from firmware_sim.effects.rotors import motor_supply_mv, supply_current
 from firmware_sim.layout import PASS_NS, ROTOR, SENSOR_STREAM, Record
@@ -35,6 +37,11 @@ def open_circuit_v(charge: float) -> float:
     index = min(int(place), 9)
     share = place - index
     return OPEN_CIRCUIT_V[index] * (1.0 - share) + OPEN_CIRCUIT_V[index + 1] * share
+
+
+def open_circuit_mv(charge: float) -> float:
+    """The same for the interpreter, mV."""
+    return float(1000 * np.interp(charge, np.linspace(0, 1, 11), OPEN_CIRCUIT_V))
 
 
 @inner

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.layout import (
+    ACCEL_DLPF,
     PASS_NS,
     PILOT_PASSES,
+    POSITION,
     QUATERNION,
-    RATE,
     ROTOR,
     ROWS,
     STATE,
@@ -223,6 +224,8 @@ class StandIn:
 
     def _power_on(self, first: bool) -> None:
         """A charged cell is plugged in and the craft stands on the ground."""
+        from firmware_sim.battery import open_circuit_mv
+        from firmware_sim.plant import GROUND_PULSATION
         from firmware_sim.random_numbers import seeded
 
         s, p = self._state[0], self._parameters[0]
@@ -235,10 +238,9 @@ class StandIn:
         s["boots"] += 1
         now = s["now_ns"]
         s["y"] = 0.0
-        s["y"][2] = -9.80665 / 125.0**2
+        s["y"][POSITION + 2] = -p["gravity"] / GROUND_PULSATION**2
         s["y"][QUATERNION] = 1.0
-        s["force"] = 0.0, 0.0, 9.80665
-        s["y"][29] = 9.80665
+        s["y"][ACCEL_DLPF + 2] = p["gravity"]
         s["boot_ns"], s["off_ns"], s["overload_ns"] = now, -1, 0
         s["landing"], s["landed_ns"] = 0, now
         s["pilot_height"] = s["pilot_integral"] = 0.0
@@ -247,9 +249,7 @@ class StandIn:
         s["timer_phase"] = phase.integers(0, 1 << 16)
         fw = self._firmware[0]
         fw["low_ns"] = fw["critical_ns"] = fw["setpoint_ns"] = now
-        start_mv = p["stiff_mv"] or 1000.0 * 4.1 * s["charge"] ** 0.05
-        s["supply_mv"] = s["reported_mv"] = start_mv
-        s["y"][RATE : RATE + 3] = 0.0
+        s["supply_mv"] = s["reported_mv"] = p["stiff_mv"] or open_circuit_mv(float(s["charge"]))
 
 
 def _packets(rows: NDArray[np.void]) -> Packets:

@@ -24,7 +24,6 @@ from firmware_sim.layout import (
     QUATERNION,
     RATE,
     ROTOR,
-    SENSOR_RING,
     Record,
 )
 from firmware_sim.pilot import LANDED_M, REST_NS, decide
@@ -87,7 +86,7 @@ def fly() -> Callable[..., Any]:
             if index >= FIRST_ROW:
                 _report(p, fw, s, rows[written], slot, index)
                 if len(truth) > 0:
-                    _witness(fw, s, truth[written], slot)
+                    _witness(s, truth[written], slot)
                 written += 1
             _act(p, fw, s, index)
             phase, speed = s.y[PHASE], s.y[ROTOR]
@@ -218,7 +217,7 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
 
 
 @inner
-def _witness(fw: Record, s: Record, row: Record, slot: int) -> None:
+def _witness(s: Record, row: Record, slot: int) -> None:
     row.time_s = s.now_ns * 1e-9
     for i in range(3):
         row.position_m[i] = s.y[i]
@@ -231,4 +230,4 @@ def _witness(fw: Record, s: Record, row: Record, slot: int) -> None:
     row.supply_mv = s.supply_mv
     row.current_a = s.current_a
     row.charge = s.charge
-    row.sensor_age_s = (s.now_ns - s.sampled_ns[slot % SENSOR_RING]) * 1e-9
+    row.sensor_age_s = (s.now_ns - s.sampled_ns[slot]) * 1e-9

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from firmware_sim.effects.catalogue import apply_effects
 from firmware_sim.layout import (
     ALL_STATES,
-    CALIBRATION_SAMPLES,
     CORE_STATES,
     FIRMWARE,
     PARAMETERS,
@@ -248,6 +247,3 @@ def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:
     p["pipeline_ns"] = round(pipeline * 1e9)
     p["sensor_phase_ns"] = round((phase if sensor.phase_s is None else sensor.phase_s) * 1e9)
     p["sensor_period_ns"] = round(PASS_NS * (1 + clock_ppm * 1e-6))
-
-
-assert CALIBRATION_SAMPLES * PASS_NS == 256_000_000
