@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.rotations import attitude_of_quaternion, body_rates
 from groundstation.recording.device_time import host_time_from_ticks, segments_of
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, empty_samples
@@ -104,25 +105,16 @@ def _body_rate(attitude: NDArray[np.float32], time_s: NDArray[np.float64]) -> ND
     change = (change + np.pi) % (2 * np.pi) - np.pi
     elapsed = time_s[_RATE_LAG:] - time_s[:-_RATE_LAG]
     elapsed[elapsed <= 0] = np.nan
-    roll_rate, pitch_rate, yaw_rate = change.T / elapsed
-    middle = attitude[_RATE_LAG // 2 :][: len(change)].astype(np.float64)
-    roll, pitch = middle[:, 0], middle[:, 1]
-    return np.column_stack(
-        [
-            roll_rate - yaw_rate * np.sin(pitch),
-            pitch_rate * np.cos(roll) + yaw_rate * np.cos(pitch) * np.sin(roll),
-            yaw_rate * np.cos(pitch) * np.cos(roll) - pitch_rate * np.sin(roll),
-        ]
-    )
+    middle = attitude[_RATE_LAG // 2 :][: len(change)]
+    return body_rates(middle, change / elapsed[:, None])
 
 
 def _fill_attitude(samples: SampleBatch, columns: Columns) -> None:
     quaternion = [f"stateEstimate.q{part}" for part in "wxyz"]
     if all(name in columns for name in quaternion):
-        w, x, y, z = (columns[name].astype(np.float64) for name in quaternion)
-        samples.attitude[:, 0] = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-        samples.attitude[:, 1] = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
-        samples.attitude[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        samples.attitude[:] = attitude_of_quaternion(
+            np.column_stack([columns[name] for name in quaternion])
+        )
         return
     angles = [f"stateEstimate.{name}" for name in ("roll", "pitch", "yaw")]
     _fill(samples.attitude, columns, angles, np.pi / 180)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.recording.cdr import HEADER
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
@@ -163,22 +164,8 @@ class StandardMessages:
 
 
 def quaternion(attitude_rad: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Body-to-inertial unit quaternions x y z w, shape (n, 4), of ZYX angles (n, 3).
-
-    R = Rz(yaw) Ry(pitch) Rx(roll), thesis eq. 3.6: pitch nose down positive is the
-    right-handed turn about the body's y axis (left).
-    """
-    half = attitude_rad.astype(np.float64) / 2
-    (cr, cp, cy), (sr, sp, sy) = np.cos(half).T, np.sin(half).T
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
+    """Body-to-inertial unit quaternions in ROS's order x y z w, shape (n, 4), of angles (n, 3)."""
+    return np.roll(quaternion_of_attitude(attitude_rad), -1, axis=-1)
 
 
 def _nothing_known(batch: SampleBatch) -> bool:

@@ -367,17 +367,9 @@ def _join_pending(s: State, slot: int, ticks: int) -> None:
         n[EVIDENCE] += 1
     s.ticks[slot] = ticks
     s.place[slot] = index
-    count = int(n[PENDING])
-    at = count
-    while at > 0 and s.place[s.pending[at - 1]] > index:
-        at -= 1
-    if at > 0 and s.place[s.pending[at - 1]] == index:
-        _merge(s, int(s.pending[at - 1]), slot)
+    if not _insert(s, s.pending, int(n[PENDING]), slot):
         return
-    for k in range(count, at, -1):
-        s.pending[k] = s.pending[k - 1]
-    s.pending[at] = slot
-    n[PENDING] = count + 1
+    n[PENDING] += 1
     if index > n[PEND_INDEX]:
         step = index - int(n[PEND_INDEX])
         f[PEND_GRID] += step * GRID
@@ -608,18 +600,24 @@ def _accept(s: State, out: Output, slot: int, ticks: int) -> None:
         f[MAIN_GRID] += (ticks - f[MAIN_GRID]) / 64.0
         n[MAIN_INDEX] = index
         n[MAIN_LAST] = ticks
-    count = int(n[BUFFERED])
-    at = count
-    while at > 0 and s.place[s.buffer[at - 1]] > index:
-        at -= 1
-    if at > 0 and s.place[s.buffer[at - 1]] == index:
-        _merge(s, int(s.buffer[at - 1]), slot)
+    if not _insert(s, s.buffer, int(n[BUFFERED]), slot):
         return
-    for k in range(count, at, -1):
-        s.buffer[k] = s.buffer[k - 1]
-    s.buffer[at] = slot
-    n[BUFFERED] = count + 1
+    n[BUFFERED] += 1
     _emit(s, out, int(n[MAIN_INDEX]) - REORDER)
+
+
+def _insert(s: State, order: NDArray[np.int64], count: int, slot: int) -> bool:
+    """Insert a group into a list ordered by place; False when one there took it in instead."""
+    at = count
+    while at > 0 and s.place[order[at - 1]] > s.place[slot]:
+        at -= 1
+    if at > 0 and s.place[order[at - 1]] == s.place[slot]:
+        _merge(s, int(order[at - 1]), slot)
+        return False
+    for k in range(count, at, -1):
+        order[k] = order[k - 1]
+    order[at] = slot
+    return True
 
 
 def _merge(s: State, kept: int, slot: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.channels import (
     CRAFT,
@@ -109,21 +110,8 @@ def sample_columns(batch: SampleBatch) -> Iterator[tuple[str, Any]]:
 
 
 def quaternions(attitude: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Roll, pitch, yaw in rad, shape (n, 3), as xyzw, shape (n, 4): body FLU to world ENU.
-
-    The rotation of thesis eq. 3.6: Rz(yaw) Ry(pitch) Rx(roll), pitch nose down positive.
-    """
-    half = attitude.astype(np.float64) / 2
-    (sx, sy, sz), (cx, cy, cz) = np.sin(half).T, np.cos(half).T
-    return np.stack(
-        [
-            sx * cy * cz - cx * sy * sz,
-            cx * sy * cz + sx * cy * sz,
-            cx * cy * sz - sx * sy * cz,
-            cx * cy * cz + sx * sy * sz,
-        ],
-        axis=1,
-    ).astype(np.float32)
+    """Roll, pitch, yaw in rad, shape (n, 3), as xyzw, shape (n, 4): body FLU to world ENU."""
+    return np.roll(quaternion_of_attitude(attitude), -1, axis=-1).astype(np.float32)
 
 
 def _device_time(times_ns: NDArray[np.int64]) -> rr.TimeColumn:
