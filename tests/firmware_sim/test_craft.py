@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from stand_in_bench import flown, rows_of
 
 from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.monte_carlo import fly_many
 from firmware_sim.programme import BUILT_IN, Excitation, Programme, Segment
 from firmware_sim.settings import Loss
 
@@ -220,3 +221,9 @@ def test_rows_come_from_packets_that_survive_loss():
     assert set(lossy["timestamp"]) <= set(clean["timestamp"])
     expected = len(clean["timestamp"]) * (1 - 0.3**4)
     assert len(lossy["timestamp"]) == pytest.approx(expected, rel=0.01)
+
+
+def test_many_flights_at_once_are_the_flights_one_by_one():
+    crafts = [StandInSettings(seed=seed, copies=1) for seed in range(8)]
+    together = fly_many(crafts, 5.0, lambda craft, packets, arrivals: packets.tobytes(), workers=4)
+    assert together == [StandIn(settings).advance(5.0)[0].tobytes() for settings in crafts]

@@ -174,23 +174,24 @@ def test_garbage_neither_stops_the_server_nor_fills_its_memory(flight):
     process = psutil.Process()
     address = ("127.0.0.1", flight.server.port)
     senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(3 * MAX_CLIENTS)]
+    senders[0].settimeout(10)
     sizes = (0, 1, 2, 15, 31, 32, 64, 1500, 9000)
 
     def flood(rounds: int) -> None:
         for number in range(rounds):
             sender = senders[number % len(senders)]
             sender.sendto(os.urandom(sizes[number % len(sizes)]), address)
-            if number % 200 == 0:  # let the server drain: the kernel's buffer is not the subject
-                before = flight.server.counts.received
-                flight.wait_for(lambda before=before: flight.server.counts.received >= before)
-                time.sleep(0.002)
+            if number % 20 == 0:  # the kernel's buffer is not the subject: wait for an echo
+                senders[0].sendto(b"\xff", address)
+                while senders[0].recv(64) != b"\xff":
+                    pass
 
     flood(10000)
     settled = process.memory_info().rss
     flood(60000)
     assert process.memory_info().rss - settled < 3e6
     assert len(flight.server._clients) <= MAX_CLIENTS
-    assert flight.server.counts.received > 30000
+    assert flight.server.counts.received > 69000
     assert flight.server.counts.forgotten > 0
     for sender in senders:
         sender.close()
