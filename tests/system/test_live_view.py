@@ -1,0 +1,90 @@
+"""The live view may die, stall or be killed: the recording does not notice."""
+
+import contextlib
+import signal
+
+import psutil
+import pytest
+from installed import PATIENCE_S, Daemon, free_port, until
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+
+FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
+MEMORY_MOST = 30e6
+"""How much the daemon may grow while a viewer is stuck, bytes: its queue is bounded."""
+
+
+def serving_daemon(folder):
+    return Daemon(
+        folder, "--viewer", "serve", "--viewer-port", free_port(), "--web-port", free_port()
+    )
+
+
+def child(daemon, marker):
+    """The daemon's running child with this word on its command line, once there is one."""
+
+    def look():
+        for process in daemon.children():
+            with contextlib.suppress(psutil.Error):
+                words = process.cmdline()
+                if marker in words and "groundstation.viewer.leash" not in words:
+                    return process
+        return None
+
+    return until(look, f"a child {marker}")
+
+
+def is_serving(status):
+    return status["viewer"]["state"] == "serving" and status["viewer"]["sent"] > 0
+
+
+@pytest.mark.parametrize("victim", [FEEDER, SERVER])
+def test_a_view_that_dies_or_stalls_costs_the_recording_nothing(tmp_path, victim):
+    with serving_daemon(tmp_path) as daemon:
+        daemon.status_when(is_serving, "serving")
+        process = psutil.Process(daemon.process.pid)
+        memory = process.memory_info().rss
+        for number in (signal.SIGKILL, signal.SIGSTOP):
+            before = daemon.status()["viewer"]
+            child(daemon, victim).send_signal(number)
+            daemon.status_when(
+                lambda status, restarts=before["restarts"]: (
+                    status["viewer"]["restarts"] > restarts and is_serving(status)
+                ),
+                "serving again",
+            )
+        assert process.memory_info().rss - memory < MEMORY_MOST
+        status = daemon.status()
+        assert status["viewer"]["dropped"] > 0
+        assert status["recording"]["dropped"] == 0
+        assert daemon.stop() == 0
+        path = daemon.only_file()
+    recording = open_recording(path, raw=True)
+    report = inspect_recording(recording)
+    assert (report["lost_samples"], report["gap_count"], report["damage"]) == (0, 0, [])
+    faults = [event for event in recording.events if event["kind"] == "fault"]
+    assert {event["link"] for event in faults} == {"viewer"}
+    assert len(faults) >= 2
+
+
+def test_nothing_outlives_a_daemon_that_is_killed(tmp_path):
+    with serving_daemon(tmp_path) as daemon:
+        daemon.status_when(is_serving, "serving")
+        children = daemon.children()
+        assert len(children) >= 2
+        child(daemon, FEEDER).send_signal(signal.SIGSTOP)
+        daemon.stop(signal.SIGKILL)
+        _, alive = psutil.wait_procs(children, timeout=PATIENCE_S)
+        assert not alive
+        assert inspect_recording(open_recording(daemon.only_file()))["gap_count"] == 0
+
+
+def test_the_addresses_to_open_are_printed_and_in_the_status(tmp_path):
+    with serving_daemon(tmp_path) as daemon:
+        status = daemon.status_when(is_serving, "serving")
+        for url in status["viewer"]["urls"]:
+            assert url in daemon.stdout
+        children = daemon.children()
+        assert daemon.stop() == 0
+        assert not [process for process in children if process.is_running()]
