@@ -37,7 +37,7 @@ def assert_every_arrived_sample_once(
     assert (np.diff(samples.ticks) > 0).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=seeds,
     copies=st.sampled_from([1, 4]),
@@ -62,7 +62,7 @@ def test_no_sample_that_arrived_is_lost_or_doubled_under_loss_and_interleaving(
         assert counts.lost == arrived[-1] - arrived[0] + 1 - len(arrived)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=seeds,
     silences=st.lists(st.floats(0.1, 60.0), min_size=1, max_size=3),
@@ -81,7 +81,7 @@ def test_time_is_right_to_the_sample_after_silences_of_any_length(
     assert (samples.segment == 0).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=seeds,
     blocks=st.lists(st.tuples(st.floats(0.0, 8.0), st.floats(0.05, 5.0)), max_size=3),
@@ -100,7 +100,7 @@ def test_stamps_late_by_up_to_five_seconds_do_not_move_device_time(
     assert decoder.counts().restarts == 0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=seeds,
     silence=st.floats(0.1, 20.0),
@@ -157,7 +157,7 @@ def test_a_reconnect_starts_a_new_segment_even_without_silence() -> None:
     assert np.array_equal(samples.segment, flight.boot)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, damage=st.floats(0.0, 0.1), loss=st.floats(0, 0.1))
 def test_copies_that_disagree_are_outvoted(seed: int, damage: float, loss: float) -> None:
     rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def test_copies_that_disagree_are_outvoted(seed: int, damage: float, loss: float
     assert counts.samples + counts.duplicates + refused == counts.packets == len(reception.sample)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, shift=st.integers(1, 31), length=st.integers(1, 200))
 def test_shifted_bytes_give_no_sample_and_are_counted(seed: int, shift: int, length: int) -> None:
     rng = np.random.default_rng(seed)
@@ -197,7 +197,7 @@ def test_shifted_bytes_give_no_sample_and_are_counted(seed: int, shift: int, len
     assert refused == length
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=seeds, first=st.integers(0, 65535))
 def test_the_stamp_may_wrap_at_any_place(seed: int, first: int) -> None:
     rng = np.random.default_rng(seed)
@@ -211,7 +211,7 @@ def test_the_stamp_may_wrap_at_any_place(seed: int, first: int) -> None:
     assert_every_arrived_sample_once(samples, moved, reception)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=seeds, loss=st.floats(0, 0.8), damage=st.floats(0, 0.05), silence=st.floats(0.1, 5))
 def test_compiled_and_interpreted_kernels_give_identical_samples(
     seed: int, loss: float, damage: float, silence: float
