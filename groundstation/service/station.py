@@ -243,7 +243,7 @@ class Station:
         counts = self._decoder.counts()
         counts = replace(counts, samples=counts.samples + self._ready_made)
         statistics = self._meter.close_window(self.clock(), counts)
-        if self.statistics and statistics.restarts > self.statistics.restarts:
+        if statistics.restarts > (self.statistics.restarts if self.statistics else 0):
             self.note("restart", "the device restarted: a new segment", source=self.link.name)
         self.statistics = statistics
         self.sessions.statistics(statistics.as_dict())

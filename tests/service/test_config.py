@@ -1,0 +1,73 @@
+from pathlib import Path
+
+import pytest
+
+from groundstation.errors import BadInputError
+from groundstation.service.config import Config, link_speed, load_config, socket_path
+
+
+def written(tmp_path, text):
+    path = tmp_path / "station.toml"
+    path.write_text(text)
+    return path
+
+
+def test_without_a_file_there_are_defaults_that_need_no_hardware():
+    config = load_config(None)
+    assert config == Config()
+    assert config.link.name == "stand-in"
+    assert config.recording.enabled
+    assert config.viewer.mode == "off"
+
+
+def test_a_file_changes_what_it_names_and_nothing_else(tmp_path):
+    config = load_config(
+        written(
+            tmp_path,
+            "vehicle = 'crazyflie21'\n[link]\nspeed = 'max'\n[recording]\nfolder = '/data'\n"
+            "[stand_in]\nseed = 7\neffects = {gyro_bias = {x = 0.1}}\n",
+        )
+    )
+    assert config.vehicle == "crazyflie21"
+    assert config.link.name == "stand-in"
+    assert link_speed(config.link.speed) == float("inf")
+    assert config.recording.folder == "/data"
+    assert config.recording.enabled
+    assert config.stand_in == {"seed": 7, "effects": {"gyro_bias": {"x": 0.1}}}
+
+
+@pytest.mark.parametrize(
+    ("text", "mentions"),
+    [
+        ("[recording]\nfoldr = 'x'\n", "foldr"),
+        ("[link]\nspeed = 'fast'\n", "link.speed"),
+        ("[viewer]\nport = 'web'\n", "viewer.port"),
+        ("[viewer\n", "station.toml"),
+        ("\udcff", "station.toml"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line_with_the_file_and_the_key(tmp_path, text, mentions):
+    path = tmp_path / "station.toml"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(BadInputError) as refused:
+        load_config(path)
+    assert str(path) in str(refused.value)
+    assert mentions in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(BadInputError, match=r"nowhere\.toml: No such file"):
+        load_config(tmp_path / "nowhere.toml")
+
+
+def test_the_socket_is_the_configured_one_then_the_environments_then_the_users(monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", "/run/env.sock")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/1000")
+    assert socket_path("/run/configured.sock") == Path("/run/configured.sock")
+    assert socket_path() == Path("/run/env.sock")
+    monkeypatch.delenv("GROUNDSTATION_SOCKET")
+    assert socket_path() == Path("/run/user/1000/groundstation/control.sock")
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert socket_path().name == "control.sock"
+    assert str(socket_path()).count("groundstation-") == 1

@@ -1,0 +1,106 @@
+import asyncio
+
+import pytest
+from flights import COPIES, assert_same_samples, flight
+
+from groundstation.errors import BadInputError
+from groundstation.links.base import LinkEvent
+from groundstation.recording.open_recording import open_recording
+from groundstation.service.sessions import Sessions
+
+METADATA = {"vehicle": {"profile": "crazyflie1"}, "configuration": {"speed": "1.0"}}
+
+
+@pytest.fixture
+def faults():
+    return []
+
+
+@pytest.fixture
+def sessions(tmp_path, faults):
+    made = Sessions(tmp_path / "sessions", METADATA, low_space_bytes=0, on_fault=faults.append)
+    yield made
+    made.stop()
+
+
+def test_a_file_is_named_after_the_time_and_the_kind_of_link(sessions):
+    path = sessions.start("replay:/some/where/flight.mcap")
+    assert path.parent == sessions.folder
+    assert path.name.endswith("Z_replay.mcap")
+
+
+def test_recordings_of_the_same_second_do_not_collide(sessions):
+    paths = []
+    for _ in range(3):
+        paths.append(sessions.start("stand-in"))
+        sessions.stop()
+    assert len(set(paths)) == 3
+    assert all(open_recording(path).damage == [] for path in paths)
+
+
+def test_everything_goes_into_the_file_of_the_moment(sessions):
+    raw, samples = flight(0, 100)
+    sessions.samples(samples)  # nothing is recorded yet: dropped on purpose
+    path = sessions.start("stand-in")
+    sessions.raw(raw)
+    sessions.samples(samples)
+    sessions.event(LinkEvent(5, "stand-in", "silent", "nothing", {"for_s": 2}))
+    sessions.statistics({"time_ns": 6, "lost": 0})
+    sessions.command({"time_ns": 7, "thrust": 1})
+    status = sessions.stop()
+    sessions.samples(samples)
+    assert (status.samples, status.raw_packets, status.dropped) == (100, 100 * COPIES, 0)
+    recording = open_recording(path, raw=True)
+    assert_same_samples(recording.samples, samples)
+    assert recording.events[0]["details"] == {"for_s": 2}
+    assert recording.statistics == [{"time_ns": 6, "lost": 0}]
+    assert recording.commands == [{"time_ns": 7, "thrust": 1}]
+    assert recording.metadata["session"]["link"] == "stand-in"
+    assert {name: recording.metadata[name] for name in METADATA} == METADATA
+
+
+def test_status_tells_of_the_present_recording_then_of_the_last(sessions):
+    assert sessions.status() == {
+        "state": "off", "file": None, "bytes": 0, "samples": 0, "dropped": 0,
+    }  # fmt: skip
+    path = sessions.start("stand-in")
+    assert sessions.status()["state"] == "recording"
+    assert sessions.status()["file"] == str(path)
+    sessions.samples(flight(0, 10)[1])
+    sessions.stop()
+    assert sessions.status()["state"] == "finished"
+    assert sessions.status()["samples"] == 10
+    assert sessions.status()["file"] == str(path)
+
+
+def test_starting_twice_is_refused_and_the_recording_goes_on(sessions):
+    path = sessions.start("stand-in")
+    with pytest.raises(BadInputError, match=f"already recording to {path}"):
+        sessions.start("stand-in")
+    sessions.samples(flight(0, 10)[1])
+    assert sessions.stop().samples == 10
+
+
+def test_stopping_nothing_is_harmless_here_and_refused_to_an_operator(sessions):
+    assert sessions.stop() is None
+    with pytest.raises(BadInputError, match="nothing is being recorded"):
+        sessions.require_started()
+
+
+def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, faults):
+    path = sessions.start("stand-in")
+    path.unlink()
+
+    async def noticed():
+        async with asyncio.timeout(30):
+            while not faults:
+                await asyncio.sleep(0.01)
+
+    asyncio.run(noticed())
+    assert faults == [f"{path}: recording stopped: the file was removed"]
+    assert sessions.fault == faults[0]
+    again = sessions.start("stand-in")
+    sessions.samples(flight(0, 10)[1])
+    assert sessions.stop().state == "finished"
+    assert len(open_recording(again).samples) == 10
+    assert sessions.fault == faults[0]
