@@ -24,7 +24,7 @@ Row = tuple[str, float, float, str]
 FLIGHT_S = 60.0
 PASSES = 30_000
 SUBSTEPS = 4
-FLIGHTS, FLIGHTS_S = 1000, 10.0
+FLIGHTS, FLIGHTS_S, BATCHES = 1000, 10.0, 8
 JITTER_S, RELEASE_S = 10.0, 0.01
 
 
@@ -57,12 +57,16 @@ def _monte_carlo() -> Row:
     def bytes_of(craft: StandIn, packets: Any, arrivals: Any) -> int:
         return len(packets)
 
-    alone = _seconds(lambda: fly_many(settings(FLIGHTS // 5), FLIGHTS_S, bytes_of, workers=1))
-    together = _seconds(lambda: fly_many(settings(FLIGHTS), FLIGHTS_S, bytes_of))
+    # In turns, and the best of each: the machine may have other things to do.
+    alone, together = [], []
+    for _ in range(BATCHES):
+        few, many = settings(FLIGHTS // BATCHES // 4), settings(FLIGHTS // BATCHES)
+        alone.append(len(few) / _seconds(lambda f=few: fly_many(f, FLIGHTS_S, bytes_of, workers=1)))
+        together.append(len(many) / _seconds(lambda m=many: fly_many(m, FLIGHTS_S, bytes_of)))
     return (
         f"1000 flights of 10 s on {os.cpu_count()} cores against one core",
-        FLIGHTS * FLIGHTS_S / together,
-        FLIGHTS // 5 * FLIGHTS_S / alone,
+        FLIGHTS_S * max(together),
+        FLIGHTS_S * max(alone),
         "flight s/s",
     )
 
