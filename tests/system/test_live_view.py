@@ -42,6 +42,7 @@ def is_serving(status):
 @pytest.mark.parametrize("victim", [FEEDER, SERVER])
 def test_a_view_that_dies_or_stalls_costs_the_recording_nothing(tmp_path, victim):
     with serving_daemon(tmp_path) as daemon:
+        daemon.recording()
         daemon.status_when(is_serving, "serving")
         process = psutil.Process(daemon.process.pid)
         memory = process.memory_info().rss
@@ -70,6 +71,7 @@ def test_a_view_that_dies_or_stalls_costs_the_recording_nothing(tmp_path, victim
 
 def test_nothing_outlives_a_daemon_that_is_killed(tmp_path):
     with serving_daemon(tmp_path) as daemon:
+        daemon.recording()
         daemon.status_when(is_serving, "serving")
         children = daemon.children()
         assert len(children) >= 2
