@@ -1,0 +1,1 @@
+"""Models from recordings: motor, ARX, body. Pure: arrays in, estimates out."""

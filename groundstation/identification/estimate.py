@@ -1,0 +1,82 @@
+"""Numbers with their uncertainty, and how well a model fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """Jointly estimated parameters.
+
+    names, values (p,), covariance (p, p); degrees_of_freedom behind the covariance.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    degrees_of_freedom: float
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+    @property
+    def stderr(self) -> Array:
+        """Standard errors, (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix, (p, p)."""
+        scale = np.where(self.stderr > 0, self.stderr, 1.0)
+        return np.asarray(self.covariance / np.outer(scale, scale))
+
+    def interval(self, probability: float = 0.95) -> Array:
+        """Confidence intervals (p, 2) by Student's distribution."""
+        from scipy.stats import t
+
+        half = self.stderr * t.ppf(0.5 + 0.5 * probability, self.degrees_of_freedom)
+        return np.stack([self.values - half, self.values + half], axis=1)
+
+    def as_dict(self) -> dict[str, object]:
+        """For the model file: values, standard errors, covariance and correlation by name."""
+        return {
+            "names": list(self.names),
+            "values": self.values.tolist(),
+            "stderr": self.stderr.tolist(),
+            "covariance": self.covariance.tolist(),
+            "correlation": self.correlation.tolist(),
+            "degrees_of_freedom": self.degrees_of_freedom,
+        }
+
+
+def fit_percent(measured: ArrayLike, modelled: ArrayLike) -> float:
+    """100 (1 - |y - y'| / |y - mean y|): 100 is perfect, 0 no better than the mean."""
+    y, model = np.asarray(measured, np.float64), np.asarray(modelled, np.float64)
+    spread = float(np.linalg.norm(y - y.mean()))
+    if spread == 0.0:
+        return float("nan")
+    return 100.0 * (1.0 - float(np.linalg.norm(y - model)) / spread)
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, np.float64)))))
+
+
+def sandwich(normal: Array, scores: Array) -> Array:
+    """Covariance N^-1 S N^-1 of a least-squares estimate whose errors are correlated in time.
+
+    normal: (p, p), J^T W J. scores: (blocks, p), J^T W e summed over blocks of rows longer than
+    the errors' memory; S is their sum of outer products, scaled for the p degrees of freedom
+    that the fit took from them.
+    """
+    blocks, count = scores.shape
+    inverse = np.linalg.pinv(normal, hermitian=True)
+    meat = scores.T @ scores * (blocks / max(blocks - count, 1))
+    return np.asarray(inverse @ meat @ inverse)

@@ -1,0 +1,46 @@
+"""Identification on real flights that are not part of the repository: `make check-local`.
+
+imrc/eckart*: a craft of another kind (X configuration, 37 g) with measured rotor speeds.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from groundstation.identification.motor import fit_motor, measured_run, validate_motor
+from groundstation.identification.runs import hold_out, runs_of
+from groundstation.recording.open_recording import open_recording
+
+DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")
+pytestmark = pytest.mark.skipif(
+    DATA is None or not Path(DATA).is_dir(),
+    reason="GROUNDSTATION_LOCAL_DATA names no folder with usd_card/ and imrc/",
+)
+FLIGHTS = ("00", "12", "22", "27", "34")
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """(to fit, held out) runs of all flights."""
+    fit, held = [], []
+    for number in FLIGHTS:
+        samples = open_recording(Path(DATA) / "imrc" / f"eckart{number}").samples
+        for run in runs_of(samples, f"eckart{number}"):
+            one, other = hold_out([run])
+            fit += one
+            held += other
+    return fit, held
+
+
+@pytest.mark.parametrize("motor", range(4))
+def test_pwm_and_battery_explain_measured_rotor_speed(flights, motor):
+    fit_runs, held = flights
+    fit = fit_motor([measured_run(run, motor) for run in fit_runs])
+    assert 0.002 < fit.estimates["delay_s"] < 0.008
+    errors = []
+    for run in held:
+        _, error = validate_motor(measured_run(run, motor), fit.motor, fit.estimates["delay_s"])
+        errors.append(error)
+    print(f"M{motor + 1}: held-out RMS {', '.join(f'{e:.2f}' for e in errors)} rev/s")
+    assert max(errors) < 2.0
