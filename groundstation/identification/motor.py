@@ -390,11 +390,6 @@ def _warnings(estimates: Estimates, rejected: float) -> tuple[str, ...]:
             )
         elif name != "a2" and value < 0:
             lines.append(f"{name} is negative: the data do not come from this kind of motor")
-    tied = estimates.correlation[1, 2]
-    if abs(tied) > 0.98:
-        lines.append(
-            f"a1 and a2 are tied (correlation {tied:.3f}): around one speed only their sum shows"
-        )
     if rejected > 0.3:
         lines.append(f"{100 * rejected:.0f} % of the readings were rejected as glitches")
     return tuple(lines)
