@@ -17,8 +17,8 @@ from groundstation.telemetry.samples import RawBatch
 BATCH_S = 0.01
 """Simulated time per batch."""
 FAST_BATCH_S = 5.0
-CATCH_UP_S = 0.25
-"""A stalled process skips simulated time beyond this instead of racing to catch up."""
+CATCH_UP_S = 2.0
+"""A process stalled for longer than this has missed what the craft sent meanwhile."""
 
 
 class StandInLink(Link):
@@ -26,7 +26,8 @@ class StandInLink(Link):
 
     options: settings of the stand-in, as in the configuration's ``[stand_in]`` table.
     speed: 1 for real time, ``inf`` for as fast as the reader takes batches. The host stamps
-        keep simulated spacing at any speed.
+        keep simulated spacing at any speed. Faster than real time the craft waits for a
+        stalled process; in real time it flies on unheard, as a real one would.
     crtp: host and UDP port on which the craft answers clients of the official library.
     """
 
@@ -53,7 +54,7 @@ class StandInLink(Link):
         self._crtp = crtp
         self._server: Any = None
         self._craft: Any = None
-        self._flown_s = 0.0
+        self._flown_s = self._target_s = self._heard_from_s = 0.0
         self._origin_ns = 0
         self._due_s = 0.0
         self._flight: asyncio.Future[Any] | None = None
@@ -95,22 +96,28 @@ class StandInLink(Link):
                 wait_s = self._due_s - time.monotonic()
                 if wait_s > 0:
                     await asyncio.sleep(wait_s)
-                target_s = self._flown_s + self._step_s
+                self._heard_from_s = self._flown_s + self._unheard_s()
+                self._target_s = self._heard_from_s + self._step_s
+                self._due_s += self._step_s / self.speed
                 self._flight = asyncio.get_running_loop().run_in_executor(
-                    None, self._craft.advance, target_s
+                    None, self._craft.advance, self._target_s
                 )
             # shielded: a cancelled read leaves the flight for the next one, losing nothing
             packets, arrival_s = await asyncio.shield(self._flight)
             self._flight = None
-            self._flown_s += self._step_s
-            behind_s = time.monotonic() - self._due_s
-            self._due_s += self._step_s / self.speed
-            if behind_s > CATCH_UP_S and self.speed != float("inf"):
-                self._due_s += behind_s
-                self._origin_ns += int(behind_s * 1e9)
-            if len(packets):
-                stamps = self._origin_ns + np.rint(arrival_s * 1e9).astype(np.int64)
-                return RawBatch(packets, stamps)
+            self._flown_s = self._target_s
+            heard = arrival_s >= self._heard_from_s
+            if heard.any():
+                stamps = self._origin_ns + np.rint(arrival_s[heard] * 1e9).astype(np.int64)
+                return RawBatch(packets[heard], stamps)
+
+    def _unheard_s(self) -> float:
+        """Simulated time to fly without listening, after a stall."""
+        behind_s = time.monotonic() - self._due_s
+        if behind_s <= CATCH_UP_S or self.speed == float("inf"):
+            return 0.0
+        self._due_s += behind_s
+        return behind_s * self.speed if self.speed <= 1.0 else 0.0
 
     async def _close(self) -> None:
         if self._flight is not None:

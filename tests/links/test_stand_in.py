@@ -1,0 +1,78 @@
+"""The software craft as a link: its time against the host's."""
+
+import asyncio
+import time
+
+import numpy as np
+import pytest
+from link_contract import joined, read_span
+
+from groundstation.links import stand_in
+from groundstation.links.stand_in import StandInLink
+from groundstation.telemetry.decoder import Decoder, decode_all
+
+SOUND_RADIO = {"loss": {"good_loss": 0.0}}
+FAST = float("inf")
+
+
+def flown(speed, span_ns, **options):
+    link = StandInLink(SOUND_RADIO | options, speed=speed)
+
+    async def session():
+        async with link:
+            return joined(await read_span(link, span_ns))
+
+    return asyncio.run(session())
+
+
+@pytest.mark.parametrize("speed", [3.0, FAST])
+def test_a_seed_gives_the_same_packets_with_the_same_spacing_at_any_speed(speed):
+    slow, fast = flown(1.0, 200_000_000, seed=5), flown(speed, 200_000_000, seed=5)
+    rows = min(len(slow), len(fast))
+    assert rows >= 400
+    np.testing.assert_array_equal(slow.packets[:rows], fast.packets[:rows])
+    spacing = [np.diff(batch.host_time_ns[:rows]) for batch in (slow, fast)]
+    np.testing.assert_array_equal(*spacing)
+    other = flown(FAST, 200_000_000, seed=6)
+    assert (other.packets[:rows] != fast.packets[:rows]).any()
+
+
+def stalled(speed, stall_s):
+    """Packets of a flight during which the whole process stood still."""
+    link = StandInLink(SOUND_RADIO, speed=speed)
+
+    async def session():
+        async with link:
+            before = await read_span(link, 200_000_000)
+            time.sleep(stall_s)  # blocks the loop on purpose
+            return joined([*before, *(await read_span(link, 200_000_000))])
+
+    return asyncio.run(session())
+
+
+def test_a_short_stall_is_caught_up_without_loss():
+    decoder = Decoder()
+    decoder.decode(stalled(1.0, 0.4))
+    decoder.finish()
+    assert decoder.counts().lost == 0
+
+
+def test_after_a_long_stall_device_and_host_agree_on_what_was_missed(monkeypatch):
+    """Or the silence would look like a restart of the device."""
+    monkeypatch.setattr(stand_in, "CATCH_UP_S", 0.2)
+    batch = stalled(1.0, 1.3)
+    samples, counts = decode_all(batch)
+    assert counts.restarts == 0
+    assert set(samples.segment) == {0}
+    gap = int(np.argmax(np.diff(samples.ticks)))
+    device_s = (samples.ticks[gap + 1] - samples.ticks[gap]) * samples.tick_s
+    host_s = (samples.host_time_ns[gap + 1] - samples.host_time_ns[gap]) * 1e-9
+    assert device_s > 1.2
+    assert host_s == pytest.approx(device_s, abs=0.003)
+
+
+def test_faster_than_real_time_the_craft_waits_for_a_stalled_process(monkeypatch):
+    monkeypatch.setattr(stand_in, "CATCH_UP_S", 0.1)
+    samples, counts = decode_all(stalled(4.0, 0.3))
+    assert counts.lost == 0
+    assert set(samples.segment) == {0}
