@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.terminal import Log, say
 from groundstation.errors import BadInputError, GroundStationError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ async def _serve(config: Config, duration_s: float | None) -> None:
         for task in tasks:
             task.cancel()
         if live:
-            print("\r\033[K", end="")
+            say("\r\033[K", end="")
         await server.stop()
         control.close()
     _conclude(station)
@@ -103,15 +104,15 @@ def _introduce(station: Station, socket: Path) -> None:
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
     lines.append(("control", str(socket)))
     for name, text in lines:
-        print(f"  {name:<11}{text}")
-    print("  Ctrl-C stops and finishes the recording.", flush=True)
+        say(f"  {name:<11}{text}")
+    say("  Ctrl-C stops and finishes the recording.")
 
 
 def _conclude(station: Station) -> None:
     """Say what came of it; faults are an error."""
     statistics, recording = station.statistics, station.sessions.status()
     if statistics is not None:
-        print(
+        say(
             f"received {statistics.samples} samples, {statistics.lost} lost, "
             f"{statistics.packets} packets; recording: {recording['file'] or 'none'}"
         )
@@ -139,12 +140,11 @@ async def _display(station: Station) -> None:
         if statistics is None:
             continue
         latency = "" if statistics.latency_ms is None else f"{statistics.latency_ms:6.1f} ms late"
-        print(
+        say(
             f"\r\033[K{station.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
             f"{statistics.loss_pct:6.2f} % lost {latency}   "
             f"{recording['state']} {recording['bytes'] / 1e6:.1f} MB",
             end="",
-            flush=True,
         )
 
 
@@ -161,9 +161,7 @@ def _configure_log(live: bool) -> None:
         mark = "!" if method == "warning" else " "
         return f"{clear}{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
 
-    structlog.configure(
-        processors=[render], logger_factory=structlog.PrintLoggerFactory(sys.stderr)
-    )
+    structlog.configure(processors=[render], logger_factory=lambda *names: Log())
 
 
 def _override(config: Config, changes: dict[str, Any]) -> Config:

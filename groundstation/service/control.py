@@ -52,6 +52,9 @@ class ControlSocket:
             ) from error
         os.ftruncate(self._lock, 0)
         os.pwrite(self._lock, str(os.getpid()).encode(), 0)
+        if path.exists() and not path.is_socket():
+            os.close(self._lock)
+            raise GroundStationError(f"control socket {path}: is not a socket; choose another path")
         path.unlink(missing_ok=True)  # left by a daemon that was killed: nobody holds the lock
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         before = os.umask(0o177)

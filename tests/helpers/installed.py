@@ -62,7 +62,7 @@ class Daemon:
     Used as a context it is never left behind.
     """
 
-    def __init__(self, folder, *arguments, socket_path=None):
+    def __init__(self, folder, *arguments, socket_path=None, stdout=None, stderr=None):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.socket = socket_path or self.folder / "control.sock"
@@ -72,8 +72,8 @@ class Daemon:
             self.process = subprocess.Popen(
                 [COMMAND, "run", *map(str, arguments)],
                 stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
+                stdout=stdout or out,
+                stderr=stderr or err,
                 env=_environment(self.socket),
                 cwd=self.folder,
             )

@@ -79,6 +79,14 @@ def test_a_socket_left_behind_is_replaced(path):
     ControlSocket(path).close()
 
 
+def test_a_file_that_is_no_socket_is_left_alone(path):
+    path.parent.mkdir()
+    path.write_text("precious")
+    with pytest.raises(GroundStationError, match="is not a socket"):
+        ControlSocket(path)
+    assert path.read_text() == "precious"
+
+
 def test_a_path_too_long_for_a_socket_is_refused_with_what_to_do(tmp_path):
     with pytest.raises(GroundStationError, match="GROUNDSTATION_SOCKET"):
         ControlSocket(tmp_path / ("long" * 40))

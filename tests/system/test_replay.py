@@ -54,11 +54,11 @@ def test_a_flight_with_silences_restarts_and_a_bad_radio_is_identical_after_two_
     """A fresh battery: the craft is silent for two seconds and starts anew."""
     (tmp_path / "config.toml").write_text(
         "[link]\nspeed = 'max'\n"
-        "[stand_in]\nseed = 3\ncharge = 0.08\nrecharge_s = 2.0\n"
+        "[stand_in]\nseed = 3\ncharge = 0.03\nrecharge_s = 2.0\n"
         "loss = {good_loss = 0.2, bad_loss = 0.95, to_bad = 0.002, to_good = 0.01}\n"
     )
     with Daemon(tmp_path / "flown", "--config", tmp_path / "config.toml") as daemon:
-        daemon.recording(samples=60_000)
+        daemon.recording(samples=8_000)
         assert daemon.stop() == 0
         flown = daemon.only_file()
     first = recorded_again(tmp_path / "first", flown, "--speed", "max")

@@ -72,6 +72,34 @@ def test_the_end_of_a_replay_is_the_end_of_the_program(tmp_path):
         assert "ended" in [event["kind"] for event in recording.events]
 
 
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_a_reader_of_its_output_that_goes_away_does_not_cost_the_recording(tmp_path, stream):
+    """Ctrl-C in ``groundstation run | tee log`` ends tee first."""
+    reading, writing = os.pipe()
+    with Daemon(tmp_path, **{stream: writing}) as daemon:
+        os.close(writing)
+        daemon.recording(samples=200)
+        os.close(reading)
+        assert daemon.stop() == 0
+        assert [event["kind"] for event in require_complete(daemon.only_file()).events][-1] == (
+            "closed"
+        )
+        assert "Traceback" not in daemon.stderr + daemon.stdout
+        assert not daemon.socket.exists()
+
+
+def test_someone_who_stays_connected_does_not_keep_it_from_ending(tmp_path):
+    with Daemon(tmp_path) as daemon, socket.socket(socket.AF_UNIX) as peer:
+        daemon.recording(samples=200)
+        peer.connect(str(daemon.socket))
+        peer.sendall(b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert peer.recv(64).startswith(b"HTTP/1.1 200")
+        with socket.socket(socket.AF_UNIX) as silent:
+            silent.connect(str(daemon.socket))
+            assert daemon.stop() == 0
+        require_complete(daemon.only_file())
+
+
 def test_without_recording_there_is_no_file(tmp_path):
     with Daemon(tmp_path, "--no-record", "--for", 1.5) as daemon:
         assert daemon.wait() == 0
