@@ -1,0 +1,325 @@
+"""ARX identification of one axis: every structure in a range at once (thesis 7.3.7).
+
+Least squares needs nothing of the data but sums of products of lagged inputs and outputs. They
+are the same for all structures, so one Gram matrix over the longest lags serves them all: each
+structure solves a few of its rows and columns. The models are then judged by free runs, which
+are restarted from measured outputs again and again: an unstable plant diverges in any long one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.arx import simulate_arx
+from groundstation.dynamics.mixer import Configuration
+from groundstation.dynamics.model import ArxAxis
+from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.errors import BadInputError
+from groundstation.identification.runs import Run
+from groundstation.identification.torque import rotor_squares
+
+Array = NDArray[np.float64]
+
+AXES = ("roll", "pitch", "yaw")
+MOST_POLES = 4
+WINDOW_S = 2.0
+"""Free runs start afresh from measured outputs after this long."""
+PARSIMONY = 0.05
+"""A simpler model wins unless a larger one is better by this share on validation data."""
+LEAST_ROWS = 300
+SETTLE_S = 0.6
+STEP_S = 0.3
+
+
+class Criterion(StrEnum):
+    """What makes one structure better than another."""
+
+    FREE_RUN = "free_run"
+    """Free-run RMS on validation data, as in the thesis: among plausible models, the fewest
+    coefficients within 5 % of the best. Judges slow behaviour; hardly sees delay or noise."""
+    PREDICTION = "prediction"
+    """One-step error on identification data with Schwarz's penalty for each coefficient. Judges
+    delay and noise model; what it chooses leaves white residuals where any structure does."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArxData:
+    """One run of one axis. inputs: (n,) u' in (rev/s)^2, outputs: (n,) rad or rad/s."""
+
+    name: str
+    period_s: float
+    inputs: Array
+    outputs: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ArxCandidate:
+    """One structure: the model, its standard errors (a then b), its free-run errors (RMS, unit
+    of the output) on identification and validation data, its one-step error on identification
+    data, and whether its step response is plausible (same sign as the input, never turning
+    back)."""
+
+    axis: ArxAxis
+    stderr: Array
+    rms_fit: float
+    rms_validation: float
+    rms_step: float
+    plausible: bool
+
+    @property
+    def label(self) -> str:
+        return f"ARX({self.axis.na},{self.axis.nb},{self.axis.nk})"
+
+
+@dataclass(frozen=True, slots=True)
+class ArxSearch:
+    """Outcome of ``search_arx``: candidates by validation error, and the one to use."""
+
+    candidates: tuple[ArxCandidate, ...]
+    chosen: ArxCandidate
+
+
+def arx_data(
+    run: Run,
+    axis: str,
+    motor: MotorConstants,
+    configuration: Configuration = "plus",
+    *,
+    channel: str = "attitude",
+    decimate: int = 1,
+) -> ArxData:
+    """The mixer's u' and the angle (or the body rate) of one axis of a run.
+
+    u' of a row is the mean over the period that ends with the row, so a body without delay has
+    nk = 0 on its rate. The first 0.6 s are left out: motor speeds are uncertain there.
+
+    channel: ``attitude`` (as in the thesis) or ``gyro``. decimate: keep every so many-th row, u'
+    averaged: the reported angle is fresh in every second row only.
+
+    Raises BadInputError where a channel is missing.
+    """
+    index = AXES.index(axis)
+    outputs = getattr(run, channel)[:, index]
+    if not np.isfinite(outputs).all():
+        raise BadInputError(f"{run.name}: {channel} is not in every row; ARX on {axis} needs it")
+    # The motors' simulation starts settled, which they were not: leave its transient out.
+    settled = round(SETTLE_S / run.period_s)
+    inputs = rotor_squares(run, motor).mixed(configuration)[settled:, index]
+    outputs = outputs[settled:]
+    if decimate > 1:
+        # Keep the rows in which a held value is fresh.
+        changes = [np.count_nonzero(np.diff(outputs)[k::decimate]) for k in range(decimate)]
+        first = (int(np.argmax(changes)) + 1) % decimate
+        kept = np.arange(first + decimate, len(outputs), decimate)
+        sums = np.concatenate([[0.0], np.cumsum(inputs)])
+        inputs = (sums[kept + 1] - sums[kept + 1 - decimate]) / decimate
+        outputs = outputs[kept]
+    return ArxData(run.name, run.period_s * decimate, inputs, np.ascontiguousarray(outputs))
+
+
+def search_arx(
+    fit: Sequence[ArxData],
+    validation: Sequence[ArxData],
+    na: Iterable[int] = range(1, 5),
+    nb: Iterable[int] = range(1, 3),
+    nk: Iterable[int] = range(11),
+    criterion: Criterion = Criterion.FREE_RUN,
+    window_s: float = WINDOW_S,
+) -> ArxSearch:
+    """Fit and judge every structure, and choose one by ``criterion``. Orders up to 4 poles.
+
+    Raises BadInputError for data that cannot tell: too short, constant, not finite, uneven rates.
+    """
+    orders = np.array([(p, q, d) for p in na for q in nb for d in nk], np.int64)
+    longest = int(max(MOST_POLES, (orders[:, 1] + orders[:, 2]).max()))
+    for data in (*fit, *validation):
+        _require_usable(data, fit[0].period_s, longest)
+    gram, rows = _gram(fit, longest)
+    a, b = np.zeros((len(orders), MOST_POLES)), np.zeros((len(orders), int(orders[:, 1].max())))
+    errors = []
+    for s, order in enumerate(orders):
+        theta, stderr, rms_step = _solve(gram, rows, order)
+        a[s, : order[0]], b[s, : order[1]] = theta[: order[0]], theta[order[0] :]
+        errors.append((stderr, rms_step))
+    period = fit[0].period_s
+    rms_fit = _free_run_rms(orders, a, b, fit, window_s, longest)
+    rms_validation = _free_run_rms(orders, a, b, validation, window_s, longest)
+    candidates = []
+    for s, (p, q, d) in enumerate(orders.tolist()):
+        axis = ArxAxis(p, q, d, tuple(a[s, :p].tolist()), tuple(b[s, :q].tolist()), period)
+        candidates.append(
+            ArxCandidate(
+                axis,
+                errors[s][0],
+                float(rms_fit[s]),
+                float(rms_validation[s]),
+                errors[s][1],
+                plausible_step(axis),
+            )
+        )
+    candidates.sort(key=lambda c: c.rms_validation)
+    chosen = (
+        _simplest(candidates) if criterion is Criterion.FREE_RUN else _likeliest(candidates, rows)
+    )
+    return ArxSearch(tuple(candidates), chosen)
+
+
+def free_run_rms(axis: ArxAxis, data: Sequence[ArxData], window_s: float = WINDOW_S) -> float:
+    """Free-run RMS error of any model on any data: also one axis's model on another's."""
+    order = np.array([[axis.na, axis.nb, axis.nk]])
+    a, b = np.zeros((1, MOST_POLES)), np.array([axis.b])
+    a[0, : axis.na] = axis.a
+    longest = max(MOST_POLES, axis.nk + axis.nb)
+    for one in data:
+        _require_usable(one, axis.ts, longest)
+    return float(_free_run_rms(order, a, b, data, window_s, longest)[0])
+
+
+def prediction_rms(axis: ArxAxis, data: Sequence[ArxData], steps: int) -> float:
+    """RMS error of predictions ``steps`` rows ahead, over every row."""
+    errors = []
+    for one in data:
+        predicted, first = _predict(axis, one, steps)
+        errors.append((one.outputs - predicted)[first:])
+    return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+
+
+def residuals(axis: ArxAxis, data: ArxData) -> Array:
+    """One-step prediction errors e = A y - B u, without the first rows that lack a past."""
+    predicted, first = _predict(axis, data, 1)
+    return (data.outputs - predicted)[first:]
+
+
+def plausible_step(axis: ArxAxis) -> bool:
+    """Whether a positive step of torque turns the axis the positive way for good (7.3.7.4).
+
+    After the delay and 20 ms in which fast poles may settle, the response must be positive and
+    must not turn back within 0.3 s, as that of a free body does not.
+    """
+    rows = axis.nk + round(STEP_S / axis.ts)
+    response = simulate_arx(axis, np.ones(rows))[axis.nk + round(0.02 / axis.ts) :]
+    return bool(np.all(response > 0) and np.all(np.diff(response) >= 0))
+
+
+def to_control(axis: ArxAxis) -> object:
+    """The same model as a ``control.TransferFunction`` in z."""
+    import control
+
+    length = max(axis.na, axis.nk + axis.nb - 1) + 1
+    numerator, denominator = np.zeros(length), np.zeros(length)
+    numerator[axis.nk : axis.nk + axis.nb] = axis.b
+    denominator[: axis.na + 1] = [1.0, *axis.a]
+    return control.tf(numerator, denominator, axis.ts)
+
+
+def _require_usable(data: ArxData, period_s: float, longest: int) -> None:
+    if len(data.inputs) < LEAST_ROWS + longest:
+        raise BadInputError(f"{data.name}: {len(data.inputs)} rows are too few for ARX models")
+    if abs(data.period_s / period_s - 1) > 0.01:
+        raise BadInputError(
+            f"{data.name}: {1 / data.period_s:.1f} rows a second, others {1 / period_s:.1f};"
+            " a discrete model needs one rate: fit them apart"
+        )
+    if not (np.isfinite(data.inputs).all() and np.isfinite(data.outputs).all()):
+        raise BadInputError(f"{data.name}: input or output has holes; use a stretch without")
+    if np.ptp(data.inputs) < 1e-9 * max(1.0, np.abs(data.inputs).max()) or not np.ptp(data.outputs):
+        raise BadInputError(f"{data.name}: input or output is constant; excite the axis")
+
+
+DIFFERENCES = np.array([[1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1]], np.float64)
+"""Differences of order 0..3 of y(t-1), over y(t-1) .. y(t-4): past outputs that are nearly equal
+to each other would leave a Gram matrix of the outputs themselves without correct digits."""
+
+
+def _gram(fit: Sequence[ArxData], longest: int) -> tuple[Array, int]:
+    """Sums of products of (y(t) - y(t-1), differences of y(t-1), u lagged), and how many rows."""
+    size = 1 + MOST_POLES + longest
+    gram, rows = np.zeros((size, size)), 0
+    for data in fit:
+        count = len(data.inputs) - longest
+        lagged = np.empty((size, count))
+        change = np.diff(data.outputs, prepend=0.0)
+        lagged[0] = change[longest:]
+        signal = data.outputs
+        for i in range(MOST_POLES):
+            lagged[1 + i] = signal[longest - 1 : longest - 1 + count]
+            signal = np.diff(signal, prepend=0.0)
+        for j in range(longest):
+            lagged[1 + MOST_POLES + j] = data.inputs[longest - j : longest - j + count]
+        gram += lagged @ lagged.T
+        rows += count
+    return gram, rows
+
+
+def _solve(gram: Array, rows: int, order: NDArray[np.int64]) -> tuple[Array, Array, float]:
+    """Coefficients (a then b) of one structure, their standard errors, the one-step RMS error."""
+    na, nb, nk = (int(value) for value in order)
+    inputs = 1 + MOST_POLES + nk
+    chosen = np.r_[1 : na + 1, inputs : inputs + nb]
+    scale = np.sqrt(np.diag(gram)[chosen])
+    matrix = gram[np.ix_(chosen, chosen)] / np.outer(scale, scale)
+    inverse = np.linalg.pinv(matrix, rcond=1e-14, hermitian=True)
+    theta = inverse @ (gram[chosen, 0] / scale)
+    left = max(float(gram[0, 0] - theta @ (gram[chosen, 0] / scale)), 0.0)
+    variance = left / max(rows - len(chosen), 1)
+    # From differences back to y(t) + a1 y(t-1) + ...
+    back = np.eye(na + nb)
+    back[:na, :na] = -DIFFERENCES[:na, :na].T
+    back = back / scale
+    coefficients = back @ theta
+    coefficients[0] -= 1.0
+    stderr = np.sqrt(variance * np.einsum("ij,jk,ik->i", back, inverse, back))
+    return coefficients, stderr, float(np.sqrt(left / rows))
+
+
+def _free_run_rms(
+    orders: NDArray[np.int64],
+    a: Array,
+    b: Array,
+    data: Sequence[ArxData],
+    window_s: float,
+    first: int,
+) -> Array:
+    from groundstation.identification.arx_kernel import free_run_errors
+
+    sums, rows = np.zeros(len(orders)), 0
+    for one in data:
+        window = max(1, round(window_s / one.period_s))
+        free_run_errors(orders, a, b, one.inputs, one.outputs, window, first, sums)
+        rows += len(one.inputs) - first
+    return np.asarray(np.sqrt(sums / max(rows, 1)))
+
+
+def _predict(axis: ArxAxis, data: ArxData, steps: int) -> tuple[Array, int]:
+    from groundstation.identification.arx_kernel import steps_ahead
+
+    a = np.zeros(MOST_POLES)
+    a[: axis.na] = axis.a
+    first = max(MOST_POLES, axis.nk + axis.nb)
+    predicted = np.zeros(len(data.outputs))
+    steps_ahead(a, np.array(axis.b), axis.nk, data.inputs, data.outputs, steps, first, predicted)
+    return predicted, first + steps - 1
+
+
+def _simplest(candidates: Sequence[ArxCandidate]) -> ArxCandidate:
+    """The parsimony rule of ``Criterion.FREE_RUN``; candidates by validation error."""
+    usable = [c for c in candidates if c.plausible and np.isfinite(c.rms_validation)]
+    pool = usable or list(candidates)
+    limit = (1 + PARSIMONY) * pool[0].rms_validation
+    good = [c for c in pool if c.rms_validation <= limit]
+    return min(good, key=lambda c: (c.axis.na + c.axis.nb, c.rms_validation))
+
+
+def _likeliest(candidates: Sequence[ArxCandidate], rows: int) -> ArxCandidate:
+    """The smallest Schwarz criterion n ln(s^2) + p ln(n)."""
+
+    def schwarz(candidate: ArxCandidate) -> float:
+        count = candidate.axis.na + candidate.axis.nb
+        return float(2 * rows * np.log(candidate.rms_step + 1e-300) + count * np.log(rows))
+
+    return min(candidates, key=schwarz)
