@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import signal
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,7 +20,12 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.output import write_csv, write_npz, write_truth
 from firmware_sim.settings import load_settings
 
+if TYPE_CHECKING:
+    from firmware_sim.serial_port import SerialPort
+
 STEP_S = 0.01
+SERIAL_STEP_S = 0.002
+"""A line is served more often: what a reader stamps should not wait for us."""
 FAST_STEP_S = 1.0
 
 EXAMPLES = """examples:
@@ -26,6 +33,7 @@ EXAMPLES = """examples:
   python -m firmware_sim --plant reduced --program motor_bench --for 64 --fast -o bench.csv
   python -m firmware_sim --effect rotor_drag:drag_n_s_m=0.01 --for 60 --fast -o hidden.npz
   python -m firmware_sim --crtp 127.0.0.1:19850          (then: cflib, udp://127.0.0.1:19850)
+  python -m firmware_sim --serial pty:/tmp/craft         (then: --link serial:/tmp/craft)
 
 An .npz file holds `packets` (n, 32) uint8, every copy the bridge forwarded, and `arrival_s`
 (n,) float64, seconds since power-on; a .csv file holds the decoded samples in the telemetry
@@ -40,7 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
         settings = _settings(options)
         craft = StandIn(settings)
         _require_writable(options)
-        flight = asyncio.run(_fly(craft, options))
+        with _line(options) as line:
+            flight = asyncio.run(_fly(craft, options, line))
         if options.output is not None:
             writer = write_npz if options.output.suffix == ".npz" else write_csv
             writer(options.output, *flight)
@@ -81,6 +90,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-o", "--output", type=Path, help="write what was received (.npz or .csv)")
     parser.add_argument("--truth", type=Path, help="write what really happened (.npz)")
     parser.add_argument("--crtp", metavar="HOST:PORT", help="serve CRTP on UDP")
+    parser.add_argument(
+        "--serial",
+        metavar="pty[:LINK]|PORT[@BAUD]",
+        help="send telemetry to a new pseudo-terminal (and link to it) or a serial port",
+    )
     return parser
 
 
@@ -99,6 +113,8 @@ def _settings(options: argparse.Namespace) -> StandInSettings:
     effects = {**settings.effects, **dict(_effects(options.effect))}
     if options.fast and options.seconds is None:
         raise ValueError("--fast: say for how long with --for SECONDS")
+    if options.fast and options.serial is not None:
+        raise ValueError("--serial: a line runs in real time, leave --fast out")
     if options.seconds is not None and not 0 < options.seconds < 1e7:
         raise ValueError(f"--for {options.seconds:g}: must be positive")
     return msgspec.structs.replace(
@@ -119,8 +135,21 @@ def _effects(texts: list[str]) -> Iterator[tuple[str, dict[str, float]]]:
         yield name, parameters
 
 
+@contextlib.contextmanager
+def _line(options: argparse.Namespace) -> Iterator[SerialPort | None]:
+    """The serial line to send on, if one was asked for."""
+    if options.serial is None:
+        yield None
+        return
+    from firmware_sim.serial_port import SerialPort
+
+    with SerialPort(options.serial) as line:
+        yield line
+    print(f"{line.unheard} packets while nobody listened, {line.dropped} dropped")
+
+
 async def _fly(
-    craft: StandIn, options: argparse.Namespace
+    craft: StandIn, options: argparse.Namespace, line: SerialPort | None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Advance until the time is up or Ctrl-C; packets are kept only if they will be written."""
     server = None
@@ -137,8 +166,10 @@ async def _fly(
     for sign in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(sign, stopped.set)
     end_s = float("inf") if options.seconds is None else options.seconds
-    step_s = FAST_STEP_S if options.fast else STEP_S
+    step_s = FAST_STEP_S if options.fast else STEP_S if line is None else SERIAL_STEP_S
     parts: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = [craft.advance(0.0)]
+    if line is not None:
+        print(f"telemetry on serial:{line.path}", flush=True)
     start, flown_s = time.monotonic(), 0.0
     try:
         while flown_s < end_s and not stopped.is_set():
@@ -146,6 +177,8 @@ async def _fly(
             part = craft.advance(flown_s)
             if options.output is not None:
                 parts.append(part)
+            if line is not None:
+                line.send(part[0])
             ahead_s = 0.0 if options.fast else start + flown_s - time.monotonic()
             await asyncio.sleep(max(ahead_s, 0.0))
     finally:

@@ -11,7 +11,7 @@ from groundstation.errors import BadInputError
 from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
 
-KINDS = "stand-in, replay:FILE"
+KINDS = "stand-in, replay:FILE, serial:PORT"
 
 
 def make_link(
@@ -22,7 +22,7 @@ def make_link(
     command: str = "",
     clock: HostClock | None = None,
 ) -> Link:
-    """``stand-in`` or ``replay:FILE``. Raises BadInputError for anything else.
+    """``stand-in``, ``replay:FILE`` or ``serial:PORT``. Raises BadInputError for anything else.
 
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
     """
@@ -35,6 +35,10 @@ def make_link(
         from groundstation.links.replay import ReplayLink
 
         return ReplayLink(Path(argument), speed=speed, clock=clock)
+    if kind == "serial" and argument:
+        from groundstation.links.serial import SerialLink
+
+        return SerialLink(argument, clock=clock)
     raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
 
 
