@@ -36,7 +36,7 @@ RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 class Station:
     """One link's telemetry, decoded, recorded and shown.
 
-    ``run`` returns when ``stop`` was called or a finite link has ended.
+    ``run`` returns when ``stop`` was called or, without a viewer, when a finite link has ended.
     """
 
     def __init__(self, config: Config) -> None:
@@ -207,6 +207,7 @@ class Station:
                 self._retry_s = RETRY_FIRST_S
                 await self._read()
             except LinkEndedError:
+                await self._linger()
                 return
             except LinkLostError:
                 self._take(self._decoder.reconnected())
@@ -215,6 +216,18 @@ class Station:
             await self.link.close()
             await asyncio.sleep(self._retry_s)
             self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+
+    async def _linger(self) -> None:
+        """The end of a replay: what there is to see stays on view until the operator stops."""
+        if self.viewer.mode is ViewerMode.OFF:
+            return
+        self._take(self._decoder.finish())
+        self._close_window()
+        await asyncio.to_thread(self.sessions.stop)
+        self.note(
+            "ended", "all has been shown; the viewer stays open until Ctrl-C", source="viewer"
+        )
+        await self._stopping.wait()
 
     async def _read(self) -> None:
         while True:

@@ -5,7 +5,7 @@ import signal
 
 import psutil
 import pytest
-from installed import PATIENCE_S, Daemon, free_port, until
+from installed import PATIENCE_S, RECORDINGS, Daemon, free_port, until
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
@@ -15,10 +15,9 @@ MEMORY_MOST = 30e6
 """How much the daemon may grow while a viewer is stuck, bytes: its queue is bounded."""
 
 
-def serving_daemon(folder):
-    return Daemon(
-        folder, "--viewer", "serve", "--viewer-port", free_port(), "--web-port", free_port()
-    )
+def serving_daemon(folder, *arguments):
+    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    return Daemon(folder, "--viewer", "serve", *ports, *arguments)
 
 
 def child(daemon, marker):
@@ -90,3 +89,19 @@ def test_the_addresses_to_open_are_printed_and_in_the_status(tmp_path):
         children = daemon.children()
         assert daemon.stop() == 0
         assert not [process for process in children if process.is_running()]
+
+
+def test_a_short_replay_stays_on_view_until_it_is_stopped(tmp_path):
+    """The real excerpt lasts 50 ms, the viewer takes seconds to start."""
+    excerpt = RECORDINGS / "thesis_excerpt.csv"
+    with serving_daemon(tmp_path, "--link", f"replay:{excerpt}") as daemon:
+        status = daemon.status_when(
+            lambda status: is_serving(status) and status["viewer"]["sent"] >= 25, "all is shown"
+        )
+        assert status["link"]["state"] == "ended"
+        assert status["viewer"]["dropped"] == 0
+        assert status["recording"]["state"] == "finished"
+        assert status["recording"]["samples"] == 25
+        assert daemon.stop() == 0
+        assert "received 25 samples, 0 lost" in daemon.stdout
+        assert len(open_recording(daemon.only_file()).samples) == 25
