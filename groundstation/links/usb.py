@@ -1,0 +1,379 @@
+"""The bridge on a real USB port: isochronous, without loss, through libusb.
+
+Finding, claiming and reading names is pyusb's public work; the stream is ``usb_ring``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import re
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.clock import HostClock
+from groundstation.errors import BadInputError, LinkError, LinkLostError
+from groundstation.links.base import Link
+from groundstation.links.usb_frames import FrameClock
+from groundstation.links.usb_ring import DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
+from groundstation.telemetry.bridge_usb import (
+    ALTERNATE,
+    ENDPOINT,
+    FRAME_BYTES,
+    FRAME_NS,
+    FRAME_PACKETS,
+    INTERFACE,
+    PRODUCT_ID,
+    VENDOR_ID,
+)
+from groundstation.telemetry.packet import PACKET_BYTES, Packets
+from groundstation.telemetry.samples import RawBatch
+
+DEFAULT_DEVICE = f"{VENDOR_ID:04x}:{PRODUCT_ID:04x}"
+POLL_S = 0.5
+"""How often an absent device is looked for."""
+WATCHDOG_S = 1.0
+"""The bus delivers frames even when the craft is off: without any, the transfers are stuck."""
+REPORT_S = 1.0
+BLOCKS_KEPT = 1024
+"""8 s of frames wait for a reader; older ones are dropped and counted."""
+PERMISSION_HELP = (
+    "install the rule with 'groundstation install udev --print | "
+    "sudo tee /etc/udev/rules.d/70-groundstation.rules', then plug the device in again"
+)
+
+_ISOCHRONOUS = 1
+_FRAME_ROWS = np.dtype([("length", "<u4"), ("actual", "<u4"), ("status", "<i4")])
+
+
+@dataclass(slots=True)
+class UsbCounts:
+    """What became of the bus's frames since the link was opened.
+
+    frames: arrived whole. errors, overruns, stalls: arrived with that status, nothing of them
+    was used. ragged: no whole number of packets, nothing was used. unseen: passed while no
+    transfer was queued (settled a quarter of a second later). unread: dropped because nobody
+    read. packets: delivered.
+    """
+
+    frames: int = 0
+    errors: int = 0
+    overruns: int = 0
+    stalls: int = 0
+    ragged: int = 0
+    unseen: int = 0
+    unread: int = 0
+    packets: int = 0
+
+    @property
+    def lost(self) -> int:
+        """Frames whose content is missing."""
+        return self.errors + self.overruns + self.stalls + self.ragged + self.unseen + self.unread
+
+
+class UsbLink(Link):
+    """Reads a telemetry bridge by vendor and product id.
+
+    device: ``VID:PID`` in hexadecimal. serial: of one among several; empty for the first found.
+
+    ``open`` raises LinkError at once when the device is absent. After that, and after a loss,
+    the next ``open`` waits until it is there: a device is used within ``POLL_S`` of appearing.
+    """
+
+    def __init__(
+        self, *, device: str = DEFAULT_DEVICE, serial: str = "", clock: HostClock | None = None
+    ) -> None:
+        super().__init__("usb", clock=clock)
+        match = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", device)
+        if match is None:
+            raise BadInputError(
+                f"configuration [usb] device {device!r}: give VID:PID, for example {DEFAULT_DEVICE}"
+            )
+        self.device, self.serial = device.lower(), serial
+        self._ids = int(match[1], 16), int(match[2], 16)
+        self.counts = UsbCounts()
+        self._backend: Any = None
+        self._claimed: Any = None
+        self._ring: IsoRing | None = None
+        self._watched: list[tuple[int, bool]] = []
+        self._blocks: deque[Block | None] = deque()  # None: an interruption
+        self._ready = asyncio.Event()
+        self._frames = FrameClock()
+        self._last_stamp_ns = 0
+        self._awaited = False
+        self._restart: asyncio.Task[None] | None = None
+        self._alive_s = 0.0
+        self._reported = UsbCounts()
+        self._report_due_s = 0.0
+
+    # -- opening and closing ---------------------------------------------------------------
+
+    async def _open(self) -> None:
+        claimed = await asyncio.to_thread(self._claim)
+        while claimed is None:
+            if not self._awaited:
+                self._awaited = True
+                raise LinkError(f"no USB device {self._wanted} is plugged in; waiting for one")
+            await asyncio.sleep(POLL_S)
+            claimed = await asyncio.to_thread(self._claim)
+        self._claimed = claimed
+        self._awaited = True
+        self.counts, self._reported = UsbCounts(), UsbCounts()
+        self._frames, self._last_stamp_ns = FrameClock(), 0
+        self._blocks.clear()
+        self._ready = asyncio.Event()
+        try:
+            self._ring = IsoRing(claimed, ENDPOINT, clock=self.clock, on_block=self._take)
+            self._watch()
+            self._ring.start()
+        except BaseException:
+            await self._close()
+            raise
+        self._alive_s = time.monotonic()
+
+    def _claim(self) -> Any:
+        """Find the device and make it stream; None when it is not there. Blocks."""
+        import usb.core
+        import usb.util
+
+        try:
+            for device in self._find():
+                if self.serial and usb.util.get_string(device, device.iSerialNumber) != self.serial:
+                    usb.util.dispose_resources(device)
+                    continue
+                try:
+                    _select(device)
+                except BaseException:
+                    usb.util.dispose_resources(device)
+                    raise
+                return device
+        except usb.core.USBError as error:
+            if error.errno in (errno.ENODEV, errno.ENOENT):
+                return None  # it went away while it was being opened
+            raise LinkError(f"USB device {self._wanted}: {_explain(error)}") from error
+        except (NotImplementedError, ValueError) as error:
+            # pyusb: no access to the language list or the strings
+            raise LinkError(f"USB device {self._wanted}: {error}; {PERMISSION_HELP}") from error
+        return None
+
+    def _find(self) -> list[Any]:
+        import libusb_package
+        import usb.core
+        from usb.backend import libusb1
+
+        if self._backend is None:
+            self._backend = libusb1.get_backend(find_library=libusb_package.find_library)
+        if self._backend is None:
+            raise LinkError(
+                "libusb is not usable here: reinstall with 'pip install libusb-package'"
+            )
+        vendor, product = self._ids
+        found = usb.core.find(
+            find_all=True, backend=self._backend, idVendor=vendor, idProduct=product
+        )
+        return list(found)
+
+    @property
+    def _wanted(self) -> str:
+        return f"{self.device} with serial number {self.serial}" if self.serial else self.device
+
+    async def _close(self) -> None:
+        if self._restart is not None:
+            await asyncio.wait([self._restart])
+            self._restart = None
+        self._unwatch()
+        ring, claimed = self._ring, self._claimed
+        self._ring = self._claimed = None
+        if claimed is not None:
+            await asyncio.to_thread(_release, ring, claimed)
+        self._frames.settle()
+        self._report(force=True)
+        self._blocks.clear()
+
+    # -- the stream ------------------------------------------------------------------------
+
+    async def _read(self) -> RawBatch:
+        while True:
+            ring = self._ring
+            assert ring is not None
+            # nothing is awaited between taking the blocks and the return: nothing can be lost
+            batch = self._decode()
+            self._report()
+            if len(batch):
+                return batch
+            if ring.gone:
+                self._unwatch()
+                raise LinkLostError(f"USB device {self._wanted} was unplugged")
+            if self._restart is not None:
+                await asyncio.shield(self._restart)
+                self._restart = None
+                continue
+            silent_s = time.monotonic() - self._alive_s
+            if ring.failed or silent_s > WATCHDOG_S:
+                what = "a transfer failed" if ring.failed else f"no frame for {silent_s:.1f} s"
+                self.emit("fault", f"{what}: the stream is started again")
+                self._restart = asyncio.create_task(self._start_again(ring))
+                continue
+            self._ready.clear()
+            await self._ready.wait()
+
+    async def _start_again(self, ring: IsoRing) -> None:
+        """After a failed transfer or a silent bus: all back, halt cleared, all queued anew."""
+        import usb.core
+
+        ring.cancel()
+        try:
+            async with asyncio.timeout(DRAIN_S):
+                while ring.active:
+                    self._ready.clear()
+                    await self._ready.wait()
+            if not ring.gone:
+                await asyncio.to_thread(self._claimed.clear_halt, ENDPOINT)
+        except TimeoutError:
+            ring.gone = True  # the host controller is stuck: only a new handle can help
+        except usb.core.USBError as error:
+            ring.gone = error.errno in (errno.ENODEV, errno.ENOENT)
+            self.emit("fault", f"the endpoint could not be cleared: {error.strerror}")
+        if not ring.gone:
+            self._blocks.append(None)
+            ring.start()
+        self._alive_s = time.monotonic()
+
+    def _watch(self) -> None:
+        assert self._ring is not None
+        loop = asyncio.get_running_loop()
+        self._watched = self._ring.poll_fds()
+        for fd, for_writing in self._watched:
+            add = loop.add_writer if for_writing else loop.add_reader
+            add(fd, self._handle)
+
+    def _unwatch(self) -> None:
+        loop = asyncio.get_running_loop()
+        for fd, for_writing in self._watched:
+            remove = loop.remove_writer if for_writing else loop.remove_reader
+            remove(fd)
+        self._watched = []
+
+    def _handle(self) -> None:
+        ring = self._ring
+        if ring is None:
+            return
+        ring.handle()
+        if ring.gone and not ring.active:
+            self._unwatch()  # a dead descriptor is ready for ever
+        self._ready.set()
+
+    def _take(self, block: Block) -> None:
+        """A transfer's content, from inside the library's callback."""
+        self._alive_s = time.monotonic()
+        self._blocks.append(block)
+        while len(self._blocks) > BLOCKS_KEPT:
+            if self._blocks.popleft() is None:
+                self._frames.interrupt()
+            else:
+                self._frames.skip(FRAMES)
+                self.counts.unread += FRAMES
+
+    def _decode(self) -> RawBatch:
+        """Everything received so far, as whole packets with the ends of their frames."""
+        parts: list[RawBatch] = []
+        while self._blocks:
+            block = self._blocks.popleft()
+            if block is None:
+                self._frames.interrupt()
+                continue
+            end_ns = self._frames.see(FRAMES, block.seen_ns, block.queued)
+            packets, frame = self._whole_packets(block)
+            stamps = end_ns - (FRAMES - 1 - frame) * FRAME_NS
+            np.maximum(stamps, self._last_stamp_ns, out=stamps)
+            self._last_stamp_ns = max(self._last_stamp_ns, end_ns)
+            parts.append(RawBatch(packets, stamps))
+        self.counts.unseen = self._frames.lost
+        return RawBatch.concatenate(parts)
+
+    def _whole_packets(self, block: Block) -> tuple[Packets, NDArray[np.int64]]:
+        """Packets (n, 32) of the good frames, and the place (n,) of each one's frame."""
+        packets = np.frombuffer(block.data, np.uint8).reshape(-1, PACKET_BYTES)
+        places = np.arange(len(packets))
+        counts = self.counts
+        if block.descriptors is None:
+            good = FRAMES
+        else:
+            rows = np.frombuffer(block.descriptors, _FRAME_ROWS)
+            status, actual = rows["status"], rows["actual"]
+            # bytes of a frame that failed or broke off are of no known meaning
+            whole = (status == 0) & (actual % PACKET_BYTES == 0)
+            counts.ragged += int(np.count_nonzero((status == 0) & ~whole))
+            counts.stalls += int(np.count_nonzero(status == STALLED))
+            counts.overruns += int(np.count_nonzero(status == OVERRUN))
+            counts.errors += int(np.count_nonzero(~np.isin(status, (0, STALLED, OVERRUN))))
+            good = int(np.count_nonzero(whole))
+            held = np.where(whole, actual // PACKET_BYTES, 0)
+            slot = places % FRAME_PACKETS
+            keep = slot < held[places // FRAME_PACKETS]
+            packets, places = packets[keep], places[keep]
+        counts.frames += good
+        counts.packets += len(packets)
+        return packets, places // FRAME_PACKETS
+
+    def _report(self, *, force: bool = False) -> None:
+        """An event when frames were lost since the last one, at most one a second."""
+        if self.counts.lost == self._reported.lost:
+            return
+        if not force and time.monotonic() < self._report_due_s:
+            return
+        more = self.counts.lost - self._reported.lost
+        self._reported = replace(self.counts)
+        self._report_due_s = time.monotonic() + REPORT_S
+        self.emit("loss", f"{more} USB frames lost", **asdict(self.counts))
+
+
+def _select(device: Any) -> None:
+    """Claim the interface and switch its endpoint on. Raises LinkError when it is no bridge."""
+    import usb.core
+    import usb.util
+
+    try:
+        configuration = device.get_active_configuration()
+    except usb.core.USBError:
+        device.set_configuration()
+        configuration = device.get_active_configuration()
+    setting = usb.util.find_descriptor(
+        configuration, bInterfaceNumber=INTERFACE, bAlternateSetting=ALTERNATE
+    )
+    endpoint = setting and usb.util.find_descriptor(setting, bEndpointAddress=ENDPOINT)
+    isochronous = endpoint and usb.util.endpoint_type(endpoint.bmAttributes) == _ISOCHRONOUS
+    if not isochronous or endpoint.wMaxPacketSize != FRAME_BYTES:
+        raise LinkError(
+            f"USB device {device.idVendor:04x}:{device.idProduct:04x} is no telemetry bridge: it "
+            f"needs isochronous endpoint 0x{ENDPOINT:02x} of {FRAME_BYTES} bytes in alternate "
+            f"setting {ALTERNATE}; set [usb] device to another one"
+        )
+    usb.util.claim_interface(device, INTERFACE)
+    device.set_interface_altsetting(INTERFACE, ALTERNATE)
+
+
+def _release(ring: IsoRing | None, device: Any) -> None:
+    """Stop the stream and let go of the device, whether or not it is still there. Blocks."""
+    import usb.core
+    import usb.util
+
+    if ring is not None:
+        ring.free()
+    with contextlib.suppress(usb.core.USBError):
+        device.set_interface_altsetting(INTERFACE, 0)
+    usb.util.dispose_resources(device)
+
+
+def _explain(error: Any) -> str:
+    if error.errno == errno.EACCES:
+        return f"no permission; {PERMISSION_HELP}"
+    if error.errno == errno.EBUSY:
+        return "in use by another program; stop that first"
+    return f"{error.strerror}; unplug it and plug it in again"
