@@ -1,0 +1,411 @@
+"""The serial link on real pseudo-terminals: the contract, damage, and ports that come and go."""
+
+import asyncio
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from flights import flight
+from link_contract import PATIENCE_S, LinkContract, joined, listen, read_span, read_to_end
+from serial_craft import SerialCraft
+
+from firmware_sim.craft import StandIn
+from firmware_sim.serial_port import SerialPort
+from firmware_sim.settings import Loss, StandInSettings
+from groundstation.errors import BadInputError, LinkError, LinkLostError
+from groundstation.links import serial as serial_module
+from groundstation.links.base import LinkState
+from groundstation.links.factory import make_link
+from groundstation.links.replay import FAST, ReplayLink
+from groundstation.links.serial import SerialLink
+from groundstation.links.stand_in import StandInLink
+from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.session import Recording
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.framing import BAUD, FRAME_BYTES, frame_packets
+from groundstation.telemetry.samples import COLUMNS, RawBatch
+
+SOUND = Loss(good_loss=0.0)
+
+
+def packets_of(rows, first=0):
+    return flight(first, rows)[0].packets
+
+
+async def packets_read(link, count):
+    """Read until ``count`` packets have come; all of them."""
+    batches = []
+    async with asyncio.timeout(PATIENCE_S):
+        while sum(map(len, batches)) < count:
+            batch = await link.read()
+            if batch is not None:
+                batches.append(batch)
+    return joined(batches)
+
+
+@pytest.fixture
+def line():
+    with SerialPort("pty") as port:
+        yield port
+
+
+class SerialContract(LinkContract):
+    settings = StandInSettings(loss=SOUND)
+    bad = (
+        ("serial:{tmp_path}", {}, "is no serial port"),
+        ("serial:/dev/null", {}, "is no serial port"),
+        ("serial:/dev/ttyS0@0", {}, "greater than 0"),
+        ("serial:", {}, "serial:PORT"),
+    )
+
+    @pytest.fixture
+    def link(self):
+        with SerialCraft(self.settings) as craft:
+            yield make_link(f"serial:{craft.path}", speed=1.0, stand_in={})
+
+    def open_wrongly(self, name, options):
+        async def session():
+            async with make_link(name, speed=1.0, stand_in=options):
+                pass
+
+        asyncio.run(session())
+
+
+class TestSerial(SerialContract):
+    pass
+
+
+class TestSerialThatFiltersCopies(SerialContract):
+    """The bridge of the thesis forwards each packet once."""
+
+    settings = StandInSettings(loss=SOUND, bridge_dedup=True)
+    copies = 1
+
+
+@pytest.mark.parametrize("deduplicated", [False, True], ids=["copies", "no copies"])
+def test_one_flight_is_the_same_through_stand_in_replay_and_serial(tmp_path, line, deduplicated):
+    options = {"seed": 5, "bridge_dedup": deduplicated, "loss": {"good_loss": 0.3}}
+    settings = StandInSettings(seed=5, bridge_dedup=deduplicated, loss=Loss(good_loss=0.3))
+    sent, arrival_s = StandIn(settings).advance(2.0)
+
+    async def fly_stand_in():
+        async with StandInLink(options) as link:
+            return await packets_read(link, len(sent))
+
+    async def send(started):
+        for batch in np.split(np.arange(len(sent)), np.flatnonzero(np.diff(arrival_s) > 0) + 1):
+            await asyncio.sleep(max(0.0, started + arrival_s[batch[0]] - time.monotonic()))
+            line.send(sent[batch])
+
+    async def fly_serial():
+        async with SerialLink(line.path) as link:
+            sending = asyncio.create_task(send(time.monotonic()))
+            raw = await packets_read(link, len(sent))
+            await sending
+            return raw
+
+    async def replay(path):
+        async with ReplayLink(path, speed=FAST) as link:
+            return joined(await read_to_end(link)), link.start_ticks
+
+    flown = asyncio.run(fly_stand_in())
+    flown = RawBatch(flown.packets[: len(sent)], flown.host_time_ns[: len(sent)])
+    through_stand_in, counts = decode_all(flown)
+    assert counts.lost > 0
+    write_mcap(Recording(tmp_path, "mcap", through_stand_in, flown), tmp_path / "flight.mcap")
+    raw, start_ticks = asyncio.run(replay(tmp_path / "flight.mcap"))
+    through_replay, _ = decode_all(raw, start_ticks)
+    through_serial, _ = decode_all(asyncio.run(fly_serial()))
+    assert len(through_stand_in) > 900
+    for name in COLUMNS:
+        if name != "host_time_ns":
+            expected = getattr(through_stand_in, name)
+            np.testing.assert_array_equal(getattr(through_replay, name), expected, name)
+            np.testing.assert_array_equal(getattr(through_serial, name), expected, name)
+
+
+def test_two_thousand_packets_a_second_lose_nothing():
+    with SerialCraft(StandInSettings(loss=SOUND)) as craft:
+
+        async def session():
+            async with SerialLink(craft.path) as link:
+                return joined(await read_span(link, 3_000_000_000)), link.damaged
+
+        raw, damaged = asyncio.run(session())
+        samples, counts = decode_all(raw)
+        assert craft.port.dropped == 0
+    assert damaged == 0
+    assert counts.lost == 0
+    assert (samples.copies[1:-1] == 4).all()
+    assert samples.time_s[-1] - samples.time_s[0] > 2.9
+
+
+def test_a_loop_that_was_blocked_loses_nothing():
+    """What waits in the kernel is late, and whole."""
+    with SerialCraft(StandInSettings(loss=SOUND)) as craft:
+
+        async def session():
+            async with SerialLink(craft.path) as link:
+                batches = []
+                for _ in range(4):
+                    batches += await read_span(link, 100_000_000)
+                    time.sleep(0.1)
+                return joined(batches + await read_span(link))
+
+        raw = asyncio.run(session())
+    samples, counts = decode_all(raw)
+    assert counts.lost == 0
+    assert counts.restarts == 0
+    assert (samples.copies[1:-1] == 4).all()
+
+
+def test_stamps_are_those_of_the_reads_not_of_the_batch(line):
+    async def session():
+        async with SerialLink(line.path) as link:
+            reads = []
+            clock = link.clock
+            link.clock = lambda: reads.append(clock()) or reads[-1]
+            batches, sent = [], packets_of(8)
+            while len(reads) < 2 * len(batches) + 4:  # several reads in some batch
+                before = len(reads)
+                line.send(sent)
+                while len(reads) == before:
+                    await asyncio.sleep(0)
+            return await link.read(), reads
+
+    batch, reads = asyncio.run(session())
+    assert len(batch) == 4 * 32
+    assert sorted(set(batch.host_time_ns.tolist())) == reads[:4]
+
+
+def test_a_packet_cut_in_two_reads_has_the_stamp_of_the_second(line):
+    stream = frame_packets(packets_of(1))
+    half = FRAME_BYTES // 2
+
+    async def session():
+        async with SerialLink(line.path) as link:
+            os.write(line._fd, stream[:half])
+            assert await link.read() is None
+            between = link.clock()
+            os.write(line._fd, stream[half:])
+            return await packets_read(link, 4), between
+
+    batch, between = asyncio.run(session())
+    np.testing.assert_array_equal(batch.packets, packets_of(1))
+    assert (batch.host_time_ns >= between).all()
+
+
+def test_damage_on_the_line_costs_its_frames_and_is_told(line):
+    stream = frame_packets(packets_of(50))
+    spoilt = bytearray(stream)
+    spoilt[40 * FRAME_BYTES + 7] ^= 0x40
+    spoilt[80 * FRAME_BYTES + 9] ^= 0x01
+    link = SerialLink(line.path)
+    events = listen(link)
+
+    async def session():
+        async with link:
+            os.write(line._fd, bytes(spoilt))
+            return await packets_read(link, 198), link.damaged
+
+    batch, damaged = asyncio.run(session())
+    expected = np.delete(packets_of(50), [40, 80], axis=0)
+    np.testing.assert_array_equal(batch.packets, expected)
+    assert damaged >= 2
+    (fault,) = [event for event in events if event.kind == "fault"]
+    assert "damaged frames skipped" in fault.text
+    assert fault.details == {"damaged": damaged}
+
+
+def test_a_stream_at_another_speed_is_said_to_be_no_telemetry(line):
+    link = SerialLink(line.path)
+    events = listen(link)
+
+    async def session():
+        async with link:
+            os.write(line._fd, np.random.default_rng(0).bytes(8000))
+            return await link.read()
+
+    assert asyncio.run(session()) is None
+    (fault,) = [event for event in events if event.kind == "fault"]
+    assert "check the bridge's baud rate" in fault.text
+    assert str(BAUD) in fault.text
+
+
+def test_what_waits_for_a_reader_that_does_not_come_is_bounded_and_counted(line, monkeypatch):
+    monkeypatch.setattr(serial_module, "MOST_WAITING_BYTES", 3000)
+    link = SerialLink(line.path)
+    events = listen(link)
+
+    async def session():
+        async with link:
+            for number in range(100):
+                before = link._received_bytes
+                line.send(packets_of(8, first=8 * number))
+                while link._received_bytes < before + 32 * FRAME_BYTES:
+                    await asyncio.sleep(0)
+            assert link._waiting_bytes <= 3000
+            batch = await link.read()
+            return batch, link.dropped_bytes, link._received_bytes
+
+    batch, dropped, received = asyncio.run(session())
+    assert received == 3200 * FRAME_BYTES
+    assert dropped >= received - 3000 - 32 * FRAME_BYTES
+    np.testing.assert_array_equal(batch.packets, packets_of(800)[-len(batch) :])
+    assert "not read in time" in next(event for event in events if event.kind == "fault").text
+
+
+def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
+    link = SerialLink(line.path)
+    events = listen(link)
+
+    async def session():
+        async with link:
+            line.send(packets_of(5))
+            while not link._waiting:
+                await asyncio.sleep(0)
+            line.close()
+            got = await packets_read(link, 20)
+            for _ in range(2):
+                with pytest.raises(LinkLostError, match="has gone"):
+                    await link.read()
+                assert link.state is LinkState.LOST
+            return got
+
+    np.testing.assert_array_equal(asyncio.run(session()).packets, packets_of(5))
+    assert [event.kind for event in events] == ["opening", "streaming", "lost", "closed"]
+    assert "\n" not in events[2].text
+
+
+def test_a_port_that_hangs_up_during_silence_is_lost_at_once(line):
+    link = SerialLink(line.path)
+    link.silence_s = PATIENCE_S
+
+    async def session():
+        async with link:
+            reading = asyncio.create_task(link.read())
+            await asyncio.sleep(0)
+            line.close()
+            with pytest.raises(LinkLostError):
+                await reading
+
+    asyncio.run(session())
+
+
+def test_a_terminal_under_the_same_name_again_streams_again(tmp_path):
+    name = tmp_path / "craft"
+    link = SerialLink(str(name))
+
+    async def session():
+        for first in (0, 1000):
+            with SerialPort(f"pty:{name}") as port:
+                async with link:
+                    port.send(packets_of(5, first=first))
+                    got = await packets_read(link, 20)
+                    np.testing.assert_array_equal(got.packets, packets_of(5, first=first))
+            with pytest.raises(LinkError, match="is not there"):
+                await link.open()
+
+    asyncio.run(session())
+
+
+def test_a_hundred_connections_leave_no_descriptor_behind(tmp_path):
+    name = tmp_path / "craft"
+    link = SerialLink(str(name))
+
+    async def connect():
+        with SerialPort(f"pty:{name}") as port:
+            async with link:
+                port.send(packets_of(5))
+                await packets_read(link, 20)
+                port.close()
+                with pytest.raises(LinkLostError):
+                    await link.read()
+
+    async def session():
+        await connect()
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(100):
+            await connect()
+        assert len(os.listdir("/proc/self/fd")) == before
+
+    asyncio.run(session())
+
+
+def test_what_was_sent_while_nobody_listened_is_not_taken_for_the_present(line):
+    async def session():
+        async with SerialLink(line.path) as link:
+            line.send(packets_of(5))
+            await packets_read(link, 20)
+        line.send(packets_of(5, first=500))
+        async with SerialLink(line.path) as link:
+            line.send(packets_of(5, first=1000))
+            return await packets_read(link, 20)
+
+    got = asyncio.run(session())
+    np.testing.assert_array_equal(got.packets, packets_of(5, first=1000))
+    assert line.unheard == 20
+
+
+def test_a_port_that_another_reader_has_is_refused(line):
+    async def session():
+        async with SerialLink(line.path):
+            with pytest.raises(LinkError, match="in use by another program") as refused:
+                await SerialLink(line.path).open()
+            assert not isinstance(refused.value, BadInputError)
+
+    asyncio.run(session())
+
+
+def test_a_port_without_permission_tells_which_group_to_join(line):
+    if os.geteuid() != 0:
+        pytest.skip("only root can become a user without permission")
+    os.chmod(line.path, 0o600)
+    program = (
+        "import asyncio, sys\n"
+        "from groundstation.links.serial import SerialLink\n"
+        "link = SerialLink(sys.argv[1])\n"
+        "import serial, os\n"
+        "os.setgid(65534); os.setuid(65534)\n"
+        "asyncio.run(link.open())\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program, line.path], capture_output=True, text=True
+    )
+    last = result.stderr.strip().splitlines()[-1]
+    assert "LinkError" in last
+    assert "permission denied" in last
+    assert "sudo usermod -aG" in last
+
+
+@pytest.mark.parametrize(
+    ("address", "port", "baud"),
+    [
+        ("/dev/ttyACM0", "/dev/ttyACM0", 2_000_000),
+        ("/dev/ttyUSB0@921600", "/dev/ttyUSB0", 921_600),
+        ("/dev/serial/by-id/usb-a@b", "/dev/serial/by-id/usb-a@b", 2_000_000),
+    ],
+)
+def test_an_address_is_a_port_and_perhaps_a_speed(address, port, baud):
+    link = SerialLink(address)
+    assert (link.port, link.baud) == (port, baud)
+    assert link.name == f"serial:{address}"
+
+
+def test_the_speed_that_was_asked_for_is_set(line):
+    import termios
+
+    async def session():
+        async with SerialLink(f"{line.path}@921600") as link:
+            return termios.tcgetattr(link._serial.fileno())[4]
+
+    assert asyncio.run(session()) == termios.B921600
+
+
+def test_a_name_too_strange_for_a_path_is_refused_in_one_line():
+    with pytest.raises(BadInputError) as refused:
+        asyncio.run(SerialLink("/dev/tty\0S").open())
+    assert "\n" not in str(refused.value)
