@@ -18,6 +18,8 @@ from groundstation.telemetry.samples import RawBatch, SampleBatch
 class Sessions:
     """The recorder of the moment, if any; everything is handed to it without blocking.
 
+    ``stop`` waits for the disk and may be called from another thread than the rest.
+
     folder: where files go; created when needed.
     metadata: text for the file's ``vehicle`` and ``configuration`` records.
     """
@@ -62,35 +64,39 @@ class Sessions:
 
     def stop(self) -> RecorderStatus | None:
         """Finish the file; None when nothing was being recorded."""
-        if self._recorder is None:
+        recorder = self._recorder
+        if recorder is None:
             return None
-        self._last = self._recorder.finish()
+        # first, so that what comes while the file is finished is not counted as lost
         self._recorder = None
+        self._last = recorder.status()
+        self._last = recorder.finish()
         return self._last
 
     def raw(self, batch: RawBatch) -> None:
-        if self._recorder is not None:
-            self._recorder.raw(batch)
+        if recorder := self._recorder:
+            recorder.raw(batch)
 
     def samples(self, batch: SampleBatch) -> None:
-        if self._recorder is not None:
-            self._recorder.samples(batch)
+        if recorder := self._recorder:
+            recorder.samples(batch)
 
     def event(self, event: LinkEvent) -> None:
-        if self._recorder is not None:
-            self._recorder.event(asdict(event))
+        if recorder := self._recorder:
+            recorder.event(asdict(event))
 
     def statistics(self, entry: dict[str, Any]) -> None:
-        if self._recorder is not None:
-            self._recorder.statistics(entry)
+        if recorder := self._recorder:
+            recorder.statistics(entry)
 
     def command(self, entry: dict[str, Any]) -> None:
-        if self._recorder is not None:
-            self._recorder.command(entry)
+        if recorder := self._recorder:
+            recorder.command(entry)
 
     def status(self) -> dict[str, Any]:
         """file, bytes, samples of the present recording, or of the last one, and its state."""
-        status = self._recorder.status() if self._recorder is not None else self._last
+        recorder = self._recorder
+        status = recorder.status() if recorder else self._last
         if status is None:
             return {"state": "off", "file": None, "bytes": 0, "samples": 0, "dropped": 0}
         return {

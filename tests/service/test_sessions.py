@@ -1,4 +1,5 @@
 import asyncio
+import threading
 
 import pytest
 from flights import COPIES, assert_same_samples, flight
@@ -85,6 +86,18 @@ def test_stopping_nothing_is_harmless_here_and_refused_to_an_operator(sessions):
     assert sessions.stop() is None
     with pytest.raises(BadInputError, match="nothing is being recorded"):
         sessions.require_started()
+
+
+def test_what_comes_while_a_recording_is_being_finished_is_not_counted_as_lost(sessions):
+    raw, samples = flight(0, 5)
+    for _ in range(5):
+        sessions.start("stand-in")
+        stopping = threading.Thread(target=sessions.stop)
+        stopping.start()
+        while stopping.is_alive():
+            sessions.raw(raw)
+            sessions.samples(samples)
+        assert sessions.status()["dropped"] <= 5 * (COPIES + 1)  # one batch may be on its way
 
 
 def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, faults):
