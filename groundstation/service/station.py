@@ -82,6 +82,8 @@ class Station:
         self._meter_due_s = time.monotonic() + STATISTICS_S
         self._ready_made = 0  # samples of a source that needs no decoder
         self._retry_s = RETRY_FIRST_S
+        self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
+        self._missing = ""  # why it cannot be opened now
         self._stopping = asyncio.Event()
         self.tried = asyncio.Event()
         """Set when the link has been opened, or has turned out not to be there yet."""
@@ -137,7 +139,7 @@ class Station:
         return {
             "link": {
                 "name": self.link.name,
-                "state": self.link.state.value,
+                "state": (self._away or self.link.state).value,
                 "rate_hz": statistics.rate_hz if statistics else 0.0,
                 "lost": statistics.lost if statistics else 0,
                 "latency_ms": statistics.latency_ms if statistics else None,
@@ -159,6 +161,8 @@ class Station:
 
     def take_event(self, event: LinkEvent) -> None:
         """Keep, log, record and show an event."""
+        if self._missing and event.link == self.link.name and event.kind in _ATTEMPT:
+            return  # while a device is waited for, another attempt is no news
         self.events.append(event)
         self.damaged |= event.kind == "damage"
         level = self._log.warning if event.kind in _WARNINGS else self._log.info
@@ -204,15 +208,19 @@ class Station:
                     if self.config.recording.enabled:
                         # not before: a mistyped link leaves no empty file behind
                         self.start_recording()
-                self._retry_s = RETRY_FIRST_S
+                self._retry_s, self._away, self._missing = RETRY_FIRST_S, None, ""
                 await self._read()
             except LinkEndedError:
                 await self._linger()
                 return
             except LinkLostError:
                 self._take(self._decoder.reconnected())
+                self._away = LinkState.LOST
             except LinkError as error:
-                self.note("waiting", str(error), source=self.link.name)
+                self._away = self._away or LinkState.OPENING
+                if str(error) != self._missing:
+                    self._missing = str(error)
+                    self.note("waiting", self._missing, source=self.link.name)
             await self.link.close()
             await asyncio.sleep(self._retry_s)
             self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
@@ -264,6 +272,7 @@ class Station:
 
 
 _CONNECTED = CommandState.CONNECTED
+_ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
 _WARNINGS = frozenset({"fault", "lost", "silent", "waiting", "restart", "damage"})
 
 

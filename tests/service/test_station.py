@@ -115,12 +115,41 @@ def test_a_device_that_is_lost_is_opened_again_and_starts_a_new_segment(run):
 def test_a_device_that_is_absent_at_first_is_waited_for_and_told_of(run):
     raw, _ = flight(0, 50)
     absent = [LinkError("no device 0483:5741")] * 3
-    link = ScriptedLink([raw], refuse=absent)
+    link = ScriptedLink([raw], refuse=[*absent, LinkError("permission denied")])
     station, recording = run(link)
-    assert link.opened == 4
+    assert link.opened == 5
     assert len(recording.samples) == 50
     waiting = [event.text for event in station.events if event.kind == "waiting"]
-    assert waiting == ["no device 0483:5741"] * 3
+    assert waiting == ["no device 0483:5741", "permission denied"]
+
+
+def test_waiting_for_a_device_does_not_fill_the_log(run):
+    raw, _ = flight(0, 50)
+    absent = [LinkError("no device 0483:5741")] * 50
+    script = [raw, LinkLostError("unplugged"), later(raw, 1.0)]
+    station, _ = run(ScriptedLink(script, refuse=[None, *absent]))
+    assert kinds(station, "scripted") == [
+        "opening", "streaming", "lost", "closed", "opening", "closed", "waiting",
+        "streaming", "ended", "closed",
+    ]  # fmt: skip
+
+
+def test_the_status_says_lost_until_the_device_is_back(run):
+    raw, _ = flight(0, 50)
+    states = []
+
+    class WatchedLink(ScriptedLink):
+        async def _open(self):
+            station = self.on_event.__self__
+            states.append(station.status()["link"]["state"])
+            await super()._open()
+
+    link = WatchedLink(
+        [raw, LinkLostError("unplugged"), later(raw, 1.0)],
+        refuse=[LinkError("absent"), None, LinkError("absent"), LinkError("absent")],
+    )
+    run(link)
+    assert states == ["opening", "opening", "lost", "lost", "lost"]
 
 
 def test_a_link_that_can_never_work_ends_the_station_and_leaves_no_file(run, tmp_path):
