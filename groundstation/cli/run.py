@@ -29,7 +29,7 @@ def add_commands(app: typer.Typer) -> None:
 
 def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
-    link: str | None = typer.Option(None, help="stand-in, or replay:FILE."),
+    link: str | None = typer.Option(None, help="stand-in, usb, serial:PORT or replay:FILE."),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
     ),

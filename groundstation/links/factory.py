@@ -11,7 +11,7 @@ from groundstation.errors import BadInputError
 from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
 
-KINDS = "stand-in, replay:FILE, serial:PORT"
+KINDS = "stand-in, replay:FILE, usb, serial:PORT"
 
 
 def make_link(
@@ -20,10 +20,12 @@ def make_link(
     speed: float,
     stand_in: dict[str, Any],
     command: str = "",
+    usb: dict[str, str] | None = None,
     clock: HostClock | None = None,
 ) -> Link:
-    """``stand-in``, ``replay:FILE`` or ``serial:PORT``. Raises BadInputError for anything else.
+    """``stand-in``, ``replay:FILE``, ``usb`` or ``serial:PORT``, else BadInputError.
 
+    usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual ones.
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
     """
     kind, _, argument = name.partition(":")
@@ -35,6 +37,10 @@ def make_link(
         from groundstation.links.replay import ReplayLink
 
         return ReplayLink(Path(argument), speed=speed, clock=clock)
+    if kind == "usb" and not argument:
+        from groundstation.links.usb import UsbLink
+
+        return UsbLink(**(usb or {}), clock=clock)
     if kind == "serial" and argument:
         from groundstation.links.serial import SerialLink
 

@@ -15,10 +15,20 @@ MEBIBYTE = 1 << 20
 
 
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """name: ``stand-in`` or ``replay:FILE``. speed: of stand-in and replay, or "max"."""
+    """name: ``stand-in``, ``usb``, ``serial:PORT`` or ``replay:FILE``.
+
+    speed: of stand-in and replay, or "max".
+    """
 
     name: str = "stand-in"
     speed: float | Literal["max"] = 1.0
+
+
+class UsbConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """device: VID:PID of the bridge, hexadecimal. serial: its serial number, empty for any."""
+
+    device: str = "0483:5741"
+    serial: str = ""
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,6 +63,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """
 
     link: LinkConfig = LinkConfig()
+    usb: UsbConfig = UsbConfig()
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
     control: ControlConfig = ControlConfig()

@@ -51,6 +51,7 @@ class Station:
             speed=link_speed(config.link.speed),
             stand_in=config.stand_in,
             command=config.command,
+            usb=msgspec.to_builtins(config.usb),
             clock=self.clock,
         )
         self.link.on_event = self.take_event
@@ -273,7 +274,7 @@ class Station:
 
 _CONNECTED = CommandState.CONNECTED
 _ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
-_WARNINGS = frozenset({"fault", "lost", "silent", "waiting", "restart", "damage"})
+_WARNINGS = frozenset({"fault", "lost", "loss", "silent", "waiting", "restart", "damage"})
 
 
 def _recorded_configuration(config: Config) -> dict[str, str]:
