@@ -1,0 +1,76 @@
+"""The daemon in a terminal: a line that keeps the operator informed, and a real Ctrl-C."""
+
+import os
+import pty
+import signal
+
+import pytest
+from installed import COMMAND, free_port, until
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+
+
+class Terminal:
+    """A program on a pseudo-terminal of its own: what it shows, and what is typed."""
+
+    def __init__(self, folder, *arguments):
+        self.shown = ""
+        self.status = None
+        self._pid, self._screen = pty.fork()
+        if self._pid == 0:
+            os.chdir(folder)
+            os.environ["GROUNDSTATION_SOCKET"] = str(folder / "control.sock")
+            os.execv(COMMAND, [COMMAND, *map(str, arguments)])
+        os.set_blocking(self._screen, False)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.status is None:
+            os.kill(self._pid, signal.SIGKILL)
+            os.waitpid(self._pid, 0)
+        os.close(self._screen)
+
+    def type(self, keys):
+        os.write(self._screen, keys)
+
+    def shows(self, text):
+        self._look()
+        return text in self.shown
+
+    def has_ended(self):
+        self._look()
+        if self.status is None:
+            pid, status = os.waitpid(self._pid, os.WNOHANG)
+            if pid:
+                self.status = os.waitstatus_to_exitcode(status)
+                self._look()
+        return self.status is not None
+
+    def _look(self):
+        try:
+            while piece := os.read(self._screen, 65536):
+                self.shown += piece.decode(errors="replace")
+        except OSError:  # nothing more now, or the other side is closed
+            pass
+
+
+@pytest.mark.parametrize("viewer", ["off", "serve"])
+def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
+    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    with Terminal(tmp_path, "run", "--viewer", viewer, *ports) as terminal:
+        until(lambda: terminal.shows("Ctrl-C stops and finishes the recording"), "introduced")
+        until(lambda: terminal.shows("samples/s  0.00 % lost"), "the operator is informed")
+        if viewer == "serve":
+            until(lambda: terminal.shows("serving at http://127.0.0.1:"), "the view is served")
+        terminal.type(b"\x03")
+        until(terminal.has_ended, "the end")
+        assert terminal.status == 0, terminal.shown
+    assert "Traceback" not in terminal.shown
+    assert "fault" not in terminal.shown
+    assert " 0 lost, " in terminal.shown
+    (path,) = (tmp_path / "sessions").glob("*.mcap")
+    report = inspect_recording(open_recording(path))
+    assert (report["damage"], report["gap_count"]) == ([], 0)
