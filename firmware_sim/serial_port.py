@@ -111,9 +111,9 @@ class SerialPort:
         try:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path)
-        except OSError:
+        except OSError as error:
             self.close()
-            raise
+            raise OSError(error.errno, error.strerror, str(link)) from error
         self._link = link
         self.path = str(link)
 
