@@ -23,6 +23,7 @@ from firmware_sim.layout import (
     FIRMWARE,
     PARAMETERS,
     PASS_NS,
+    SENSOR_RING,
 )
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
@@ -40,6 +41,7 @@ DLPF: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
 }
 """DLPF_CFG -> (bandwidth in Hz, delay in s) of the gyro and of the accelerometer."""
 BUS_S = 0.4e-3
+MOST_DELAY_NS = (SENSOR_RING - 2) * PASS_NS
 THESIS_GAINS = {
     "pid_rate.roll_kp": 12.0,
     "pid_rate.pitch_kp": 12.0,
@@ -128,6 +130,11 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     for term in model.effects if model is not None else ():
         chosen.setdefault(term.name, {k: e.value for k, e in term.parameters.items()})
     apply_effects(p, chosen)
+    if p["pipeline_ns"] > MOST_DELAY_NS:
+        raise ValueError(
+            f"sensor delay_s and dead_time make {p['pipeline_ns'] * 1e-6:g} ms of delay,"
+            f" must be at most {MOST_DELAY_NS * 1e-6:g}"
+        )
     return record
 
 
@@ -229,18 +236,15 @@ def _faithful(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
 
 
 def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:
-    lags = []
-    pure_delay = 0.0
-    for index, (bandwidth, delay) in enumerate(DLPF[sensor.dlpf]):
-        lag = min(1 / (2 * math.pi * bandwidth), delay)
-        lags.append(lag)
-        if index == 0:
-            pure_delay = delay - lag
-    p["dlpf_s"] = lags
+    (bandwidth, gyro_delay), (_, accel_delay) = DLPF[sensor.dlpf]
+    gyro_lag = min(1 / (2 * math.pi * bandwidth), gyro_delay)
+    pure_delay = gyro_delay - gyro_lag
+    # One register read-out serves both: the accelerometer's lag makes up its own total delay.
+    p["dlpf_s"] = gyro_lag, accel_delay - pure_delay
     pipeline = pure_delay + BUS_S
     if sensor.delay_s is not None:
         # The loop fetches a sample half a period after it is ready on average.
-        pipeline = sensor.delay_s - lags[0] - 0.5 * PASS_NS * 1e-9
+        pipeline = sensor.delay_s - gyro_lag - 0.5 * PASS_NS * 1e-9
         if pipeline < 0:
             raise ValueError(f"sensor delay_s {sensor.delay_s}: shorter than the DLPF's own lag")
     clock_ppm = ppm if sensor.clock_ppm is None else sensor.clock_ppm

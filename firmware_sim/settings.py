@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
+
+DLPF_SETTINGS = (1, 2, 3, 4, 5, 6)
+
+
+def _require(owner: Any, limits: dict[str, tuple[float, float]]) -> None:
+    """Refuse numbers that are not finite or outside [low, high]; None is left alone."""
+    for name, (low, high) in limits.items():
+        value = getattr(owner, name)
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and not (low <= number <= high and math.isfinite(number)):
+                raise ValueError(f"{name} is {number}, must be finite and in [{low:g}, {high:g}]")
 
 
 class Loss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -22,6 +34,9 @@ class Loss(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     to_bad: float = 0.0
     to_good: float = 0.1
     damage: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require(self, dict.fromkeys(self.__struct_fields__, (0.0, 1.0)))
 
 
 class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -45,6 +60,23 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     warm_up_s: float = 20.0
     accel_bias_g: tuple[float, float, float] = (0.0, 0.0, 0.0)
     shake: tuple[float, float, float] = (0.30, 0.90, 7.0)
+
+    def __post_init__(self) -> None:
+        if self.dlpf not in DLPF_SETTINGS:
+            raise ValueError(f"dlpf is {self.dlpf}, must be one of {DLPF_SETTINGS}")
+        _require(
+            self,
+            {
+                "delay_s": (0.0, 0.05),
+                "phase_s": (0.0, 0.002),
+                "clock_ppm": (-1e4, 1e4),
+                "gyro_bias_dps": (-1e4, 1e4),
+                "warm_up_drift_dps": (-1e4, 1e4),
+                "warm_up_s": (0.0, 1e6),
+                "accel_bias_g": (-100.0, 100.0),
+                "shake": (0.0, 1e4),
+            },
+        )
 
 
 class Quirks(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -111,6 +143,28 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     resume_s: float = 30.0
     substeps: int = 4
     truth: bool = False
+
+    def __post_init__(self) -> None:
+        _require(
+            self,
+            {
+                "seed": (0, math.inf),
+                "copies": (1, 4),
+                "bridge_packets": (1, 1e6),
+                "device_clock_ppm": (-1e4, 1e4),
+                "torque_noise": (0.0, 1e3),
+                "sensor_noise": (0.0, 1e3),
+                "supply_v": (1.0, 10.0),
+                "gate_glitches": (0.0, 10.0),
+                "charge": (0.0, 1.0),
+                "recharge_s": (0.0, 1e6),
+                "resume_s": (0.0, 1e9),
+                "substeps": (1, 1000),
+            },
+        )
+        for name, value in self.gains.items():
+            if not math.isfinite(value):
+                raise ValueError(f"gains: {name} is {value}, must be finite")
 
 
 def load_settings(path: Path) -> StandInSettings:

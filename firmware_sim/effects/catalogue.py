@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,22 +16,27 @@ import numpy as np
 from firmware_sim.layout import ALL_STATES, PASS_NS
 
 G = 9.80665
+MOST_DELAY_S = 0.04
 _Apply = Callable[[Any, dict[str, float]], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """parameters: name -> (default, unit). listed: whether the design names the effect."""
+    """parameters: name -> (default, unit). listed: whether the design names the effect.
+
+    limits: parameter -> (least, most) that the plant can fly; without them any finite number.
+    """
 
     parameters: dict[str, tuple[float, str]]
     apply: _Apply
     listed: bool = True
+    limits: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def apply_effects(p: Any, effects: dict[str, dict[str, float]]) -> None:
     """Put effects into a PARAMETERS record.
 
-    Raises ValueError for a name or a parameter that does not exist.
+    Raises ValueError for a name or a parameter that does not exist, or a value out of limits.
     """
     for name, given in effects.items():
         if name not in EFFECTS:
@@ -44,6 +49,14 @@ def apply_effects(p: Any, effects: dict[str, dict[str, float]]) -> None:
                 f" there are {', '.join(effect.parameters)}"
             )
         values = {key: given.get(key, default) for key, (default, _) in effect.parameters.items()}
+        for key, value in values.items():
+            low, high = effect.limits.get(key, (-math.inf, math.inf))
+            if not (low <= value <= high and math.isfinite(value)):
+                raise ValueError(
+                    f"effect {name}: {key} is {value}, must be finite and in [{low:g}, {high:g}]"
+                )
+            if key == "rotor" and value != int(value):
+                raise ValueError(f"effect {name}: rotor is {value}, must be 1, 2, 3 or 4")
         effect.apply(p, values)
 
 
@@ -51,8 +64,8 @@ def _set(**fields: str) -> _Apply:
     """An effect whose parameters are fields of the record: field=parameter."""
 
     def apply(p: Any, values: dict[str, float]) -> None:
-        for field, parameter in fields.items():
-            p[field] = values[parameter]
+        for name, parameter in fields.items():
+            p[name] = values[parameter]
 
     return apply
 
@@ -60,7 +73,7 @@ def _set(**fields: str) -> _Apply:
 def _add_dead_time(p: Any, values: dict[str, float]) -> None:
     delay_ns = round(values["delay_s"] * 1e9)
     p["pipeline_ns"] += delay_ns
-    if p["ideal_attitude"]:
+    if p["dlpf_s"][0] == 0:  # the ideal sensor samples so that the loop need not wait
         p["sensor_phase_ns"] = -int(p["pipeline_ns"]) % PASS_NS
 
 
@@ -142,16 +155,29 @@ def _reading_lag(p: Any, values: dict[str, float]) -> None:
 
 
 _NMS = "N m s"
+_POSITIVE = (0.0, math.inf)
+_INERTIA = {"rotor_inertia_kg_m2": _POSITIVE}
+_ROTOR = (1.0, 4.0)
 EFFECTS: dict[str, Effect] = {
-    "dead_time": Effect({"delay_s": (0.004, "s")}, _add_dead_time),
-    "gyro_low_pass": Effect({"bandwidth_hz": (30.0, "Hz")}, _gyro_low_pass),
+    "dead_time": Effect(
+        {"delay_s": (0.004, "s")}, _add_dead_time, limits={"delay_s": (0.0, MOST_DELAY_S)}
+    ),
+    "gyro_low_pass": Effect(
+        {"bandwidth_hz": (30.0, "Hz")}, _gyro_low_pass, limits={"bandwidth_hz": (0.0, 500.0)}
+    ),
     # One inertia, both torques: what a craft has. The two names below are for models.
-    "rotor_inertia": Effect({"rotor_inertia_kg_m2": (5e-8, "kg m^2")}, _rotor_inertia, False),
+    "rotor_inertia": Effect(
+        {"rotor_inertia_kg_m2": (5e-8, "kg m^2")}, _rotor_inertia, False, _INERTIA
+    ),
     "rotor_gyroscopic_torque": Effect(
-        {"rotor_inertia_kg_m2": (5e-8, "kg m^2")}, _set(rotor_inertia_gyro="rotor_inertia_kg_m2")
+        {"rotor_inertia_kg_m2": (5e-8, "kg m^2")},
+        _set(rotor_inertia_gyro="rotor_inertia_kg_m2"),
+        limits=_INERTIA,
     ),
     "rotor_acceleration_torque": Effect(
-        {"rotor_inertia_kg_m2": (5e-8, "kg m^2")}, _set(rotor_inertia_yaw="rotor_inertia_kg_m2")
+        {"rotor_inertia_kg_m2": (5e-8, "kg m^2")},
+        _set(rotor_inertia_yaw="rotor_inertia_kg_m2"),
+        limits=_INERTIA,
     ),
     "inertia_coupling": Effect({"fraction": (1.0, "")}, _set(coupling="fraction")),
     "rate_damping": Effect({"damping_n_m_s": (1e-5, _NMS)}, _set(rate_damping="damping_n_m_s")),
@@ -162,11 +188,23 @@ EFFECTS: dict[str, Effect] = {
     "centre_of_gravity_offset": Effect(
         {"x_m": (0.0, "m"), "y_m": (0.0, "m")}, _set(gravity_x="x_m", gravity_y="y_m")
     ),
-    "rotor_mismatch": Effect({"rotor": (1.0, ""), "excess": (0.05, "")}, _mismatch),
-    "motor_dead_voltage": Effect({"voltage_mv": (200.0, "mV")}, _set(dead_mv="voltage_mv")),
-    "motor_braking_asymmetry": Effect({"factor": (0.6, "")}, _set(braking="factor")),
-    "supply_sag": Effect({"resistance_ohm": (0.15, "ohm")}, _resistance),
-    "battery_reading_lag": Effect({"time_constant_s": (0.155, "s")}, _reading_lag),
+    "rotor_mismatch": Effect(
+        {"rotor": (1.0, ""), "excess": (0.05, "")},
+        _mismatch,
+        limits={"rotor": _ROTOR, "excess": (-1.0, 1.0)},
+    ),
+    "motor_dead_voltage": Effect(
+        {"voltage_mv": (200.0, "mV")}, _set(dead_mv="voltage_mv"), limits={"voltage_mv": _POSITIVE}
+    ),
+    "motor_braking_asymmetry": Effect(
+        {"factor": (0.6, "")}, _set(braking="factor"), limits={"factor": (0.05, 5.0)}
+    ),
+    "supply_sag": Effect(
+        {"resistance_ohm": (0.15, "ohm")}, _resistance, limits={"resistance_ohm": _POSITIVE}
+    ),
+    "battery_reading_lag": Effect(
+        {"time_constant_s": (0.155, "s")}, _reading_lag, limits={"time_constant_s": _POSITIVE}
+    ),
     "gyro_bias": Effect(
         {"x_dps": (0.0, "deg/s"), "y_dps": (0.0, "deg/s"), "z_dps": (0.0, "deg/s")}, _gyro_bias
     ),
@@ -185,9 +223,15 @@ EFFECTS: dict[str, Effect] = {
     "ground_effect": Effect(
         {"height_m": (0.08, "m"), "gain": (0.25, "")},
         _set(ground_height="height_m", ground_gain="gain"),
+        limits={"height_m": (0.001, math.inf), "gain": (-0.9, 10.0)},
     ),
-    "attitude_filter_lean": Effect({"strength": (1.0, "")}, _lean),
-    "slung_load": Effect({"mass_kg": (0.002, "kg"), "length_m": (0.3, "m")}, _slung_load, False),
+    "attitude_filter_lean": Effect({"strength": (1.0, "")}, _lean, limits={"strength": (0.0, 1.0)}),
+    "slung_load": Effect(
+        {"mass_kg": (0.002, "kg"), "length_m": (0.3, "m")},
+        _slung_load,
+        False,
+        {"mass_kg": (0.0, 0.02), "length_m": (0.02, 10.0)},
+    ),
     "cracked_arm": Effect(
         {
             "rotor": (1.0, ""),
@@ -197,9 +241,10 @@ EFFECTS: dict[str, Effect] = {
         },
         _cracked_arm,
         False,
+        {"rotor": _ROTOR, "frequency_hz": (0.1, 250.0), "damping": (0.0, 1.0)},
     ),
     "bent_propeller": Effect(
-        {"rotor": (1.0, ""), "torque_n_m": (5e-5, "N m")}, _bent_propeller, False
+        {"rotor": (1.0, ""), "torque_n_m": (5e-5, "N m")}, _bent_propeller, False, {"rotor": _ROTOR}
     ),
     "side_gust": Effect(
         {

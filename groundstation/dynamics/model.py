@@ -12,7 +12,13 @@ from typing import Any
 
 import msgspec
 
-from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants, Vehicle, load_vehicle
+from groundstation.dynamics.vehicle import (
+    THESIS_MOTOR,
+    MotorConstants,
+    Vehicle,
+    load_vehicle,
+    require_physical,
+)
 from groundstation.errors import BadInputError
 
 SCHEMA_VERSION = 1
@@ -139,6 +145,8 @@ def _require_usable(model: Model, where: str) -> None:
             raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
     if not math.isfinite(model.motor.a2):
         raise BadInputError(f"{where}: motor.a2 is {model.motor.a2}, must be finite")
+    if model.vehicle_profile is not None:
+        require_physical(model.vehicle_profile, f"{where}: vehicle_profile")
     if model.body is None and model.arx is None:
         raise BadInputError(f"{where}: holds neither body nor arx: nothing to simulate")
 

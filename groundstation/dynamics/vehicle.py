@@ -124,11 +124,12 @@ def load_vehicle(source: str | Path) -> Vehicle:
         vehicle = msgspec.toml.decode(path.read_bytes(), type=Vehicle)
     except (msgspec.DecodeError, UnicodeDecodeError, OSError) as error:
         raise BadInputError(f"vehicle profile {path}: {error}; correct the file") from error
-    _require_physical(vehicle, path)
+    require_physical(vehicle, f"vehicle profile {path}")
     return vehicle
 
 
-def _require_physical(vehicle: Vehicle, path: Path) -> None:
+def require_physical(vehicle: Vehicle, where: str) -> None:
+    """Raise BadInputError, beginning with ``where``, for a craft that cannot exist."""
     ixx, iyy, izz = vehicle.inertia_kg_m2
     positive = {
         "mass_kg": vehicle.mass_kg,
@@ -144,10 +145,22 @@ def _require_physical(vehicle: Vehicle, path: Path) -> None:
     }
     for key, value in positive.items():
         if not (math.isfinite(value) and value > 0):
-            raise BadInputError(f"vehicle profile {path}: {key} is {value}, must be positive")
+            raise BadInputError(f"{where}: {key} is {value}, must be positive")
+    not_negative = {
+        "rotor_inertia_kg_m2": vehicle.rotor_inertia_kg_m2,
+        "battery.internal_ohm": vehicle.battery.internal_ohm,
+        "battery.supply_ohm": vehicle.battery.supply_ohm,
+        "battery.electronics_a": vehicle.battery.electronics_a,
+    }
+    for key, value in not_negative.items():
+        if not (math.isfinite(value) and value >= 0):
+            raise BadInputError(f"{where}: {key} is {value}, must not be negative")
+    for key, value in {"motor.a2": vehicle.motor.a2, **vehicle.gains}.items():
+        if not math.isfinite(value):
+            raise BadInputError(f"{where}: {key} is {value}, must be finite")
     if max(ixx, iyy, izz) > ixx + iyy + izz - max(ixx, iyy, izz):
         raise BadInputError(
-            f"vehicle profile {path}: inertia_kg_m2 {ixx}, {iyy}, {izz} is not that of a body"
+            f"{where}: inertia_kg_m2 {ixx}, {iyy}, {izz} is not that of a body"
             " (the largest exceeds the sum of the others); correct it"
         )
 
