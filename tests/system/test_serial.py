@@ -1,0 +1,95 @@
+"""The daemon on a serial port whose other end comes, dies and comes back."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from installed import Daemon, until
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.recover import recover
+
+
+class Bridge:
+    """``python -m firmware_sim`` serving a pseudo-terminal under a fixed name."""
+
+    def __init__(self, name, *arguments):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{name}", *arguments],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def __enter__(self):
+        assert self.process.stdout.readline().startswith("telemetry on serial:")
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def name(tmp_path):
+    return tmp_path / "craft"
+
+
+def in_state(state):
+    return lambda status: status["link"]["state"] == state
+
+
+def test_a_flight_over_a_serial_port_is_recorded_whole(tmp_path, name):
+    settings = tmp_path / "sound.toml"
+    settings.write_text("[loss]\ngood_loss = 0.0\n")
+    with (
+        Bridge(name, "--settings", str(settings)),
+        Daemon(tmp_path, "--link", f"serial:{name}") as daemon,
+    ):
+        daemon.recording(samples=1000)
+        assert daemon.stop() == 0
+    recording = open_recording(daemon.only_file(), raw=True)
+    assert recover(daemon.only_file()).sound
+    assert recording.link == f"serial:{name}"
+    steps = np.diff(recording.samples.ticks)
+    assert steps.max() < 1.5 * np.median(steps)
+    assert (recording.samples.copies[1:-2] == 4).all()
+    assert len(recording.raw) >= 4 * len(recording.samples) - 6
+    assert "Traceback" not in daemon.stderr
+
+
+def test_a_port_that_is_absent_then_there_then_dead_then_back(tmp_path, name):
+    with Daemon(tmp_path, "--link", f"serial:{name}") as daemon:
+        daemon.status_when(in_state("opening"), "waiting for the port")
+        until(lambda: "is not there" in daemon.stderr, "the daemon says so")
+        assert daemon.files() == []
+        with Bridge(name, "--seed", "1"):
+            daemon.recording(samples=500)
+            assert daemon.status()["link"]["state"] == "streaming"
+        daemon.status_when(in_state("lost"), "the daemon sees that the port died")
+        before = daemon.status()["recording"]["samples"]
+        with Bridge(name, "--seed", "2"):
+            daemon.recording(samples=before + 500)
+        daemon.status_when(in_state("lost"), "lost again")
+        kinds = [event["kind"] for event in daemon.ask("GET", "/events")]
+        assert 2 <= kinds.count("waiting") <= 3  # once for each absence
+        assert daemon.stop() == 0
+    path = daemon.only_file()
+    assert recover(path).sound
+    recording = open_recording(path)
+    assert set(recording.samples.segment) == {0, 1}
+    assert np.count_nonzero(recording.samples.segment == 1) >= 500
+    told = [event["kind"] for event in recording.events if event["link"] == f"serial:{name}"]
+    assert told.count("streaming") == 2
+    assert told.count("lost") == 2
+    assert "Traceback" not in daemon.stderr
+
+
+@pytest.mark.parametrize("port", ["/dev/null", "/", "/dev/ttyS0@0"])
+def test_what_can_never_be_a_serial_port_ends_the_daemon_in_one_line(tmp_path, port):
+    with Daemon(tmp_path, "--link", f"serial:{port}") as daemon:
+        assert daemon.wait() == 1
+        assert daemon.last_line.startswith("groundstation: ")
+        assert port in daemon.last_line
+        assert daemon.files() == []
