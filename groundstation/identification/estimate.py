@@ -77,6 +77,13 @@ def sandwich(normal: Array, scores: Array) -> Array:
     that the fit took from them.
     """
     blocks, count = scores.shape
-    inverse = np.linalg.pinv(normal, hermitian=True)
+    bread = inverse(normal)
     meat = scores.T @ scores * (blocks / max(blocks - count, 1))
-    return np.asarray(inverse @ meat @ inverse)
+    return np.asarray(bread @ meat @ bread)
+
+
+def inverse(normal: Array) -> Array:
+    """Pseudo-inverse of J^T W J whatever the units of its parameters."""
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    unit = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
+    return np.asarray(unit / np.outer(scale, scale))

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.body import fit_body, validate_body
+from groundstation.identification.body_terms import split, stretches_of
 from groundstation.identification.motor import fit_motor, measured_run, validate_motor
 from groundstation.identification.runs import hold_out, runs_of
 from groundstation.recording.open_recording import open_recording
@@ -44,3 +47,18 @@ def test_pwm_and_battery_explain_measured_rotor_speed(flights, motor):
         errors.append(error)
     print(f"M{motor + 1}: held-out RMS {', '.join(f'{e:.2f}' for e in errors)} rev/s")
     assert max(errors) < 2.0
+
+
+@pytest.mark.parametrize("measured", [True, False], ids=["measured speed", "modelled speed"])
+def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, measured):
+    vehicle = BUILT_IN["crazyflie21"]
+    runs = [run for group in flights for run in group]
+    motor = fit_motor([measured_run(run, k) for run in runs for k in range(4)]).motor
+    fit_on, held = split(stretches_of(runs, motor, measured))
+    fit = fit_body(fit_on, vehicle, ("dead_time",))
+    figures = validate_body(held, fit, vehicle)
+    print(fit.body, f"delay {fit.delay_s * 1e3:.2f} ms", figures)
+    assert fit.body.c0 > 0 and fit.body.c1 > 0 and fit.body.c2 > 0
+    assert 0.002 < fit.delay_s < 0.006
+    assert figures["accelerometer_z_fit_percent"] > 60
+    assert figures["gyro_roll_rms_1row"] < 0.1
