@@ -33,7 +33,9 @@ def ask(path: Path, method: str, route: str) -> Any:
     try:
         connection.request(method, route)
         response = connection.getresponse()
-        answer = json.loads(response.read())
+        body = response.read()
+        if response.status == 200:
+            return json.loads(body)
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise GroundStationError(
             f"no groundstation is running (nothing answers at {path}); start one with "
@@ -43,6 +45,15 @@ def ask(path: Path, method: str, route: str) -> Any:
         raise GroundStationError(f"control socket {path}: {error}") from error
     finally:
         connection.close()
-    if response.status != 200:
-        raise GroundStationError(str(answer.get("error", answer)))
-    return answer
+    answer = f"{response.status} {response.reason}"
+    raise GroundStationError(
+        _refusal(body) or f"the daemon at {path} answered {method} {route} with {answer}"
+    )
+
+
+def _refusal(body: bytes) -> str | None:
+    """The daemon's own words, where it refused on purpose."""
+    try:
+        return str(json.loads(body)["error"])
+    except (ValueError, LookupError, TypeError):
+        return None

@@ -126,17 +126,20 @@ def test_a_refusal_reaches_the_one_who_asked(serve, path):
 
 
 @pytest.mark.parametrize(
-    ("method", "route"), [("GET", "/nowhere"), ("GET", "/record/start"), ("POST", "/status")]
+    ("method", "route", "says"),
+    [
+        ("GET", "/nowhere", "404 Not Found"),
+        ("GET", "/record/start", "405 Method Not Allowed"),
+        ("POST", "/status", "405 Method Not Allowed"),
+    ],
 )
-def test_what_does_not_exist_is_an_error_in_one_line(serve, path, method, route):
+def test_what_does_not_exist_is_an_error_in_one_line(serve, path, method, route, says):
     def conversation():
         with pytest.raises(GroundStationError) as refused:
             ask(path, method, route)
         return str(refused.value)
 
-    said = serve(conversation)
-    assert said
-    assert "\n" not in said
+    assert serve(conversation) == f"the daemon at {path} answered {method} {route} with {says}"
 
 
 def test_many_askers_at_once_all_get_an_answer(serve, path):
