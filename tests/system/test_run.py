@@ -198,7 +198,7 @@ def test_a_wrong_configuration_names_what_is_wrong(tmp_path, text, mentions):
 def test_the_configuration_file_is_followed_and_the_command_line_wins(tmp_path):
     (tmp_path / "config.toml").write_text(
         "[recording]\nfolder = 'elsewhere'\n[stand_in]\nbridge_dedup = true\n"
-        "loss = {good_loss = 0.0}\n[link]\nspeed = 'max'\n"
+        "loss = {good_loss = 0.0}\n[stand_in.effects.rotor_drag]\n[link]\nspeed = 'max'\n"
     )
     with Daemon(tmp_path, "--config", "config.toml", "--speed", "2", "--for", "2") as daemon:
         assert daemon.wait() == 0
@@ -206,6 +206,9 @@ def test_the_configuration_file_is_followed_and_the_command_line_wins(tmp_path):
     recording = require_complete(path)
     assert recording.metadata["configuration"]["speed"] == "2.0"
     np.testing.assert_array_equal(recording.samples.copies, 1)
+    told = f"{recording.metadata} {recording.events} {recording.statistics}"
+    assert "stand-in" in told
+    assert "rotor_drag" not in told, "a recording never says what a stand-in hides"
 
 
 def test_commands_without_a_daemon_say_how_to_start_one(tmp_path):
