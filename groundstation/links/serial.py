@@ -165,6 +165,17 @@ class SerialLink(Link):
         self._serial = None
 
 
+def permission_advice(port: str) -> str:
+    """What to do about a port that exists and may not be opened."""
+    try:
+        group = grp.getgrgid(os.stat(port).st_gid).gr_name
+    except (OSError, KeyError):
+        group = "dialout"
+    return (
+        f"permission denied; join its group with 'sudo usermod -aG {group} $USER' and log in again"
+    )
+
+
 def _open_port(port: str, baud: int) -> Any:
     import serial
 
@@ -188,10 +199,7 @@ def _refusal(port: str, baud: int, error: Exception) -> GroundStationError:
             "('groundstation devices' lists what is)"
         )
     if number in _DENIED:
-        return LinkError(
-            f"serial port {port}: permission denied; join its group with "
-            f"'sudo usermod -aG {_group(port)} $USER' and log in again"
-        )
+        return LinkError(f"serial port {port}: {permission_advice(port)}")
     if number in _TAKEN:
         return LinkError(f"serial port {port} is in use by another program: stop that one first")
     if number in (errno.ENOTTY, errno.EISDIR):
@@ -209,13 +217,6 @@ def _error_number(error: Exception) -> int | None:
         if isinstance(one, termios.error):
             return int(one.args[0])
     return None
-
-
-def _group(port: str) -> str:
-    try:
-        return grp.getgrgid(os.stat(port).st_gid).gr_name
-    except (OSError, KeyError):
-        return "dialout"
 
 
 def _has_hung_up(fd: int) -> bool:

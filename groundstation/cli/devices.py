@@ -1,0 +1,94 @@
+"""``groundstation devices``: what is plugged in, and whether it can be used."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import typer
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("devices")(devices)
+
+
+def devices(
+    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+) -> None:
+    """Serial ports and USB devices: what is plugged in, usable or why not.
+
+    Example: [bold]groundstation devices[/bold]
+    """
+    from groundstation.cli.usb_devices import usb_devices
+
+    usb, problem = usb_devices()
+    rows = [*serial_ports(), *usb]
+    if as_json:
+        typer.echo(json.dumps({"devices": rows, "usb_problem": problem or None}, indent=2))
+        return
+    for row in rows:
+        state = f"usable: --link {row['link']}" if row["usable"] else row["why"]
+        typer.echo(f"{row['kind']:<8}{row['name']:<20}{state}")
+        if row["description"]:
+            typer.echo(f"{'':<28}{row['description']}")
+    if not any(row["link"] for row in rows):
+        typer.echo("no serial port and no telemetry bridge is plugged in")
+    if problem:
+        typer.echo(f"usb     {problem}")
+
+
+def serial_ports() -> list[dict[str, Any]]:
+    """Every serial port of the machine. Keys as ``usb_devices``."""
+    from serial.tools.list_ports import comports
+
+    return [
+        port_row(port.device, port.description if port.description != "n/a" else "")
+        for port in sorted(comports())
+    ]
+
+
+def port_row(path: str, description: str = "") -> dict[str, Any]:
+    """One port, looked at without opening the line: opening would reset some boards."""
+    why = _why_not(path)
+    return {
+        "kind": "serial",
+        "name": path,
+        "link": f"serial:{path}",
+        "description": description,
+        "usable": not why,
+        "why": why,
+    }
+
+
+def _why_not(path: str) -> str:
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        return error.strerror or str(error)
+    if not stat.S_ISCHR(found.st_mode):
+        return "no serial port"
+    if not os.access(path, os.R_OK | os.W_OK):
+        from groundstation.links.serial import permission_advice
+
+        return permission_advice(path)
+    owner = _owner(found.st_rdev)
+    return f"in use by {owner}" if owner else ""
+
+
+def _owner(device: int) -> str:
+    """A process that has the port open, as far as this user may look."""
+    for process in Path("/proc").glob("[0-9]*"):
+        if int(process.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):
+            for handle in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):
+                    found = handle.stat()
+                    if stat.S_ISCHR(found.st_mode) and found.st_rdev == device:
+                        name = (process / "comm").read_text().strip()
+                        return f"process {process.name} ({name})"
+    return ""

@@ -1,0 +1,42 @@
+"""``groundstation export``: what other programs build on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from groundstation.errors import BadInputError
+
+export = typer.Typer(
+    help="Files for whoever writes firmware or other programs.", no_args_is_help=True
+)
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.add_typer(export, name="export")
+
+
+@export.callback()
+def _options() -> None:
+    pass  # keeps the name of a single subcommand
+
+
+@export.command("header")
+def header(
+    output: Path | None = typer.Option(None, "-o", "--output", help="File, instead of stdout."),
+) -> None:
+    """The packet, its serial frame and the bridge's USB descriptors as a C header.
+
+    Example: [bold]groundstation export header -o groundstation_telemetry.h[/bold]
+    """
+    from groundstation.telemetry.c_header import c_header
+
+    text = c_header()
+    if output is None:
+        typer.echo(text, nl=False)
+        return
+    try:
+        output.write_text(text)
+    except OSError as error:
+        raise BadInputError(f"{output}: {error.strerror or error}") from error

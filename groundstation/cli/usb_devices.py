@@ -1,0 +1,86 @@
+"""USB devices by VID:PID as pyusb sees them, and whether the bridge among them can be used."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from groundstation.telemetry.bridge_usb import INTERFACE, PRODUCT_ID, VENDOR_ID
+
+HUB = 0x09
+"""Device class of hubs, which nobody looks for."""
+UDEV_HINT = "install the udev rule ('groundstation install udev --print')"
+
+
+def usb_devices() -> tuple[list[dict[str, Any]], str]:
+    """Every device of the bus, bridges first, and why there are none if they cannot be listed.
+
+    Keys of a row: kind, name (VID:PID), link (what to give to --link, None where there is no
+    telemetry), description, usable, why (not).
+    """
+    import usb.core
+
+    try:
+        found = [
+            device
+            for device in usb.core.find(find_all=True, backend=_backend())
+            if device.bDeviceClass != HUB
+        ]
+    except usb.core.NoBackendError:
+        return [], "libusb was not found: install libusb-1.0, or 'pip install libusb-package'"
+    except (usb.core.USBError, OSError) as error:
+        return [], f"USB cannot be listed: {error}"
+    rows = [_row(device) for device in found]
+    return sorted(rows, key=lambda row: (row["link"] is None, row["name"])), ""
+
+
+def _backend() -> Any:
+    """The libusb that comes with the package, else the system's."""
+    import usb.backend.libusb1
+
+    try:
+        import libusb_package
+    except ImportError:
+        return usb.backend.libusb1.get_backend()
+    return libusb_package.get_libusb1_backend()
+
+
+def _row(device: Any) -> dict[str, Any]:
+    identity = f"{device.idVendor:04x}:{device.idProduct:04x}"
+    bridge = (device.idVendor, device.idProduct) == (VENDOR_ID, PRODUCT_ID)
+    why = _why_not(device) if bridge else "not a telemetry bridge"
+    return {
+        "kind": "usb",
+        "name": identity,
+        "link": "usb" if bridge else None,
+        "description": _description(device),
+        "usable": not why,
+        "why": why,
+    }
+
+
+def _why_not(device: Any) -> str:
+    import usb.core
+
+    node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+    if os.path.exists(node) and not os.access(node, os.R_OK | os.W_OK):
+        return f"permission denied on {node}: {UDEV_HINT}"
+    try:
+        if device.is_kernel_driver_active(INTERFACE):
+            return "in use: stop the program or driver that has claimed it"
+    except NotImplementedError:
+        pass
+    except usb.core.USBError as error:
+        return f"cannot be opened: {error.strerror or error}"
+    return ""
+
+
+def _description(device: Any) -> str:
+    """Maker and product; without permission their strings cannot be read."""
+    import usb.core
+
+    try:
+        names = (device.manufacturer, device.product, device.serial_number)
+    except (usb.core.USBError, ValueError, NotImplementedError):
+        return ""
+    return " ".join(name for name in names if name)

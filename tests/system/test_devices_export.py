@@ -1,0 +1,182 @@
+"""``devices`` and ``export`` through the installed command, on what this machine really has."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+import usb.core
+from installed import COMMAND, groundstation, require_failure
+from serial.tools.list_ports import comports
+
+from groundstation.cli.devices import port_row
+from groundstation.cli.usb_devices import usb_devices
+from groundstation.telemetry.c_header import c_header
+
+
+@pytest.fixture
+def terminal():
+    """The path of a pseudo-terminal that nobody has open at that end."""
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    yield path
+    os.close(master)
+
+
+def test_devices_lists_the_ports_of_this_machine():
+    result = groundstation("devices", "--json")
+    assert result.returncode == 0, result.stderr
+    listed = json.loads(result.stdout)
+    ports = [row["name"] for row in listed["devices"] if row["kind"] == "serial"]
+    assert ports == sorted(port.device for port in comports())
+    for row in listed["devices"]:
+        assert set(row) == {"kind", "name", "link", "description", "usable", "why"}
+        assert row["usable"] == (row["why"] == "")
+
+
+def test_devices_in_words_has_a_line_for_each_and_one_for_none():
+    listed = json.loads(groundstation("devices", "--json").stdout)["devices"]
+    lines = groundstation("devices").stdout.splitlines()
+    for row in listed:
+        (line,) = [line for line in lines if line.startswith(row["kind"]) and row["name"] in line]
+        assert (f"usable: --link {row['link']}" if row["usable"] else row["why"]) in line
+    nothing = "no serial port and no telemetry bridge is plugged in"
+    assert (nothing in lines) == all(row["link"] is None for row in listed)
+
+
+def test_devices_without_libusb_still_lists_the_ports_and_says_what_is_missing():
+    hide = (
+        "import sys, usb.backend.libusb1 as backend\n"
+        "sys.modules['libusb_package'] = None\n"
+        "backend.get_backend = lambda *a, **k: None\n"
+        "import usb.backend.libusb0, usb.backend.openusb\n"
+        "usb.backend.libusb0.get_backend = usb.backend.openusb.get_backend = lambda *a, **k: None\n"
+        "sys.argv[1:] = ['devices']\n"
+        "from groundstation.cli.main import main\n"
+        "main()\n"
+    )
+    result = subprocess.run([sys.executable, "-c", hide], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "libusb was not found: install" in result.stdout
+
+
+def test_a_free_port_is_usable_and_says_how(terminal):
+    row = port_row(terminal, "Some adapter")
+    assert row["usable"]
+    assert row["link"] == f"serial:{terminal}"
+    assert row["description"] == "Some adapter"
+
+
+def test_a_port_that_a_program_has_open_names_it(terminal):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", f"f = open({terminal!r}, 'rb', 0); print(flush=True); input()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    with holder:
+        holder.stdout.readline()
+        row = port_row(terminal)
+        holder.communicate(b"\n")
+    assert not row["usable"]
+    assert f"in use by process {holder.pid} (" in row["why"]
+
+
+def test_a_port_without_permission_tells_which_group_to_join(terminal):
+    if os.geteuid() != 0:
+        pytest.skip("only root can become a user without permission")
+    os.chmod(terminal, 0o600)
+    program = (
+        "import os, sys\n"
+        "from groundstation.cli.devices import port_row\n"
+        "import groundstation.links.serial\n"
+        "os.setgid(65534); os.setuid(65534)\n"
+        "print(port_row(sys.argv[1])['why'])\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program, terminal], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.startswith("permission denied; join its group with 'sudo usermod -aG")
+
+
+@pytest.mark.parametrize(
+    ("path", "why"), [("/dev/ttyNOWHERE", "No such file or directory"), ("/", "no serial port")]
+)
+def test_what_is_no_port_is_not_usable(path, why):
+    assert port_row(path)["why"] == why
+
+
+class Bus:
+    """What pyusb's ``find`` would give on a machine with these devices: there is no USB here."""
+
+    class Device:
+        bus, address, bDeviceClass = 250, 250, 0  # noqa: N815 - pyusb's name
+
+        def __init__(self, vendor, product, claimed=False, text="maker"):
+            self.idVendor, self.idProduct = vendor, product
+            self._claimed, self._text = claimed, text
+
+        def is_kernel_driver_active(self, interface):
+            if isinstance(self._claimed, Exception):
+                raise self._claimed
+            return self._claimed
+
+        @property
+        def manufacturer(self):
+            if self._text is None:
+                raise ValueError("The device has no langid (permission issue, no string ...)")
+            return self._text
+
+        product = serial_number = None
+
+
+@pytest.mark.parametrize(
+    ("claimed", "usable", "why"),
+    [
+        (False, True, ""),
+        (True, False, "in use"),
+        (usb.core.USBError("Access denied", errno=13), False, "cannot be opened: Access denied"),
+    ],
+)
+def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, claimed, usable, why):
+    hub = Bus.Device(0x1D6B, 2)
+    hub.bDeviceClass = 9
+    found = [hub, Bus.Device(0x046D, 1, text=None), Bus.Device(0x0483, 0x5741, claimed)]
+    monkeypatch.setattr(usb.core, "find", lambda **_: iter(found))
+    (bridge, mouse), problem = usb_devices()
+    assert problem == ""
+    assert (bridge["name"], bridge["link"], bridge["usable"]) == ("0483:5741", "usb", usable)
+    assert why in bridge["why"]
+    assert bridge["description"] == "maker"
+    assert (mouse["name"], mouse["link"], mouse["usable"]) == ("046d:0001", None, False)
+    assert mouse["why"] == "not a telemetry bridge"
+
+
+def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
+    def refuse(**_):
+        raise usb.core.USBError("Input/output error", errno=5)
+
+    monkeypatch.setattr(usb.core, "find", refuse)
+    rows, problem = usb_devices()
+    assert rows == []
+    assert "USB cannot be listed" in problem
+
+
+def test_the_header_goes_to_stdout_or_to_a_file(tmp_path):
+    assert groundstation("export", "header").stdout == c_header()
+    path = tmp_path / "groundstation_telemetry.h"
+    assert groundstation("export", "header", "-o", path).returncode == 0
+    assert path.read_text() == c_header()
+
+
+def test_a_header_that_cannot_be_written_is_one_line(tmp_path):
+    line = require_failure(groundstation("export", "header", "-o", tmp_path))
+    assert str(tmp_path) in line
+
+
+@pytest.mark.parametrize("command", [["devices"], ["export", "header"]])
+def test_help_has_an_example(command):
+    result = subprocess.run([COMMAND, *command, "--help"], capture_output=True, text=True)
+    assert "Example: groundstation" in result.stdout
