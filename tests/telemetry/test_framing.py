@@ -1,6 +1,7 @@
 """Framing on a byte stream: what was sent, or nothing."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ packets_of_any_content = hnp.arrays(
     elements=st.one_of(st.just(0), st.integers(0, 255)),
 )
 LARGE = 10_000_000
+DOCUMENT = Path(__file__).parents[2] / "docs" / "hardware.md"
 
 
 def same(got, expected):
@@ -78,6 +80,14 @@ def test_a_frame_typed_by_hand():
     assert low
     assert high
     assert frame_packets(packet) == expected
+
+
+def test_the_packet_and_frame_printed_in_the_documentation_belong_together():
+    blocks = DOCUMENT.read_text().split("```\n")
+    (packet,) = [block for block in blocks if block.startswith("06 24")]
+    (frame,) = [block for block in blocks if block.endswith(" 00\n")]
+    packets = np.frombuffer(bytes.fromhex(packet), np.uint8).reshape(1, 32)
+    assert frame_packets(packets) == bytes.fromhex(frame)
 
 
 @given(packets_of_any_content)
