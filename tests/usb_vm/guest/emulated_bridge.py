@@ -1,0 +1,98 @@
+"""The emulated bridge as a process of its own, plugged into this machine's kernel on command."""
+
+import multiprocessing
+import socket
+import threading
+
+import numpy as np
+
+from firmware_sim.usb_device import UsbBridge
+from firmware_sim.usbip import attach, serve
+from groundstation.errors import LinkError
+
+
+class RecordedFlight:
+    """A flight that was flown before: ``packets`` and ``arrival_s`` of an .npz file."""
+
+    def __init__(self, path):
+        with np.load(path) as flown:
+            self.packets, self._arrival_s = flown["packets"], flown["arrival_s"]
+        self._at = 0
+
+    def advance(self, until_s):
+        end = int(np.searchsorted(self._arrival_s, until_s, side="right"))
+        rows = slice(self._at, end)
+        self._at = max(end, self._at)
+        return self.packets[rows], self._arrival_s[rows]
+
+
+class EmulatedBridge:
+    """Starts the process; every method returns when the kernel has been told."""
+
+    def __init__(self, flight, faults=(), serial="VM1"):
+        # a server that has imported everything forks: starting costs no files, thus no time
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["emulated_bridge"])
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=run_bridge, args=(theirs, flight, list(faults), serial), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        assert self._pipe.recv() == "ready"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._pipe.close()
+        self._process.join(10)
+        self._process.close()
+
+    def plug(self):
+        self._ask("plug")
+
+    def unplug(self):
+        self._ask("unplug")
+
+    def counts(self):
+        return self._ask("counts")
+
+    def _ask(self, word):
+        self._pipe.send(word)
+        return self._pipe.recv()
+
+
+def run_bridge(pipe, flight, faults, serial):
+    """The process: obeys until the pipe is closed."""
+    bridge = UsbBridge(RecordedFlight(flight), serial=serial, faults=faults)
+    ours, theirs = socket.socketpair()
+    thread = None
+    pipe.send("ready")
+    while True:
+        try:
+            word = pipe.recv()
+        except EOFError:
+            word = "end"
+        if word == "counts":
+            pipe.send(bridge.counts)
+            continue
+        if thread is not None:
+            ours.send(b"x")
+            thread.join()
+            theirs.recv(1)
+            thread = None
+        if word == "end":
+            return
+        if word == "plug":
+            thread = threading.Thread(target=serve, args=(bridge, attach(), theirs))
+            thread.start()
+        pipe.send(word)
+
+
+async def open_when_there(link):
+    """The first attempt may find nothing; the next waits until the device is there."""
+    try:
+        await link.open()
+    except LinkError:
+        await link.open()

@@ -1,0 +1,195 @@
+"""Cables that are pulled and put back, and devices that are not what they should be."""
+
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from emulated_bridge import EmulatedBridge, open_when_there
+from link_contract import joined, listen, read_span
+
+from groundstation.errors import LinkError, LinkLostError
+from groundstation.links import usb
+from groundstation.links.base import LinkState
+from groundstation.links.usb import UsbLink
+
+CYCLES = 100
+QUICK_POLL_S = 0.05
+UNPLUG_SEEN_S = 0.1
+REPLUG_STREAMS_S = 2.0
+PERMISSION = """
+import asyncio, os
+from groundstation.errors import LinkError
+from groundstation.links.usb import UsbLink
+import concurrent.futures.thread, usb.util
+UsbLink()._find()  # what a user without rights could not read here is loaded before
+os.setuid(65534)
+try:
+    asyncio.run(UsbLink().open())
+except LinkError as error:
+    print(error)
+"""
+
+
+async def read_until_lost(link):
+    with pytest.raises(LinkLostError, match="unplugged"):
+        while True:
+            await link.read()
+
+
+def test_a_hundred_replugs_are_seen_in_time_and_leave_nothing_behind(bridge, monkeypatch):
+    monkeypatch.setattr(usb, "POLL_S", QUICK_POLL_S)
+    process = psutil.Process()
+    seen, again, held = [], [], []
+
+    async def cycles():
+        link = UsbLink()
+        bridge.plug()
+        await open_when_there(link)
+        for _ in range(CYCLES):
+            await link.read()
+            bridge.unplug()
+            pulled_s = time.monotonic()
+            await read_until_lost(link)
+            seen.append(time.monotonic() - pulled_s)
+            assert link.state is LinkState.LOST
+            await link.close()
+            held.append((process.num_fds(), threading.active_count(), process.memory_info().rss))
+            bridge.plug()
+            plugged_s = time.monotonic()
+            await open_when_there(link)
+            assert (await link.read()) is not None
+            again.append(time.monotonic() - plugged_s)
+        await link.close()
+
+    asyncio.run(cycles())
+    print(f"unplug seen in {max(seen):.4f} s at most, streaming again in {max(again):.3f} s")
+    early, late = held[CYCLES // 5], held[-1]
+    print(f"descriptors, threads, bytes: {early} after {CYCLES // 5}, {late} after {CYCLES}")
+    assert max(seen) < UNPLUG_SEEN_S
+    assert max(again) < REPLUG_STREAMS_S - usb.POLL_S
+    assert late[0] == early[0]
+    assert late[1] <= early[1] + 1
+    assert late[2] - early[2] < 4 << 20
+
+
+def test_a_device_that_is_plugged_in_again_streams_within_two_seconds(bridge):
+    async def session():
+        link = UsbLink()
+        bridge.plug()
+        await open_when_there(link)
+        await link.read()
+        bridge.unplug()
+        await read_until_lost(link)
+        await link.close()
+        opening = asyncio.create_task(link.open())
+        await asyncio.sleep(3.3)
+        bridge.plug()
+        plugged_s = time.monotonic()
+        await opening
+        assert (await link.read()) is not None
+        again_s = time.monotonic() - plugged_s
+        await link.close()
+        return again_s
+
+    assert asyncio.run(session()) < REPLUG_STREAMS_S
+
+
+def test_closing_an_unplugged_device_is_harmless(bridge):
+    async def session():
+        link = UsbLink()
+        bridge.plug()
+        await open_when_there(link)
+        bridge.unplug()
+        await link.close()
+        await link.close()
+        assert link.state is LinkState.CLOSED
+
+    asyncio.run(session())
+
+
+def test_a_device_that_is_absent_is_named_and_waited_for(bridge):
+    async def session():
+        link = UsbLink(serial="VM1")
+        events = listen(link)
+        with pytest.raises(LinkError, match="0483:5741 with serial number VM1 is plugged in"):
+            await link.open()
+        opening = asyncio.create_task(link.open())
+        await asyncio.sleep(1.2)
+        assert link.state is LinkState.OPENING
+        bridge.plug()
+        await opening
+        batches = await read_span(link)
+        await link.close()
+        return events, batches
+
+    events, batches = asyncio.run(session())
+    assert len(joined(batches)) > 100
+    assert [event.kind for event in events] == [
+        "opening", "closed", "opening", "streaming", "closed",
+    ]  # fmt: skip
+
+
+def test_of_several_bridges_the_one_with_the_serial_number_is_read(flight):
+    async def session():
+        with EmulatedBridge(flight, serial="LEFT") as left, EmulatedBridge(flight) as right:
+            left.plug()
+            right.plug()
+            link = UsbLink(serial="VM1")
+            await open_when_there(link)
+            await read_span(link)
+            await link.close()
+            return left.counts().good, right.counts().good
+
+    ignored, read = asyncio.run(session())
+    assert ignored == 0
+    assert read > 100
+
+
+def test_a_bridge_that_is_in_use_says_so(bridge):
+    async def session():
+        first, second = UsbLink(), UsbLink()
+        bridge.plug()
+        await open_when_there(first)
+        with pytest.raises(LinkError, match="in use by another program"):
+            await second.open()
+        assert (await first.read()) is not None
+        await first.close()
+        await second.open()
+        await second.close()
+
+    asyncio.run(session())
+
+
+def test_without_permission_the_rule_and_the_command_that_installs_it_are_told(bridge):
+    bridge.plug()
+
+    async def until_there():
+        link = UsbLink()
+        await open_when_there(link)
+        await link.close()
+
+    asyncio.run(until_there())
+    told = subprocess.run(
+        [sys.executable, "-c", PERMISSION], capture_output=True, text=True, cwd=os.getcwd()
+    )
+    assert "groundstation install udev --print" in told.stdout, told
+    assert len(told.stdout.splitlines()) == 1
+
+
+def test_a_device_without_the_endpoint_is_refused_in_one_line():
+    """A root hub of the kernel itself has the wrong endpoints."""
+    hubs = list(Path("/sys/bus/usb/devices").glob("usb*"))
+    assert hubs
+
+    async def session():
+        with pytest.raises(LinkError, match="is no telemetry bridge") as refused:
+            await UsbLink(device="1d6b:0002").open()
+        assert "\n" not in str(refused.value)
+
+    asyncio.run(session())

@@ -1,0 +1,130 @@
+"""What can go wrong on the bus: the stream goes on, and each lost frame is counted once."""
+
+import asyncio
+import time
+
+import numpy as np
+import pytest
+from emulated_bridge import EmulatedBridge, RecordedFlight, open_when_there
+from link_contract import joined
+
+from firmware_sim.usb_device import Fault, FaultKind
+from groundstation.errors import LinkLostError
+from groundstation.links.usb import UsbLink
+
+SPAN_S = 1.0
+PIECES = 20
+"""Faults of one kind in a row of tests."""
+
+
+async def read_for(link, span_s):
+    batches = []
+    end_s = time.monotonic() + span_s
+    while time.monotonic() < end_s:
+        batch = await link.read()
+        if batch is not None:
+            batches.append(batch)
+    return batches
+
+
+def stream_with(flight, faults, disturb=None):
+    """Read until the faults are past and the counts have settled, then pull the cable.
+
+    Unplugging ends the stream for both sides at the same frame, so that the counts compare.
+    """
+
+    async def session():
+        with EmulatedBridge(flight, faults) as bridge:
+            link = UsbLink()
+            bridge.plug()
+            await open_when_there(link)
+            batches = await read_for(link, SPAN_S / 2)
+            if disturb is not None:
+                disturb()
+            batches += await read_for(link, SPAN_S)
+            bridge.unplug()
+            with pytest.raises(LinkLostError):
+                while True:
+                    if (batch := await link.read()) is not None:
+                        batches.append(batch)
+            await link.close()
+            return joined(batches), link.counts, bridge.counts()
+
+    return asyncio.run(session())
+
+
+def require_right_bytes(flight, received):
+    """Everything delivered was sent, in that order: the flight with parts left out."""
+    sent = iter(map(bytes, RecordedFlight(flight).packets))
+    for packet in map(bytes, received.packets):
+        assert packet in sent, "a packet that was never sent, or out of order"
+
+
+def require_equal_counts(ours, theirs):
+    assert ours.lost == theirs.lost
+    assert ours.frames == theirs.good
+    assert ours.packets == theirs.packets
+    assert ours.unseen == theirs.dry + theirs.halted
+
+
+BY_STATUS = {
+    FaultKind.SHORT: "ragged",
+    FaultKind.CRC: "errors",
+    FaultKind.PROTOCOL: "errors",
+    FaultKind.MISSED: "errors",
+    FaultKind.OVERRUN: "overruns",
+    FaultKind.PIPE: "stalls",
+}
+
+
+@pytest.mark.parametrize("kind", BY_STATUS)
+def test_a_faulty_frame_costs_itself_and_is_counted(flight, kind):
+    places = np.random.default_rng(len(kind)).choice(600, PIECES, replace=False)
+    lengths = range(1, 1 + PIECES)
+    faults = [
+        Fault(int(at), kind, length)
+        for at, length in zip(sorted(100 + places), lengths, strict=True)
+    ]
+    received, ours, theirs = stream_with(flight, faults)
+    assert theirs.faulty == {kind: PIECES}
+    assert getattr(ours, BY_STATUS[kind]) == PIECES
+    require_equal_counts(ours, theirs)
+    require_right_bytes(flight, received)
+
+
+def test_a_frame_with_one_whole_packet_is_not_a_fault(flight):
+    """Bridges send 0, 1 or 2 packets a frame: half a frame is a frame."""
+    received, ours, theirs = stream_with(flight, [Fault(200, FaultKind.SHORT, 32)])
+    assert theirs.faulty == {FaultKind.SHORT: 1}
+    assert ours.lost == 0
+    require_right_bytes(flight, received)
+
+
+def test_a_halted_endpoint_is_cleared_and_the_stream_goes_on(flight):
+    received, ours, theirs = stream_with(
+        flight, [Fault(300, FaultKind.STALL), Fault(700, FaultKind.STALL)]
+    )
+    assert theirs.halted > 0
+    assert theirs.good > 900
+    require_equal_counts(ours, theirs)
+    require_right_bytes(flight, received)
+
+
+def test_frames_that_nobody_asked_for_are_counted_though_nothing_reports_them(flight):
+    """A program that is away for longer than its transfers last."""
+    received, ours, theirs = stream_with(flight, [], disturb=lambda: time.sleep(0.4))
+    assert theirs.dry > 200
+    require_equal_counts(ours, theirs)
+    require_right_bytes(flight, received)
+
+
+def test_everything_at_once(flight):
+    kinds = list(BY_STATUS)
+    faults = [Fault(100 + 7 * at, kinds[at % len(kinds)], 5) for at in range(100)]
+    faults.insert(50, Fault(451, FaultKind.STALL))
+    received, ours, theirs = stream_with(flight, faults, disturb=lambda: time.sleep(0.3))
+    assert theirs.dry > 100
+    assert theirs.halted > 0
+    assert len(theirs.faulty) == len(kinds)
+    require_equal_counts(ours, theirs)
+    require_right_bytes(flight, received)
