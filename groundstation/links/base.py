@@ -61,6 +61,8 @@ class Link(ABC):
     """
 
     silence_s = 0.5
+    finite = False
+    """Whether the source ends, and begins anew when it is opened again."""
 
     def __init__(self, name: str, *, clock: HostClock | None = None) -> None:
         self.name = name
@@ -76,8 +78,11 @@ class Link(ABC):
         self._enter(LinkState.OPENING, "opening")
         try:
             await self._open()
+        except asyncio.CancelledError:
+            self._enter(LinkState.CLOSED, "stopped before it was open")
+            raise
         except BaseException as error:
-            self._enter(LinkState.CLOSED, f"could not open: {error}")
+            self._enter(LinkState.CLOSED, f"could not open: {str(error) or repr(error)}")
             raise
 
     async def read(self) -> LinkBatch | None:
@@ -108,8 +113,10 @@ class Link(ABC):
         """Release the source. Safe to call twice."""
         if self.state is LinkState.CLOSED:
             return
-        await self._close()
-        self._enter(LinkState.CLOSED, "closed")
+        try:
+            await self._close()
+        finally:
+            self._enter(LinkState.CLOSED, "closed")
 
     async def __aenter__(self) -> Self:
         await self.open()

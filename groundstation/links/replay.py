@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.background import in_background
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkEndedError
 from groundstation.links.base import Link, LinkBatch
@@ -32,6 +33,8 @@ class ReplayLink(Link):
     A recording is read piece by piece: an hour needs no more memory than a minute.
     """
 
+    finite = True
+
     def __init__(self, path: Path, *, speed: float = 1.0, clock: HostClock | None = None) -> None:
         super().__init__(f"replay:{path}", clock=clock)
         if not speed > 0:
@@ -46,8 +49,9 @@ class ReplayLink(Link):
         self._started_s = 0.0
 
     async def _open(self) -> None:
-        self._pieces = self._read_pieces()
-        self._piece = await asyncio.to_thread(next, self._pieces, None)
+        pieces = self._read_pieces()
+        self._piece = await in_background(lambda: next(pieces, None))
+        self._pieces = pieces
         if self._piece is None:
             raise BadInputError(f"{self.path} holds no telemetry to replay")
         self._at = 0

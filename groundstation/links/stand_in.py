@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from groundstation.background import in_background
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
@@ -17,6 +18,8 @@ from groundstation.telemetry.samples import RawBatch
 BATCH_S = 0.01
 """Simulated time per batch."""
 FAST_BATCH_S = 5.0
+ANNOUNCE_S = 2.0
+"""Powering on takes longer than this only where the flight model has to be compiled."""
 CATCH_UP_S = 2.0
 """A process stalled for longer than this has missed what the craft sent meanwhile."""
 
@@ -60,7 +63,13 @@ class StandInLink(Link):
         self._flight: asyncio.Future[Any] | None = None
 
     async def _open(self) -> None:
-        self._craft = await asyncio.to_thread(self._power_on)
+        announcement = asyncio.get_running_loop().call_later(
+            ANNOUNCE_S, self.emit, "compiling", "compiling the flight model, once per machine"
+        )
+        try:
+            self._craft = await in_background(self._power_on)
+        finally:
+            announcement.cancel()
         if self._crtp is not None:
             await self._serve(*self._crtp)
         self._flown_s = 0.0

@@ -21,7 +21,7 @@ from groundstation.telemetry.packet import PACKET_BYTES, Packets, encode
 from groundstation.telemetry.samples import RawBatch, SampleBatch, samples_from_packets
 
 COMPILE_FROM = 4096
-"""Batches at least this large run compiled: a live daemon never pays for importing numba."""
+"""Recordings at least this large are worth the wait for the compiled kernel."""
 CHUNK = 1 << 18
 """Packets handled at a time: bounds the memory of a bulk call."""
 MOTOR_LOW_BITS = tuple(
@@ -73,12 +73,16 @@ class Decoder:
     """Streaming decoder of one link.
 
     start_ticks: unwrapped device time of the first sample, where it is known.
+    compiled: run the kernel compiled. Its first use in a process loads it, for seconds, and on
+        a machine's first run compiles it: see ``compile_kernel``. A live link is served
+        interpreted, with time to spare.
     """
 
-    def __init__(self, start_ticks: int | None = None) -> None:
+    def __init__(self, start_ticks: int | None = None, *, compiled: bool = False) -> None:
         self._state = layout.new_state()
         if start_ticks is not None:
             self._state.n[layout.HINT] = start_ticks
+        self._compiled = compiled
         self._origin_ns: int | None = None
         self._packets = 0
         self._malformed = 0
@@ -166,7 +170,7 @@ class Decoder:
             self._malformed += int(counts[~plausible].sum())
             contents, host, counts = contents[plausible], host[plausible], counts[plausible]
         stamps = (contents[:, 0] & np.uint64(0xFFFF)).astype(np.int64)
-        reassemble = _compiled() if len(packets) >= COMPILE_FROM else kernel.reassemble
+        reassemble = _compiled() if self._compiled else kernel.reassemble
         return self._run(
             lambda out: reassemble(self._state, out, contents, stamps, counts, host), len(stamps)
         )
@@ -199,10 +203,19 @@ class Decoder:
 def decode_all(
     batch: RawBatch, start_ticks: int | None = None
 ) -> tuple[SampleBatch, DecoderCounts]:
-    """Decode a whole recording's packets at once."""
-    decoder = Decoder(start_ticks)
+    """Decode a whole recording's packets at once, compiled where that pays."""
+    decoder = Decoder(start_ticks, compiled=len(batch) >= COMPILE_FROM)
     parts = [decoder.decode(batch).samples, decoder.finish().samples]
     return SampleBatch.concatenate(parts), decoder.counts()
+
+
+def compile_kernel() -> None:
+    """Have the compiled kernel ready: what its first use costs, at a time of one's choice.
+
+    Takes seconds, on a machine's first run 10 to 20. May run in a thread.
+    """
+    nothing = RawBatch(np.zeros((0, PACKET_BYTES), np.uint8), np.zeros(0, np.int64))
+    Decoder(compiled=True).decode(nothing)
 
 
 def _is_plausible(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
