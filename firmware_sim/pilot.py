@@ -35,7 +35,7 @@ CLIMB_M_S = 0.4
 """How fast the pilot moves the height he wants."""
 HEIGHT_GAIN, SPEED_GAIN, HEIGHT_INTEGRAL = 4.0, 3.6, 1.5
 """Wanted acceleration (m/s^2) per m, per m/s and per m s."""
-LEAN_LIMIT = 8.0
+LEAN_LIMIT = 15.0
 LEAN_POSITION, LEAN_SPEED = 5.8, 9.3
 """Correction of position in deg per m and deg per m/s (1 rad/s, damping 0.8)."""
 HEADING_GAIN = 1.0

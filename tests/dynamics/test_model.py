@@ -65,6 +65,9 @@ def test_a_model_for_a_built_in_craft_needs_no_embedded_profile():
     assert model_vehicle(THESIS) == load_vehicle("crazyflie1")
 
 
+WEIGHTLESS = {**msgspec.to_builtins(load_vehicle("crazyflie1")), "mass_kg": 0.0}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -72,6 +75,7 @@ def test_a_model_for_a_built_in_craft_needs_no_embedded_profile():
         ({"motor": {"a0": 1.0, "a1": 2.0}}, r"a2.*\$\.motor"),
         ({"motor": {"a0": -1.0, "a1": 2.0, "a2": 0.0}}, "motor.a0 is -1.0"),
         ({"wind": 3}, "wind"),
+        ({"vehicle_profile": WEIGHTLESS}, "vehicle_profile: mass_kg is 0.0, must be positive"),
         ({"body": None, "arx": None}, "nothing to simulate"),
     ],
 )

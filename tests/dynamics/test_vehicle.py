@@ -71,6 +71,9 @@ def test_a_profile_can_be_a_toml_file(tmp_path):
         ({"wings": 2}, "wings"),
         ({"configuration": "y"}, "configuration"),
         ({"inertia_kg_m2": (1e-5, 1e-5, 4e-5)}, "not that of a body"),
+        ({"drag_n_m": 0.0}, "drag_n_m is 0.0, must be positive"),
+        ({"rotor_inertia_kg_m2": -1e-8}, "rotor_inertia_kg_m2 is -1e-08, must not be negative"),
+        ({"gains": {"'pid_rate.roll_kp'": "nan"}}, "pid_rate.roll_kp is nan, must be finite"),
     ],
 )
 def test_a_bad_profile_is_refused_with_the_key(tmp_path, changes, message):

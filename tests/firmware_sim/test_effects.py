@@ -329,6 +329,22 @@ def test_a_misaligned_sensor_sees_gravity_askew():
     assert rows["accelerometer"][300:].mean(0) / 4096 == pytest.approx(expected, abs=2e-4)
 
 
+def test_a_misaligned_sensor_reports_its_own_angles_and_rates():
+    turned = {"roll_deg": 3.0, "pitch_deg": 2.0, "yaw_deg": 5.0}
+    _, rows = flown(
+        4.0, plant="reduced", program="wait", effects={"imu_misalignment": turned}, **QUIET
+    )
+    assert rows["angles"][-100:].mean(0) / 100 == pytest.approx([3, -2, 5], abs=0.02)
+    straight, askew = (
+        flown(9.0, plant="reduced", program="axis_check", effects=effects, **QUIET)[1]["gyro"]
+        for effects in ({}, {"imu_misalignment": {"yaw_deg": 5.0}})
+    )
+    moving = np.abs(straight[:, 0]) > 200  # about roll: x forward, sensor turned to the left
+    shares = askew[moving] / straight[moving, :1]
+    cosine, sine = math.cos(math.radians(5)), math.sin(math.radians(5))
+    assert shares.mean(0) == pytest.approx([cosine, -sine, 0], abs=2e-3)
+
+
 def test_a_sensor_away_from_the_centre_feels_the_rotation():
     p, s = moving_plant({"imu_lever_arm": {"x_m": 0.003, "y_m": -0.002, "z_m": 0.001}})
     slope = slopes(p, s)
@@ -369,6 +385,32 @@ def test_a_load_swings_with_the_period_of_its_line():
     alone = 2 * math.pi * math.sqrt(0.25 / G)
     # A light craft moves too: the pair swings faster than a load on a fixed line.
     assert period == pytest.approx(alone / math.sqrt(1 + 0.001 / p[0]["mass"]), rel=0.02)
+
+
+def test_a_load_that_swings_pulls_below_the_centre():
+    p, s = plant(effects={"slung_load": {"mass_kg": 0.002, "length_m": 0.25}})
+    s["y"][0, 13:17] = 245.0
+    straight = slopes(p, s)
+    s["y"][0, LOAD], s["y"][0, LOAD + 1] = 0.03, 0.05
+    change = slopes(p, s) - straight
+    lift = p[0]["thrust"] * 4 * 245.0**2
+    weight = 0.002 * lift / (p[0]["mass"] + 0.002)
+    pull = weight / 0.25 * np.array([0.03, 0.05, 0.0])
+    assert change[3:6] == pytest.approx(pull / p[0]["mass"])
+    torque = np.cross([0.0, 0.0, -0.01], pull)
+    assert change[10:13] == pytest.approx(torque / p[0]["inertia"])
+
+
+def test_a_cracked_arm_hands_on_more_thrust_while_it_bends_further():
+    p, s = plant(effects={"cracked_arm": {"rotor": 2, "gain": 0.4}})
+    s["y"][0, 13:17] = 240.0
+    one = p[0]["thrust"] * 240.0**2
+    lift = []
+    for bend in (one, 1.1 * one):
+        s["y"][0, ARM] = bend
+        slopes(p, s)
+        lift.append(s["force"][0, 2] * p[0]["mass"])
+    assert lift == pytest.approx([4 * one, (4 + 0.4 * 0.1) * one])
 
 
 def test_a_cracked_arm_rings_at_its_own_frequency():

@@ -44,11 +44,50 @@ def turning(tmp_path_factory):
     return str(path)
 
 
+DATA_SHEET = {  # DLPF_CFG: gyro Hz, ms, accelerometer Hz, ms
+    1: (188, 1.9, 184, 2.0),
+    2: (98, 2.8, 94, 3.0),
+    3: (42, 4.8, 44, 4.9),
+    4: (20, 8.3, 21, 8.5),
+    5: (10, 13.4, 10, 13.8),
+    6: (5, 18.6, 5, 19.0),
+}
+
+
+def test_the_low_pass_settings_are_the_data_sheets():
+    written = {k: (g[0], 1e3 * g[1], a[0], 1e3 * a[1]) for k, (g, a) in DLPF.items()}
+    assert written.keys() == DATA_SHEET.keys()
+    for setting, row in DATA_SHEET.items():
+        assert written[setting] == pytest.approx(row)
+
+
+@pytest.mark.parametrize("setting", sorted(DATA_SHEET))
+def test_the_accelerometer_is_as_late_as_the_data_sheet_says(turning, setting):
+    sensor = Sensor(dlpf=setting, phase_s=0.0007, clock_ppm=0.0, shake=(0.0, 0.0, 0.0))
+    craft, rows = flown(20.0, truth=True, program=turning, sensor=sensor, **QUIET)
+    truth = craft.truth()[: len(rows["gyro"])]
+    w, x, y, z = truth["quaternion"].T
+    sideways = 2 * (y * z + w * x)  # gravity's share along the body's y, g
+    window = slice(2500, len(truth) - 100)
+    shifts = np.arange(0.0, 0.03, 0.0001)
+    seen = rows["accelerometer"][window, 1] / 4096
+    past = truth["time_s"][window]
+    errors = [
+        np.square(np.interp(past - shift, truth["time_s"], sideways) - seen).sum()
+        for shift in shifts
+    ]
+    age_s = truth["sensor_age_s"][-1]
+    gyro_ms, accel_ms = DATA_SHEET[setting][1], DATA_SHEET[setting][3]
+    gyro_lag_s = min(1 / (2 * math.pi * DATA_SHEET[setting][0]), gyro_ms * 1e-3)
+    expected = age_s + gyro_lag_s + (accel_ms - gyro_ms) * 1e-3
+    assert shifts[int(np.argmin(errors))] == pytest.approx(expected, abs=0.2e-3)
+
+
 @pytest.mark.parametrize("setting", sorted(DLPF))
 def test_the_data_sheets_delay_plus_bus_plus_wait_comes_out(turning, setting):
     sensor = Sensor(dlpf=setting, phase_s=0.0007, clock_ppm=0.0, shake=(0.0, 0.0, 0.0))
     delay, craft = measured_delay_s(program=turning, sensor=sensor)
-    bandwidth_hz, data_sheet_s = DLPF[setting][0]
+    bandwidth_hz, data_sheet_s = DATA_SHEET[setting][0], DATA_SHEET[setting][1] * 1e-3
     lag = min(1 / (2 * math.pi * bandwidth_hz), data_sheet_s)
     age = craft.truth()["sensor_age_s"][-1]
     wait = age + lag - data_sheet_s - 0.4e-3
