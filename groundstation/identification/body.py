@@ -30,8 +30,10 @@ from groundstation.identification.noise_model import NoiseModel, estimate_noise
 Array = NDArray[np.float64]
 
 NOISE_ORDER = 60
-NOISE_ROUNDS, STEPS = 5, 15
-TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.002)
+NOISE_ROUNDS, STEPS = 10, 15
+SETTLED = 0.05
+"""Rounds end when no parameter moves by more than this share of its standard error."""
+TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
 LONGEST_DELAY_S, LARGEST_STEP_S = 0.03, 0.001
 WELL_KNOWN = 0.05
 HORIZONS_S = (0.02, 0.05)
@@ -87,10 +89,14 @@ def fit_body(
     _require_excited(stretches, vehicle)
     problem = _Problem(stretches, vehicle, tuple(effects), tie_roll_pitch)
     theta = problem.start()
-    noise = [NoiseModel(np.ones(1), 1.0)] * 3
+    noise: list[NoiseModel] = []
+    normal = np.zeros((len(theta), len(theta)))
     for _ in range(NOISE_ROUNDS):
         noise = problem.noise(theta)
+        before = theta
         theta, normal = problem.minimise(theta, noise)
+        if np.all(np.abs(theta - before) * np.sqrt(np.diag(normal)) < SETTLED):
+            break
     thrust = _thrust(stretches, _delay(theta, problem))
     return _outcome(problem, theta, inverse(normal), thrust, noise)
 
@@ -174,20 +180,33 @@ class _Problem:
         self.place = {name: count + i for i, name in enumerate(effects)}
 
     def start(self) -> Array:
-        """Least squares without a noise model, at the best of some trial delays."""
-        white = [NoiseModel(np.ones(1), 1.0)] * 3
-        if "dead_time" not in self.effects:
-            return self.minimise(np.zeros(len(self.names)), white)[0]
+        """A fit that trusts slow motion, at the best of some trial delays.
+
+        The noise model must not come from a residual that still holds the torque: it would take
+        the torque for noise and keep it. So the first one is a guess, sensor noise on a rate
+        that is disturbed: A = 1 / (1 - 0.9 q^-1).
+        """
+        whitener = np.asarray(0.9 ** np.arange(NOISE_ORDER + 1), np.float64)
+        noise = [
+            NoiseModel(whitener, float(np.mean(np.square(np.concatenate(pieces)))))
+            for pieces in self.residuals(np.zeros(len(self.names)))
+        ]
         trials = []
-        for delay in TRIAL_DELAYS_S:
+        for delay in TRIAL_DELAYS_S if "dead_time" in self.effects else (0.0,):
             theta = np.zeros(len(self.names))
-            theta[self.place["dead_time"]] = delay
-            theta, _ = self.minimise(theta, white, hold_delay=True, steps=1)
-            cost = sum(
-                float(np.square(r).sum()) for pieces in self.residuals(theta) for r in pieces
-            )
-            trials.append((cost, theta))
-        return min(trials, key=lambda trial: trial[0])[1]
+            if "dead_time" in self.effects:
+                theta[self.place["dead_time"]] = delay
+            theta, _ = self.minimise(theta, noise, hold_delay=True)
+            trials.append((self.cost(theta, noise), theta))
+        return min(trials, key=lambda one: one[0])[1]
+
+    def cost(self, theta: Array, noise: Sequence[NoiseModel]) -> float:
+        """Sum of squared one-step prediction errors over their variances."""
+        return sum(
+            float(np.square(one.whiten(piece)).sum()) / one.variance
+            for pieces, one in zip(self.residuals(theta), noise, strict=True)
+            for piece in pieces
+        )
 
     def terms(self, theta: Array) -> list[Terms]:
         delay = float(theta[self.place["dead_time"]]) if "dead_time" in self.effects else 0.0
@@ -215,12 +234,12 @@ class _Problem:
         theta: Array,
         noise: Sequence[NoiseModel],
         hold_delay: bool = False,
-        steps: int = STEPS,
     ) -> tuple[Array, Array]:
         """Gauss-Newton for fixed noise models; returns the minimum and J^T W J there."""
         normal = np.zeros((len(theta), len(theta)))
         linear = hold_delay or "dead_time" not in self.effects
-        for _ in range(1 if linear else steps):
+        most, direction = LARGEST_STEP_S, 0.0
+        for _ in range(1 if linear else STEPS):
             normal[:], gradient = 0.0, np.zeros(len(theta))
             for terms in self.terms(theta):
                 for axis in range(3):
@@ -232,7 +251,10 @@ class _Problem:
             change = inverse(normal) @ gradient
             if not linear:
                 place = self.place["dead_time"]
-                wanted = theta[place] + np.clip(change[place], -LARGEST_STEP_S, LARGEST_STEP_S)
+                if change[place] * direction < 0.0:
+                    most *= 0.5  # it steps to and fro over the minimum
+                direction = float(change[place])
+                wanted = theta[place] + np.clip(change[place], -most, most)
                 change[place] = np.clip(wanted, 0.0, LONGEST_DELAY_S) - theta[place]
             theta = theta + change
             if np.all(np.abs(change) * np.sqrt(np.diag(normal)) < 1e-3):
