@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from groundstation.telemetry.framing import FRAME_BYTES, frame_packets, port_and_baud
 
-QUEUE_FRAMES = 64
-"""What the bridge holds while the line is busy; a packet that finds it full is dropped."""
+QUEUE_FRAMES = 2000
+"""A second of every copy. The driver of a port holds about as much for a reader that is busy, a
+pseudo-terminal a third of it; a packet that finds the queue full is dropped."""
 
 
 class SerialPort:

@@ -73,7 +73,7 @@ def test_a_port_that_is_absent_then_there_then_dead_then_back(tmp_path, name):
             daemon.recording(samples=before + 500)
         daemon.status_when(in_state("lost"), "lost again")
         kinds = [event["kind"] for event in daemon.ask("GET", "/events")]
-        assert 2 <= kinds.count("waiting") <= 3  # once for each absence
+        assert 1 <= kinds.count("waiting") <= 3  # at most once for each absence
         assert daemon.stop() == 0
     path = daemon.only_file()
     assert recover(path).sound
