@@ -7,7 +7,7 @@ import sys
 import typer
 
 from groundstation import __version__
-from groundstation.cli import control, devices, export, files, run
+from groundstation.cli import control, devices, export, files, identify, run
 from groundstation.errors import GroundStationError
 
 app = typer.Typer(
@@ -35,7 +35,7 @@ def _options(
     pass
 
 
-for module in (run, control, files, devices, export):
+for module in (run, control, files, devices, export, identify):
     module.add_commands(app)
 
 

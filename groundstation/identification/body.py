@@ -35,7 +35,8 @@ SETTLED = 0.05
 """Rounds end when no parameter moves by more than this share of its standard error."""
 TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
 LONGEST_DELAY_S, LARGEST_STEP_S = 0.03, 0.001
-WELL_KNOWN = 0.05
+WELL_KNOWN, UNKNOWN = 0.05, 0.5
+"""Standard errors over the value from which a constant is worth a warning, or a refusal."""
 HORIZONS_S = (0.02, 0.05)
 AXES = ("roll", "pitch", "yaw")
 PARAMETERS = {
@@ -97,6 +98,7 @@ def fit_body(
         theta, normal = problem.minimise(theta, noise)
         if np.all(np.abs(theta - before) * np.sqrt(np.diag(normal)) < SETTLED):
             break
+    _require_told(problem, theta, inverse(normal), stretches)
     thrust = _thrust(stretches, _delay(theta, problem))
     return _outcome(problem, theta, inverse(normal), thrust, noise)
 
@@ -280,6 +282,21 @@ def _require_excited(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
                     f"{stretch.run.name}: torque or rate about {name} is constant;"
                     " fly, and move all three axes"
                 )
+
+
+def _require_told(
+    problem: _Problem, theta: Array, covariance: Array, stretches: Sequence[Stretch]
+) -> None:
+    """A constant that may as well be zero is no model."""
+    for axis, place in zip(AXES, problem.base, strict=True):
+        error = float(np.sqrt(covariance[place, place]))
+        if not np.isfinite(theta[place]) or error > UNKNOWN * abs(theta[place]):
+            names = ", ".join(sorted({stretch.run.name for stretch in stretches}))
+            raise BadInputError(
+                f"{names}: torque does not show in the rate about {axis} (its constant is"
+                f" {theta[place]:.3g} +- {error:.2g}); was the craft free to turn, and is the"
+                " vehicle profile the right one?"
+            )
 
 
 def _delay(theta: Array, problem: _Problem) -> float:

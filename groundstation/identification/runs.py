@@ -101,7 +101,7 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     for first, last in pairwise(edges):
         if (last - first) * usual < least_s:
             continue
-        period = float(time[last - 1] - time[first]) / (last - first - 1)
+        period = float((time[last - 1] - time[first]) / (last - first - 1))
         parts = {key: np.asarray(values[first:last], np.float64) for key, values in columns.items()}
         runs.append(Run(label, float(time[first]), period, **parts))
     if not runs:

@@ -1,0 +1,167 @@
+"""fit, simulate, attitude and axes as a user types them, on files."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stand_in_flights import recorded
+from typer.testing import CliRunner
+
+from groundstation.cli.main import app
+from groundstation.dynamics.model import load_model
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.errors import BadInputError
+from groundstation.recording.csv_file import write_csv
+from groundstation.recording.session import Recording
+
+RECORDED = {
+    "bench": (40.0, {"program": "motor_bench"}),
+    "reduced": (50.0, {"plant": "reduced"}),
+    "faithful": (50.0, {}),
+    "axes": (24.0, {"program": "axis_check"}),
+    "hand": (30.0, {"program": "hand_rotation", "sensor": {"gyro_bias_dps": (1.5, -1.2, 0.8)}}),
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """name -> a CSV recording of the stand-in."""
+    folder = tmp_path_factory.mktemp("recordings")
+    found = {}
+    for name, (seconds, settings) in RECORDED.items():
+        samples, _ = recorded(seconds, seed=41, **settings)
+        found[name] = folder / f"{name}.csv"
+        write_csv(Recording(found[name], "csv", samples), found[name])
+    return found
+
+
+def run(*arguments):
+    """The command's output; what it raises, raised."""
+    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_a_motor_a_body_and_a_simulation_follow_from_recordings(files, tmp_path):
+    motor, body = tmp_path / "motor.json", tmp_path / "body.json"
+    effects = "battery_reading_lag,supply_sag"
+    run("fit", "motor", files["bench"], "-o", motor, "--with", effects)
+    model = load_model(motor)
+    assert model.motor.a0 == pytest.approx(THESIS_MOTOR.a0, rel=0.02)
+    assert model.motor.a2 == pytest.approx(THESIS_MOTOR.a2, rel=0.02)
+
+    text = run(
+        *("fit", "body", files["faithful"], "-o", body, "--model", motor, "--json"),
+        *("--with", "dead_time,rotor_acceleration_torque"),
+    )
+    assert json.loads(text) == json.loads(body.read_text())
+    model = load_model(body)
+    c0, c1, c2 = BUILT_IN["crazyflie1"].body_constants
+    assert [model.body.c0, model.body.c1, model.body.c2] == pytest.approx([c0, c1, c2], rel=0.03)
+    assert {term.name for term in model.effects} == {"dead_time", "rotor_acceleration_torque"}
+    assert set(model.fit) == {"motor", "body"}
+    account = model.fit["body"]
+    assert account["recordings"][0]["file"] == "faithful.csv"
+    assert len(account["recordings"][0]["sha256"]) == 64
+    assert account["held_out"] == "last third"
+    assert account["estimates"]["names"][:3] == ["c0", "c1", "c2"]
+    assert account["validation"]["gyro_roll_rms_20ms"] > 0
+
+    table = tmp_path / "simulated.csv"
+    report = json.loads(
+        run(
+            *("simulate", "--model", body, "--recording", files["reduced"], "-o", table),
+            *("--window", 0.1, "--json"),
+        )
+    )
+    rows = np.genfromtxt(table, delimiter=",", names=True)
+    assert len(rows) == report["rows"]
+    assert report["rms"]["roll_deg"] < 0.3
+    assert rows["rotor1_rev_s"].max() > 200
+
+
+def test_held_out_recordings_can_be_named(files, tmp_path):
+    model = tmp_path / "body.json"
+    run("fit", "body", files["reduced"], "--validate", files["reduced"], "-o", model)
+    account = load_model(model).fit["body"]
+    assert account["held_out"][0]["file"] == "reduced.csv"
+    assert account["identification"] == account["validation"]
+
+
+def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):
+    model = tmp_path / "arx.json"
+    text = run("fit", "arx", files["reduced"], "-o", model)
+    assert "roll" in text and "cross correlation" in text  # noqa: PT018
+    loaded = load_model(model)
+    assert set(loaded.arx) == {"roll", "pitch", "yaw"}
+    table = loaded.fit["arx"]["axes"]["roll"]["table"]
+    errors = [row["rms_validation_rad"] for row in table]
+    assert len(table) == 20
+    assert errors == sorted(errors)
+
+
+def test_attitude_tells_drift_from_fusion(files, tmp_path):
+    table = tmp_path / "angles.csv"
+    report = json.loads(run("attitude", files["hand"], "-o", table, "--json"))
+    moved = report["end_minus_start_deg"]
+    assert np.abs(moved["kalman"]).max() < 1.0
+    assert np.abs(moved["integrated"][:2]).min() > 20.0
+    assert report["rest_bias_dps"] == pytest.approx([1.5, -1.2, 0.8], abs=0.05)
+    assert len(np.genfromtxt(table, delimiter=",", names=True)) == report["samples"]
+
+
+def test_axes_names_an_inverted_pitch(files, tmp_path):
+    assert run("axes", files["axes"]).startswith("as expected")
+    lines = files["axes"].read_text().splitlines()
+    column = lines[0].split(",").index("Pitch")
+    turned = [lines[0]]
+    for line in lines[1:]:
+        cells = line.split(",")
+        cells[column] = str(-int(cells[column]))
+        turned.append(",".join(cells))
+    wrong = tmp_path / "inverted.csv"
+    wrong.write_text("\n".join(turned) + "\n")
+    report = json.loads(run("axes", wrong, "--json"))
+    assert report["verdict"] == "wrong_axes"
+    assert report["faults"] == ["attitude pitch is inverted"]
+    assert "attitude pitch is inverted" in report["attitude_against_gyro"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("fit", "motor", "{faithful}"), "no rotor periods"),
+        (("fit", "body", "{bench}"), "does not show in the rate about roll"),
+        (("fit", "body", "{axes}"), "no 4 s of uninterrupted flight"),
+        (("fit", "body", "{reduced}", "--with", "ground_effect"), "the body fit knows"),
+        (("fit", "motor", "{bench}", "--with", "dead_time"), "the motor fit knows"),
+        (("fit", "arx", "{reduced}", "--criterion", "luck"), "there are free_run, prediction"),
+        (("fit", "body", "{reduced}", "--vehicle", "kite"), "neither built in"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_and_leaves_no_model(files, tmp_path, arguments, text):
+    model = tmp_path / "model.json"
+    with pytest.raises(BadInputError, match=text):
+        run(*(str(one).format(**files) for one in arguments), "-o", model)
+    assert not model.exists()
+
+
+def test_an_existing_model_is_not_overwritten(files, tmp_path):
+    model = tmp_path / "model.json"
+    model.write_text("mine")
+    with pytest.raises(BadInputError, match="exists already"):
+        run("fit", "body", files["reduced"], "-o", model)
+    assert model.read_text() == "mine"
+
+
+def test_bad_input_is_one_line_and_exit_status_1(files, tmp_path):
+    command = [Path(sys.executable).parent / "groundstation", "fit", "motor"]
+    done = subprocess.run(
+        [*command, files["axes"], "-o", tmp_path / "m.json"], capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "axes.csv" in done.stderr
