@@ -17,6 +17,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def devices(
+    config: Path | None = typer.Option(None, help="TOML file whose \\[usb] names the bridge."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
 ) -> None:
     """Serial ports and USB devices: what is plugged in, usable or why not.
@@ -24,8 +25,9 @@ def devices(
     Example: [bold]groundstation devices[/bold]
     """
     from groundstation.cli.usb_devices import usb_devices
+    from groundstation.service.config import load_config
 
-    usb, problem = usb_devices()
+    usb, problem = usb_devices(load_config(config).usb.device)
     rows = [*serial_ports(), *usb]
     if as_json:
         typer.echo(json.dumps({"devices": rows, "usb_problem": problem or None}, indent=2))

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from groundstation.telemetry.bridge_usb import INTERFACE, PRODUCT_ID, VENDOR_ID
+from groundstation.telemetry.bridge_usb import INTERFACE
 
 HUB = 0x09
 """Device class of hubs, which nobody looks for."""
-UDEV_HINT = "install the udev rule ('groundstation install udev --print')"
 
 
-def usb_devices() -> tuple[list[dict[str, Any]], str]:
+def usb_devices(bridge: str) -> tuple[list[dict[str, Any]], str]:
     """Every device of the bus, bridges first, and why there are none if they cannot be listed.
 
+    bridge: VID:PID of the telemetry bridge.
     Keys of a row: kind, name (VID:PID), link (what to give to --link, None where there is no
     telemetry), description, usable, why (not).
     """
@@ -30,29 +30,28 @@ def usb_devices() -> tuple[list[dict[str, Any]], str]:
         return [], "libusb was not found: install libusb-1.0, or 'pip install libusb-package'"
     except (usb.core.USBError, OSError) as error:
         return [], f"USB cannot be listed: {error}"
-    rows = [_row(device) for device in found]
+    rows = [_row(device, bridge.lower()) for device in found]
     return sorted(rows, key=lambda row: (row["link"] is None, row["name"])), ""
 
 
 def _backend() -> Any:
-    """The libusb that comes with the package, else the system's."""
-    import usb.backend.libusb1
+    """The libusb that comes with libusb-package, as the link uses it, else the system's."""
+    from usb.backend import libusb1
 
     try:
-        import libusb_package
+        from libusb_package import find_library
     except ImportError:
-        return usb.backend.libusb1.get_backend()
-    return libusb_package.get_libusb1_backend()
+        return libusb1.get_backend()
+    return libusb1.get_backend(find_library=find_library)
 
 
-def _row(device: Any) -> dict[str, Any]:
+def _row(device: Any, bridge: str) -> dict[str, Any]:
     identity = f"{device.idVendor:04x}:{device.idProduct:04x}"
-    bridge = (device.idVendor, device.idProduct) == (VENDOR_ID, PRODUCT_ID)
-    why = _why_not(device) if bridge else "not a telemetry bridge"
+    why = _why_not(device) if identity == bridge else "not a telemetry bridge"
     return {
         "kind": "usb",
         "name": identity,
-        "link": "usb" if bridge else None,
+        "link": "usb" if identity == bridge else None,
         "description": _description(device),
         "usable": not why,
         "why": why,
@@ -64,7 +63,9 @@ def _why_not(device: Any) -> str:
 
     node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
     if os.path.exists(node) and not os.access(node, os.R_OK | os.W_OK):
-        return f"permission denied on {node}: {UDEV_HINT}"
+        from groundstation.links.usb import PERMISSION_HELP
+
+        return f"no permission for {node}; {PERMISSION_HELP}"
     try:
         if device.is_kernel_driver_active(INTERFACE):
             return "in use: stop the program or driver that has claimed it"

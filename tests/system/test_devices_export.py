@@ -145,7 +145,7 @@ def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, claimed, u
     hub.bDeviceClass = 9
     found = [hub, Bus.Device(0x046D, 1, text=None), Bus.Device(0x0483, 0x5741, claimed)]
     monkeypatch.setattr(usb.core, "find", lambda **_: iter(found))
-    (bridge, mouse), problem = usb_devices()
+    (bridge, mouse), problem = usb_devices("0483:5741")
     assert problem == ""
     assert (bridge["name"], bridge["link"], bridge["usable"]) == ("0483:5741", "usb", usable)
     assert why in bridge["why"]
@@ -154,12 +154,26 @@ def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, claimed, u
     assert mouse["why"] == "not a telemetry bridge"
 
 
+def test_the_bridge_is_the_one_that_was_asked_for(monkeypatch):
+    found = [Bus.Device(0x0483, 0x5741), Bus.Device(0x1209, 0xABCD)]
+    monkeypatch.setattr(usb.core, "find", lambda **_: iter(found))
+    rows, _ = usb_devices("1209:ABCD")
+    assert [(row["name"], row["link"]) for row in rows] == [
+        ("1209:abcd", "usb"),
+        ("0483:5741", None),
+    ]
+
+
+def test_a_wrong_configuration_is_one_line():
+    assert "nowhere.toml" in require_failure(groundstation("devices", "--config", "nowhere.toml"))
+
+
 def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
     def refuse(**_):
         raise usb.core.USBError("Input/output error", errno=5)
 
     monkeypatch.setattr(usb.core, "find", refuse)
-    rows, problem = usb_devices()
+    rows, problem = usb_devices("0483:5741")
     assert rows == []
     assert "USB cannot be listed" in problem
 
