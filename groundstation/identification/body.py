@@ -35,6 +35,8 @@ SETTLED = 0.05
 """Rounds end when no parameter moves by more than this share of its standard error."""
 TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
 LONGEST_DELAY_S, LARGEST_STEP_S = 0.03, 0.001
+CROSS_TALK = 0.3
+"""Share of an axis's own torque constant that another axis's torque may seem to have."""
 WELL_KNOWN, UNKNOWN = 0.05, 0.5
 """Standard errors over the value from which a constant is worth a warning, or a refusal."""
 HORIZONS_S = (0.02, 0.05)
@@ -263,6 +265,29 @@ class _Problem:
                 break
         return theta, normal
 
+    def cross_talk(self, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
+        """Axes whose rate answers to another axis's torque as well: rotors in other places."""
+        lines = []
+        for axis, name in enumerate(AXES):
+            normal, gradient = np.zeros((3, 3)), np.zeros(3)
+            for terms in self.terms(theta):
+                white = noise[axis].whiten(
+                    np.column_stack([terms.base, terms.acceleration[:, axis]])
+                )
+                normal += white[:, :3].T @ white[:, :3] / noise[axis].variance
+                gradient += white[:, :3].T @ white[:, 3] / noise[axis].variance
+            covariance = inverse(normal)
+            gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
+            for other in {0, 1, 2} - {axis}:
+                large = abs(gain[other]) > CROSS_TALK * abs(gain[axis])
+                if large and abs(gain[other]) > 5 * error[other]:
+                    lines.append(
+                        f"{name} turns with the torque about {AXES[other]} as well"
+                        f" ({gain[other] / gain[axis]:+.0%}): is the profile's configuration"
+                        f" '{self.vehicle.configuration}' the craft's?"
+                    )
+        return lines
+
     def jacobian(self, terms: Terms, theta: Array, axis: int, hold_delay: bool) -> Array:
         columns = np.zeros((len(terms.base), len(theta)))
         columns[:, self.base[axis]] = terms.base[:, axis]
@@ -361,7 +386,7 @@ def _outcome(
         problem.effects,
         tuple(noise),
         innovation,
-        _warnings(estimates),
+        (*_warnings(estimates), *problem.cross_talk(theta, noise)),
     )
 
 

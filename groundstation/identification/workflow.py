@@ -170,7 +170,7 @@ def identify_arx(
         cross = cross_correlation_test(left, other[0].inputs[-len(left) :])
         found[axis] = chosen
         if not search.chosen.plausible:
-            warnings.append(f"{axis}: no structure has a plausible step response")
+            warnings.append(f"{axis}: the step response of the chosen model is not plausible")
         report[axis] = {
             "chosen": search.chosen.label,
             "stderr": search.chosen.stderr.tolist(),

@@ -233,6 +233,8 @@ def test_another_configuration_is_noticed(reduced):
     fit = fit_body(stretches_of(reduced, THESIS_MOTOR), turned)
     right = fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE)
     assert fit.innovation[0] > 1.05 * right.innovation[0]
+    assert any("is the profile's configuration 'x'" in text for text in fit.warnings)
+    assert not right.warnings
 
 
 def test_a_recording_on_the_ground_is_refused():
