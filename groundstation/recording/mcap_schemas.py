@@ -21,6 +21,7 @@ from groundstation.recording.standard_messages import (
     IMU_TOPIC,
 )
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.text import printable
 
 RAW_TOPIC = "/telemetry/raw"
 SAMPLES_TOPIC = "/telemetry/samples"
@@ -146,7 +147,10 @@ def encode_samples(batch: SampleBatch) -> bytes:
 
 def encode_entry(entry: dict[str, Any]) -> bytes:
     """JSON of a command, event or statistics entry. What JSON has no type for becomes text."""
-    return msgspec.json.encode(entry, enc_hook=_plain)
+    try:
+        return msgspec.json.encode(entry, enc_hook=_plain)
+    except UnicodeEncodeError:  # the name of a file that is not UTF-8
+        return msgspec.json.encode(_printable(entry))
 
 
 def decode_entry(payload: bytes | memoryview) -> dict[str, Any]:
@@ -161,6 +165,16 @@ def metadata_checksum(name: str, items: Iterable[tuple[str, str]]) -> str:
     """Checksum stored with each metadata record, which MCAP itself leaves unprotected."""
     text = "\0".join([name, *(word for item in items for word in item)])
     return f"{zlib.crc32(text.encode()):08x}"
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {printable(str(key)): _printable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_printable(item) for item in value]
+    if value is None or isinstance(value, bool | int | float):
+        return value
+    return printable(value) if isinstance(value, str) else _printable(_plain(value))
 
 
 def _plain(value: Any) -> Any:

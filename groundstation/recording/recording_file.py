@@ -34,6 +34,7 @@ from groundstation.recording.mcap_tables import TableTopic
 from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import StandardMessages
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.text import printable
 
 MESSAGE_S = 0.05
 """How long a message of packets or samples lasts, seconds."""
@@ -58,7 +59,8 @@ class RecordingFile:
         self._channels: dict[str, int] = {}
         try:
             for name, items in metadata.items():
-                self.file.add_metadata(name, {key: str(value) for key, value in items.items()})
+                texts = {key: printable(str(value)) for key, value in items.items()}
+                self.file.add_metadata(name, texts)
             names = {str(number): name for number, name in enumerate(TOPICS, start=1)}
             self.file.add_metadata(CHANNELS_METADATA, names)
             for topic in TOPICS.values():

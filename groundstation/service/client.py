@@ -10,7 +10,8 @@ from typing import Any
 
 from groundstation.errors import GroundStationError
 
-TIMEOUT_S = 10.0
+TIMEOUT_S = 45.0
+"""Finishing a recording on a bad disk is given 30 s."""
 
 
 class _UnixConnection(http.client.HTTPConnection):
@@ -40,6 +41,11 @@ def ask(path: Path, method: str, route: str) -> Any:
         raise GroundStationError(
             f"no groundstation is running (nothing answers at {path}); start one with "
             "'groundstation run'"
+        ) from error
+    except TimeoutError as error:
+        raise GroundStationError(
+            f"the groundstation at {path} has not answered for {TIMEOUT_S:g} s: it is stopped or "
+            "stuck; look at its terminal, or end it and start it again"
         ) from error
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise GroundStationError(f"control socket {path}: {error}") from error

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 
 MEBIBYTE = 1 << 20
+Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
+Text = Annotated[str, msgspec.Meta(min_length=1)]
 
 
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -20,7 +23,7 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     speed: of stand-in and replay, or "max".
     """
 
-    name: str = "stand-in"
+    name: Text = "stand-in"
     speed: float | Literal["max"] = 1.0
 
 
@@ -35,17 +38,17 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     """folder: where recordings go. enabled: record from the start. low_space_mb: a recording is
     finished cleanly when less than this is free."""
 
-    folder: str = "sessions"
+    folder: Text = "sessions"
     enabled: bool = True
-    low_space_mb: float = 64.0
+    low_space_mb: Annotated[float, msgspec.Meta(ge=0, le=1e9)] = 64.0
 
 
 class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """mode: off, serve or spawn. port: rerun's own. web_port: the browser's."""
 
     mode: Literal["off", "serve", "spawn"] = "off"
-    port: int = 9876
-    web_port: int = 9090
+    port: Port = 9876
+    web_port: Port = 9090
 
 
 class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -68,7 +71,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     viewer: ViewerConfig = ViewerConfig()
     control: ControlConfig = ControlConfig()
     command: str = ""
-    vehicle: str = "crazyflie1"
+    vehicle: Text = "crazyflie1"
     stand_in: dict[str, Any] = {}
 
 
@@ -84,6 +87,20 @@ def load_config(path: Path | None) -> Config:
         raise BadInputError(f"configuration {path}: {error}") from error
 
 
+def require_sense(config: Config) -> None:
+    """Raise BadInputError, naming the key, for what a type alone cannot tell."""
+    try:
+        load_vehicle(config.vehicle)
+    except BadInputError as error:
+        raise BadInputError(f"setting vehicle: {error}") from error
+    viewer = config.viewer
+    if viewer.mode != "off" and viewer.port == viewer.web_port:
+        raise BadInputError(
+            f"settings viewer.port and viewer.web_port: both are {viewer.port}; they are two "
+            "servers, give one another port"
+        )
+
+
 def link_speed(speed: float | Literal["max"]) -> float:
     """The factor behind a configured speed."""
     return float("inf") if speed == "max" else float(speed)
@@ -95,6 +112,10 @@ def socket_path(configured: str = "") -> Path:
     if chosen:
         return Path(chosen)
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    base = Path(runtime) if runtime else Path(tempfile.gettempdir())
-    name = "groundstation" if runtime else f"groundstation-{os.getuid()}"
-    return base / name / "control.sock"
+    folder = Path(runtime) / "groundstation" if runtime else shared_folder()
+    return folder / "control.sock"
+
+
+def shared_folder() -> Path:
+    """Where the socket is on a system without runtime folders: in reach of every user."""
+    return Path(tempfile.gettempdir()) / f"groundstation-{os.getuid()}"

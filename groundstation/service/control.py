@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
+import json
 import os
 import socket
-from collections.abc import Iterator
+import stat
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -19,6 +22,7 @@ from starlette.responses import JSONResponse
 from starlette.routing import Route
 
 from groundstation.errors import GroundStationError, TakenError
+from groundstation.service.config import shared_folder
 from groundstation.service.station import Station
 
 BACKLOG = 16
@@ -38,6 +42,8 @@ class ControlSocket:
         self.path = path
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if path.parent == shared_folder():
+                _require_private(path.parent)
             self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
             raise GroundStationError(f"control socket {path}: {error.strerror}") from error
@@ -70,6 +76,16 @@ class ControlSocket:
         self.socket.close()
         self.path.unlink(missing_ok=True)
         os.close(self._lock)
+
+
+def _require_private(folder: Path) -> None:
+    """In a folder where anyone can write, someone else may have been there first."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise GroundStationError(
+            f"control socket: {folder} is not a folder of yours alone (owner {found.st_uid}, mode "
+            f"{stat.S_IMODE(found.st_mode):04o}); remove it, or set GROUNDSTATION_SOCKET"
+        )
 
 
 class _Server(uvicorn.Server):
@@ -112,30 +128,47 @@ class ControlServer:
 
 
 def control_app(station: Station) -> Starlette:
-    """The routes; every answer is JSON, errors as ``{"error": text}`` with status 400."""
+    """The routes; every answer is JSON, errors as ``{"error": text}``: status 400 for what the
+    station refuses, 500 for a fault of its own, which is an event too."""
 
-    async def status(request: Request) -> JSONResponse:
-        return JSONResponse(station.status())
+    async def status() -> Any:
+        return station.status()
 
-    async def events(request: Request) -> JSONResponse:
-        return JSONResponse([asdict(event) for event in station.events])
+    async def events() -> Any:
+        return [asdict(event) for event in station.events]
 
-    async def record_start(request: Request) -> JSONResponse:
-        station.start_recording()
-        return JSONResponse(station.sessions.status())
+    async def record_start() -> Any:
+        await station.start_recording()
+        return station.sessions.status()
 
-    async def record_stop(request: Request) -> JSONResponse:
-        return JSONResponse(await station.stop_recording())
+    async def record_stop() -> Any:
+        return await station.stop_recording()
 
-    async def refused(request: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"error": str(error)}, status_code=400)
+    def answering(work: Callable[[], Awaitable[Any]]) -> Callable[[Request], Awaitable[_Json]]:
+        async def answer(request: Request) -> _Json:
+            try:
+                return _Json(await work())
+            except GroundStationError as error:
+                return _Json({"error": str(error)}, status_code=400)
+            except Exception as error:
+                where = f"{request.method} {request.url.path}"
+                station.fault(f"{where}: {error!r}", source="control")
+                return _Json({"error": f"{where}: internal fault: {error!r}"}, status_code=500)
+
+        return answer
 
     return Starlette(
         routes=[
-            Route("/status", status),
-            Route("/events", events),
-            Route("/record/start", record_start, methods=["POST"]),
-            Route("/record/stop", record_stop, methods=["POST"]),
-        ],
-        exception_handlers={GroundStationError: refused},
+            Route("/status", answering(status)),
+            Route("/events", answering(events)),
+            Route("/record/start", answering(record_start), methods=["POST"]),
+            Route("/record/stop", answering(record_stop), methods=["POST"]),
+        ]
     )
+
+
+class _Json(JSONResponse):
+    """ASCII: a file name need not be UTF-8, and UTF-8 cannot carry one that is not."""
+
+    def render(self, content: Any) -> bytes:
+        return json.dumps(content, separators=(",", ":"), default=str).encode("ascii")

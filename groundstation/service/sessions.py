@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from groundstation.telemetry.samples import RawBatch, SampleBatch
 class Sessions:
     """The recorder of the moment, if any; everything is handed to it without blocking.
 
-    ``stop`` waits for the disk and may be called from another thread than the rest.
+    ``finish`` waits for the disk and may be called from another thread than the rest, with what
+    ``detach`` gave: a new recording can begin meanwhile.
 
     folder: where files go; created when needed.
     metadata: text for the file's ``vehicle`` and ``configuration`` records.
@@ -37,23 +39,29 @@ class Sessions:
         self._low_space_bytes = low_space_bytes
         self._on_fault = on_fault
         self._recorder: McapRecorder | None = None
+        self._ended: McapRecorder | None = None  # the last one
         self._last: RecorderStatus | None = None
-        self.fault = ""
-        """What kept a recording from being complete, if anything did."""
+        self.faults: dict[Path, str] = {}
+        """What kept a recording from being complete, by file."""
 
     def start(self, link: str) -> Path:
         """Begin a new file named after the time and the link."""
         if self._recorder is not None and self._recorder.status().state == "recording":
             raise BadInputError(f"already recording to {self._recorder.status().file}")
-        self.stop()
+        self.detach()  # one that has failed ends by itself: nothing to wait for
         path = self._free_name(link)
         self._recorder = McapRecorder(
             path,
             {"session": session_metadata(link), **self._metadata},
             low_space_bytes=self._low_space_bytes,
-            on_fault=self._fault,
+            on_fault=partial(self._fault, path),
         )
         return path
+
+    @property
+    def fault(self) -> str:
+        """The latest of ``faults``, or nothing."""
+        return next(reversed(self.faults.values()), "")
 
     def require_started(self) -> None:
         """Raises BadInputError when there is nothing to stop."""
@@ -62,16 +70,30 @@ class Sessions:
                 "nothing is being recorded; 'groundstation record start' begins a recording"
             )
 
+    def detach(self) -> McapRecorder | None:
+        """Record no more; the recorder that is to be finished, None when there was none."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            self._ended, self._last = recorder, recorder.status()
+        return recorder
+
+    def finish(self, recorder: McapRecorder) -> RecorderStatus:
+        """Finish the file of a detached recorder. Blocks until the disk has it."""
+        status = recorder.finish()
+        if recorder is self._ended:
+            self._last = status
+        return status
+
     def stop(self) -> RecorderStatus | None:
-        """Finish the file; None when nothing was being recorded."""
-        recorder = self._recorder
-        if recorder is None:
-            return None
-        # first, so that what comes while the file is finished is not counted as lost
-        self._recorder = None
-        self._last = recorder.status()
-        self._last = recorder.finish()
-        return self._last
+        """``detach`` and ``finish``; None when nothing was being recorded."""
+        recorder = self.detach()
+        return None if recorder is None else self.finish(recorder)
+
+    def wait(self) -> None:
+        """Finish what is recorded or being finished, from whatever thread: the last resort."""
+        for recorder in (self._recorder, self._ended):
+            if recorder is not None:
+                recorder.finish()
 
     def raw(self, batch: RawBatch) -> None:
         if recorder := self._recorder:
@@ -109,8 +131,8 @@ class Sessions:
             "text": status.text,
         }
 
-    def _fault(self, text: str) -> None:
-        self.fault = text
+    def _fault(self, path: Path, text: str) -> None:
+        self.faults[path] = text
         self._on_fault(text)
 
     def _free_name(self, link: str) -> Path:

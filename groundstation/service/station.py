@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import time
 from collections import deque
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import structlog
 
+from groundstation.background import in_background
 from groundstation.clock import steady_clock
 from groundstation.errors import (
+    GroundStationError,
     LinkEndedError,
     LinkError,
     LinkLostError,
@@ -21,15 +27,18 @@ from groundstation.errors import (
 from groundstation.links.base import Link, LinkEvent, LinkState
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.factory import make_command_link, make_link
-from groundstation.service.config import MEBIBYTE, Config, link_speed
+from groundstation.service.config import MEBIBYTE, Config, link_speed, require_sense
 from groundstation.service.sessions import Sessions
-from groundstation.telemetry.decoder import Decoded, Decoder
+from groundstation.telemetry.decoder import Decoded, Decoder, compile_kernel
 from groundstation.telemetry.samples import RawBatch
 from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
+from groundstation.text import printable
 from groundstation.viewer.viewer import Viewer, ViewerMode
 
 EVENTS_KEPT = 1000
 STATISTICS_S = 1.0
+ANNOUNCE_S = 2.0
+"""Preparing takes longer than this only where something has to be compiled."""
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 
 
@@ -37,15 +46,21 @@ class Station:
     """One link's telemetry, decoded, recorded and shown.
 
     ``run`` returns when ``stop`` was called or, without a viewer, when a finite link has ended.
+    Statistics are stamped on the time base of the link's packets: that of the recording.
+
+    Raises BadInputError for settings that cannot work.
     """
 
     def __init__(self, config: Config) -> None:
+        require_sense(config)
         self.config = config
         self.clock = steady_clock()
         self.events: deque[LinkEvent] = deque(maxlen=EVENTS_KEPT)
         self.statistics: LinkStatistics | None = None
         self.damaged = False
         """Whether the source had parts that could not be read."""
+        self.faults = 0
+        """Faults of the program itself, each survived and told as an event."""
         self.link: Link = make_link(
             config.link.name,
             speed=link_speed(config.link.speed),
@@ -80,11 +95,12 @@ class Station:
         self._started_s = time.monotonic()
         self._decoder = Decoder()
         self._meter = LinkMeter(self.clock())
-        self._meter_due_s = time.monotonic() + STATISTICS_S
+        self._newest_ns = 0  # the latest host stamp
         self._ready_made = 0  # samples of a source that needs no decoder
         self._retry_s = RETRY_FIRST_S
         self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
         self._missing = ""  # why it cannot be opened now
+        self._recording = asyncio.Lock()  # held while a recording is begun or finished
         self._stopping = asyncio.Event()
         self.tried = asyncio.Event()
         """Set when the link has been opened, or has turned out not to be there yet."""
@@ -94,45 +110,63 @@ class Station:
         """Ask ``run`` to finish."""
         self._stopping.set()
 
-    async def run(self) -> None:
-        """Receive until stopped. Raises LinkError when a finite link cannot be opened."""
+    async def run(self, announce: Callable[[], None] = lambda: None) -> None:
+        """Receive until stopped. Raises BadInputError when the link can never be opened.
+
+        announce: called once the viewer's ports are known to be free.
+        """
         self._loop = asyncio.get_running_loop()
-        await self.viewer.start()
-        try:
+        # in reverse order, each whatever became of the others
+        async with contextlib.AsyncExitStack() as closing:
+            closing.push_async_callback(self.viewer.stop)
+            await self.viewer.start()
+            announce()
+            closing.push_async_callback(self._finish_recording)
+            closing.callback(self._close_window)
+            closing.callback(self._drain)
+            closing.push_async_callback(self.link.close)
+            if self.command is not None:
+                closing.push_async_callback(self.command.close)
             receiving = asyncio.create_task(self._receive(), name="link")
-            commanding = asyncio.create_task(self._connect_command(), name="command")
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
+            others = [
+                asyncio.create_task(self._supervise("command", self._connect_command)),
+                asyncio.create_task(self._supervise("statistics", self._close_windows)),
+            ]
             await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
-            stopping.cancel()
-            commanding.cancel()
-            if not receiving.done():
-                receiving.cancel()
-            await asyncio.gather(receiving, commanding, return_exceptions=True)
+            for task in (receiving, stopping, *others):
+                task.cancel()
+            await asyncio.gather(receiving, stopping, *others, return_exceptions=True)
             if not receiving.cancelled():
                 receiving.result()
-        finally:
-            if self.command is not None:
-                await self.command.close()
-            await self.link.close()
-            self._take(self._decoder.finish())
-            self._close_window()
-            await asyncio.to_thread(self.sessions.stop)
-            await self.viewer.stop()
 
     # -- what an operator can ask ----------------------------------------------------------
 
-    def start_recording(self) -> Path:
+    async def start_recording(self) -> Path:
         """Begin a new file. Raises BadInputError when one is being written."""
-        path = self.sessions.start(self.link.name)
-        self.note("recording", f"recording to {path}", source="recorder")
-        return path
+        async with self._recording:
+            path = self.sessions.start(self.link.name)
+            self.note("recording", f"recording to {path}", source="recorder")
+            return path
 
     async def stop_recording(self) -> dict[str, Any]:
         """Finish the file; its final status. Raises BadInputError when there is none."""
-        self.sessions.require_started()
-        self.note("recording", "recording stopped", source="recorder")
-        await asyncio.to_thread(self.sessions.stop)
-        return self.sessions.status()
+        async with self._recording:
+            self.sessions.require_started()
+            # the samples of the packets in this file, not in the next one
+            self._take(self._decoder.idle(self._now_ns()))
+            self.note("recording", "recording stopped", source="recorder")
+            await self._finish_detached()
+            return self.sessions.status()
+
+    async def _finish_recording(self) -> None:
+        async with self._recording:
+            await self._finish_detached()
+
+    async def _finish_detached(self) -> None:
+        recorder = self.sessions.detach()
+        if recorder is not None:
+            await asyncio.to_thread(self.sessions.finish, recorder)
 
     def status(self) -> dict[str, Any]:
         """The keys of the design's ``status --json``, and more."""
@@ -150,6 +184,7 @@ class Station:
             "command": None
             if self.command is None
             else {"uri": self.command.uri, "state": self.command.state.value},
+            "faults": self.faults,
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
@@ -160,8 +195,14 @@ class Station:
         """An event of the daemon itself."""
         self.take_event(LinkEvent(self.clock(), source, kind, text))
 
+    def fault(self, text: str, *, source: str) -> None:
+        """A fault of the program that it survives: counted and told."""
+        self.faults += 1
+        self.note("fault", text, source=source)
+
     def take_event(self, event: LinkEvent) -> None:
         """Keep, log, record and show an event."""
+        event = replace(event, link=printable(event.link), text=printable(event.text))
         if self._missing and event.link == self.link.name and event.kind in _ATTEMPT:
             return  # while a device is waited for, another attempt is no news
         self.events.append(event)
@@ -177,6 +218,15 @@ class Station:
             self._loop.call_soon_threadsafe(lambda: self.note("fault", text, source="recorder"))
 
     # -- the way to the craft --------------------------------------------------------------
+
+    async def _supervise(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
+        """Begin anew what fails by a fault of the program."""
+        while True:
+            try:
+                return await work()
+            except Exception as error:
+                self.fault(f"{name}: {error!r}", source=name)
+                await asyncio.sleep(RETRY_MOST_S)
 
     async def _connect_command(self) -> None:
         """Keep the command link connected while telemetry is on."""
@@ -195,7 +245,8 @@ class Station:
     # -- the stream ------------------------------------------------------------------------
 
     async def _receive(self) -> None:
-        """Open, read, and open again when the device was lost or is not there yet."""
+        """Open, read, and open again: after a loss, a fault, or when it is not there yet."""
+        compiled = await self._prepare()
         opened = False
         while True:
             try:
@@ -205,34 +256,70 @@ class Station:
                     self.tried.set()
                 if not opened:
                     opened = True
-                    self._decoder = Decoder(self.link.start_ticks)
+                    self._decoder = Decoder(self.link.start_ticks, compiled=compiled)
+                    self._meter = LinkMeter(self._now_ns())
                     if self.config.recording.enabled:
                         # not before: a mistyped link leaves no empty file behind
-                        self.start_recording()
-                self._retry_s, self._away, self._missing = RETRY_FIRST_S, None, ""
+                        await self.start_recording()
+                self._retry_s, self._missing = RETRY_FIRST_S, ""
                 await self._read()
             except LinkEndedError:
                 await self._linger()
                 return
             except LinkLostError:
-                self._take(self._decoder.reconnected())
-                self._away = LinkState.LOST
+                self._lose()
             except LinkError as error:
+                if self.link.state is not LinkState.CLOSED:
+                    self._lose()  # it was open: reading failed
                 self._away = self._away or LinkState.OPENING
                 if str(error) != self._missing:
                     self._missing = str(error)
                     self.note("waiting", self._missing, source=self.link.name)
-            await self.link.close()
+            except GroundStationError:
+                raise
+            except Exception as error:
+                if self.link.finite:
+                    raise  # opened again it would begin anew
+                self.fault(f"receiving failed: {error!r}", source=self.link.name)
+                self._lose()
+            try:
+                await self.link.close()
+            except Exception as error:
+                self.fault(f"closing failed: {error!r}", source=self.link.name)
             await asyncio.sleep(self._retry_s)
             self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+
+    async def _prepare(self) -> bool:
+        """Whether to decode compiled: only what comes faster than any craft sends needs it."""
+        if self.config.link.speed != "max":
+            return False
+        announcement = asyncio.get_running_loop().call_later(
+            ANNOUNCE_S,
+            partial(self.note, "compiling", "compiling the decoder, once per machine",
+                    source="decoder"),
+        )  # fmt: skip
+        try:
+            await in_background(compile_kernel)
+        finally:
+            announcement.cancel()
+        return True
+
+    def _lose(self) -> None:
+        """What follows is a new segment, after whatever went wrong."""
+        self._away = LinkState.LOST
+        try:
+            self._take(self._decoder.reconnected())
+        except Exception as error:
+            self.fault(f"the decoder starts anew: {error!r}", source="decoder")
+            self._decoder = Decoder()
 
     async def _linger(self) -> None:
         """The end of a replay: what there is to see stays on view until the operator stops."""
         if self.viewer.mode is ViewerMode.OFF:
             return
-        self._take(self._decoder.finish())
+        self._drain()
         self._close_window()
-        await asyncio.to_thread(self.sessions.stop)
+        await self._finish_recording()
         self.note(
             "ended", "all has been shown; the viewer stays open until Ctrl-C", source="viewer"
         )
@@ -241,18 +328,24 @@ class Station:
     async def _read(self) -> None:
         while True:
             batch = await self.link.read()
+            self._away = None
             if batch is None:
                 self._take(self._decoder.idle(self.link.now_ns()))
-            elif isinstance(batch, RawBatch):
-                self.sessions.raw(batch)
-                self._take(self._decoder.decode(batch))
-            else:
+                continue
+            if len(batch):
+                self._newest_ns = max(self._newest_ns, int(batch.host_time_ns[-1]))
+            if not isinstance(batch, RawBatch):
                 self.sessions.samples(batch)
                 self.viewer.show_samples(batch)
                 self._meter.add_samples(batch)
                 self._ready_made += len(batch)
-            if time.monotonic() >= self._meter_due_s:
-                self._close_window()
+            else:
+                self.sessions.raw(batch)
+                self._take(self._decoder.decode(batch))
+
+    def _drain(self) -> None:
+        """Nothing more will come: give out what is held."""
+        self._take(self._decoder.finish())
 
     def _take(self, decoded: Decoded) -> None:
         self._meter.add(decoded)
@@ -260,11 +353,21 @@ class Station:
             self.sessions.samples(decoded.samples)
             self.viewer.show_samples(decoded.samples)
 
+    async def _close_windows(self) -> None:
+        """Once a second, also while nothing comes."""
+        while True:
+            await asyncio.sleep(STATISTICS_S)
+            self._close_window()
+
+    def _now_ns(self) -> int:
+        """The present on the time base of the packets: a fast replay's stamps run ahead of any
+        clock."""
+        return max(self.link.now_ns(), self._newest_ns)
+
     def _close_window(self) -> None:
-        self._meter_due_s = time.monotonic() + STATISTICS_S
         counts = self._decoder.counts()
         counts = replace(counts, samples=counts.samples + self._ready_made)
-        statistics = self._meter.close_window(self.clock(), counts)
+        statistics = self._meter.close_window(self._now_ns(), counts)
         if statistics.restarts > (self.statistics.restarts if self.statistics else 0):
             self.note("restart", "the device restarted: a new segment", source=self.link.name)
         self.statistics = statistics
@@ -283,5 +386,5 @@ def _recorded_configuration(config: Config) -> dict[str, str]:
         "link": config.link.name,
         "speed": str(config.link.speed),
         "command": config.command,
-        "recording": msgspec.json.encode(config.recording).decode(),
+        "recording": json.dumps(msgspec.to_builtins(config.recording)),
     }

@@ -158,10 +158,32 @@ def test_a_link_that_can_never_work_ends_the_station_and_leaves_no_file(run, tmp
     assert not (tmp_path / "sessions").exists()
 
 
-def test_a_fault_of_the_link_still_finishes_the_recording(run, tmp_path):
+def test_a_fault_of_the_link_is_survived_counted_and_told(run):
+    first, _ = flight(0, 50)
+    second, _ = flight(1000, 50)
+    link = ScriptedLink([first, ZeroDivisionError("in the reader"), later(second, 0.0)])
+    station, recording = run(link)
+    assert link.opened == 2
+    assert station.faults == station.status()["faults"] == 1
+    assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
+    (told,) = [event.text for event in station.events if event.kind == "fault"]
+    assert "in the reader" in told
+
+
+def test_a_failed_read_is_a_new_segment_too(run):
+    first, _ = flight(0, 50)
+    second, _ = flight(1000, 50)
+    script = [first, LinkError("the port answers no more"), later(second, 0.0)]
+    _, recording = run(ScriptedLink(script))
+    assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
+
+
+def test_a_fault_in_a_replay_ends_it_for_opened_again_it_would_begin_anew(run, tmp_path):
     raw, _ = flight(0, 50)
+    link = ScriptedLink([raw, ZeroDivisionError()])
+    link.finite = True
     with pytest.raises(ZeroDivisionError):
-        run(ScriptedLink([raw, ZeroDivisionError()]))
+        run(link)
     (path,) = (tmp_path / "sessions").glob("*.mcap")
     recording = open_recording(path)
     assert recording.damage == []
