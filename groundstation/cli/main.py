@@ -7,7 +7,7 @@ import sys
 import typer
 
 from groundstation import __version__
-from groundstation.cli import control, devices, export, files, identify, run
+from groundstation.cli import control, devices, export, files, identify, install, run
 from groundstation.errors import GroundStationError
 
 app = typer.Typer(
@@ -35,7 +35,7 @@ def _options(
     pass
 
 
-for module in (run, control, files, devices, export, identify):
+for module in (run, control, files, devices, export, identify, install):
     module.add_commands(app)
 
 

@@ -90,13 +90,8 @@ class UsbLink(Link):
         self, *, device: str = DEFAULT_DEVICE, serial: str = "", clock: HostClock | None = None
     ) -> None:
         super().__init__("usb", clock=clock)
-        match = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", device)
-        if match is None:
-            raise BadInputError(
-                f"configuration [usb] device {device!r}: give VID:PID, for example {DEFAULT_DEVICE}"
-            )
+        self._ids = parse_ids(device)
         self.device, self.serial = device.lower(), serial
-        self._ids = int(match[1], 16), int(match[2], 16)
         self.counts = UsbCounts()
         self._backend: Any = None
         self._claimed: Any = None
@@ -332,6 +327,16 @@ class UsbLink(Link):
         self._reported = replace(self.counts)
         self._report_due_s = time.monotonic() + REPORT_S
         self.emit("loss", f"{more} USB frames lost", **asdict(self.counts))
+
+
+def parse_ids(device: str) -> tuple[int, int]:
+    """Vendor and product id of ``VID:PID``. Raises BadInputError for anything else."""
+    match = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", device)
+    if match is None:
+        raise BadInputError(
+            f"configuration [usb] device {device!r}: give VID:PID, for example {DEFAULT_DEVICE}"
+        )
+    return int(match[1], 16), int(match[2], 16)
 
 
 def _select(device: Any) -> None:

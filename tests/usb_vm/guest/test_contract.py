@@ -20,17 +20,15 @@ class TestUsb(LinkContract):
         ("usb:3", {}, "usb:3"),
     )
 
-    @pytest.fixture(autouse=True, scope="class")
-    def plugged(self, flight):
+    @pytest.fixture(autouse=True)
+    def plugged(self, bridge):
         async def until_there():
             link = UsbLink()
             await open_when_there(link)
             await link.close()
 
-        with EmulatedBridge(flight) as bridge:
-            bridge.plug()
-            asyncio.run(until_there())
-            yield
+        bridge.plug()
+        asyncio.run(until_there())
 
     def make(self, tmp_path):
         return make_link("usb", speed=1.0, stand_in={})

@@ -1,6 +1,7 @@
 """What can go wrong on the bus: the stream goes on, and each lost frame is counted once."""
 
 import asyncio
+import contextlib
 import time
 
 import numpy as np
@@ -43,7 +44,7 @@ def stream_with(flight, faults, disturb=None):
                 disturb()
             batches += await read_for(link, SPAN_S)
             bridge.unplug()
-            with pytest.raises(LinkLostError):
+            with contextlib.suppress(LinkLostError):
                 while True:
                     if (batch := await link.read()) is not None:
                         batches.append(batch)

@@ -1,0 +1,173 @@
+"""The daemon on a real USB link: recording through everything, and what it costs and loses."""
+
+import asyncio
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulated_bridge import RecordedFlight
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+from groundstation.service.config import Config, LinkConfig, RecordingConfig
+from groundstation.service.station import Station
+
+OUT = Path("/mnt")
+FRAMES = 20_000
+ABSENT_S = 20.0
+PATIENCE_S = 100.0
+STAMPS_WITHIN_NS = 2_000_000
+
+
+def station_in(folder):
+    return Station(
+        Config(link=LinkConfig(name="usb"), recording=RecordingConfig(folder=str(folder)))
+    )
+
+
+async def until(station, condition):
+    async with asyncio.timeout(PATIENCE_S):
+        while not condition():
+            await asyncio.sleep(0.02)
+
+
+def kinds(station):
+    return [event.kind for event in station.events]
+
+
+def test_absent_at_start_unplugged_and_back_in_one_recording(bridge, tmp_path):
+    async def session():
+        station = station_in(tmp_path)
+        running = asyncio.create_task(station.run())
+        await until(station, lambda: "waiting" in kinds(station))
+        await asyncio.sleep(1.0)
+        before_s = time.process_time()
+        await asyncio.sleep(ABSENT_S)
+        share = (time.process_time() - before_s) / ABSENT_S
+        for _ in range(2):
+            start = station._decoder.counts().samples
+            bridge.plug()
+            await until(
+                station, lambda start=start: station._decoder.counts().samples > start + 400
+            )
+            bridge.unplug()
+            await until(station, lambda: station.link.state.value in ("lost", "closed", "opening"))
+        bridge.plug()
+        await until(station, lambda: kinds(station).count("streaming") == 3)
+        await asyncio.sleep(0.5)
+        station.stop()
+        await running
+        return share, station
+
+    share, station = asyncio.run(session())
+    told = [event.text for event in station.events if event.kind == "waiting"]
+    assert told == ["no USB device 0483:5741 is plugged in; waiting for one"]
+    print(f"CPU while absent: {100 * share:.2f} %")
+    assert share < 0.01
+    (path,) = tmp_path.glob("*.mcap")
+    recording = open_recording(path, raw=True)
+    report = inspect_recording(recording)
+    assert recording.damage == []
+    assert report["segments"] == 3
+    assert report["lost_samples"] == 0
+    recorded = [event.kind for event in recording.events]
+    assert recorded.count("lost") == 2
+    assert recorded.count("streaming") == 3
+
+
+class Blocker:
+    """Stops the event loop for a tenth of a second, twice a second."""
+
+    def __init__(self, blocked_s):
+        self.blocked_s = blocked_s
+
+    async def run(self):
+        while True:
+            await asyncio.sleep(0.5 - self.blocked_s)
+            time.sleep(self.blocked_s)
+
+
+@pytest.mark.parametrize("blocked_s", [0.0, 0.1], ids=["running", "blocked"])
+def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp_path, blocked_s):
+    async def session():
+        station = station_in(tmp_path)
+        running = asyncio.create_task(station.run())
+        bridge.plug()
+        await until(station, lambda: station.link.state.value == "streaming")
+        blocking = asyncio.create_task(Blocker(blocked_s).run() if blocked_s else _nothing())
+        before_s, start_s = time.process_time(), time.monotonic()
+        await until(station, lambda: station.link.counts.frames > FRAMES)
+        share = (time.process_time() - before_s) / (time.monotonic() - start_s)
+        blocking.cancel()
+        counts = replace(station.link.counts)
+        theirs = bridge.counts()
+        station.stop()
+        await running
+        return share, counts, theirs
+
+    share, ours, theirs = asyncio.run(session())
+    (path,) = tmp_path.glob("*.mcap")
+    raw = open_recording(path, raw=True).raw
+    sent = RecordedFlight(flight)
+    first = int(np.flatnonzero((sent.packets == raw.packets[0]).all(axis=1))[0])
+    rows = slice(first, first + len(raw))
+    np.testing.assert_array_equal(raw.packets, sent.packets[rows])
+    late_ns = raw.host_time_ns - np.rint(sent._arrival_s[rows] * 1e9).astype(np.int64)
+    late_ns -= late_ns.min()
+    row = {
+        "reader": "ring of transfers"
+        + (", loop blocked 100 ms twice a second" if blocked_s else ""),
+        "frames": ours.frames,
+        "lost": ours.lost,
+        "dry": theirs.dry,
+        "cpu_pct": 100 * share,
+        "stamp_spread_ms": float(late_ns.max()) * 1e-6,
+    }
+    _note(row)
+    assert ours.lost == theirs.lost == 0
+    assert len(raw) >= 2 * FRAMES
+    assert late_ns.max() < STAMPS_WITHIN_NS
+
+
+@pytest.mark.parametrize("packets", [8, 100])
+def test_device_read_for_comparison_loses_frames(bridge, packets):
+    """What pyusb's own read costs on the same bus: the reason for the ring."""
+    from groundstation.links.usb import UsbLink
+
+    async def found():
+        link = UsbLink()
+        bridge.plug()
+        while (device := link._claim()) is None:
+            await asyncio.sleep(0.1)
+        return device
+
+    device = asyncio.run(found())
+    frames, before_s, start_s = 0, time.process_time(), time.monotonic()
+    while frames < FRAMES // 10:
+        frames += len(device.read(0x81, 64 * packets, 1000)) // 64
+    share = (time.process_time() - before_s) / (time.monotonic() - start_s)
+    theirs = bridge.counts()
+    device.set_interface_altsetting(0, 0)
+    _note(
+        {
+            "reader": f"Device.read, {packets} frames a call",
+            "frames": frames,
+            "lost": theirs.dry,
+            "dry": theirs.dry,
+            "cpu_pct": 100 * share,
+            "stamp_spread_ms": None,
+        }
+    )
+    assert theirs.dry >= frames // packets - 1
+
+
+async def _nothing():
+    pass
+
+
+def _note(row):
+    with (OUT / "table.jsonl").open("a") as file:
+        file.write(json.dumps(row) + "\n")
