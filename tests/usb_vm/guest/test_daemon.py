@@ -48,11 +48,9 @@ def test_absent_at_start_unplugged_and_back_in_one_recording(bridge, tmp_path):
         await asyncio.sleep(ABSENT_S)
         share = (time.process_time() - before_s) / ABSENT_S
         for _ in range(2):
-            start = station._decoder.counts().samples
+            wanted = station._decoder.counts().samples + 400
             bridge.plug()
-            await until(
-                station, lambda start=start: station._decoder.counts().samples > start + 400
-            )
+            await until(station, lambda wanted=wanted: station._decoder.counts().samples > wanted)
             bridge.unplug()
             await until(station, lambda: station.link.state.value in ("lost", "closed", "opening"))
         bridge.plug()
@@ -73,7 +71,7 @@ def test_absent_at_start_unplugged_and_back_in_one_recording(bridge, tmp_path):
     assert recording.damage == []
     assert report["segments"] == 3
     assert report["lost_samples"] == 0
-    recorded = [event.kind for event in recording.events]
+    recorded = [event["kind"] for event in recording.events]
     assert recorded.count("lost") == 2
     assert recorded.count("streaming") == 3
 
@@ -117,18 +115,18 @@ def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp
     np.testing.assert_array_equal(raw.packets, sent.packets[rows])
     late_ns = raw.host_time_ns - np.rint(sent._arrival_s[rows] * 1e9).astype(np.int64)
     late_ns -= late_ns.min()
+    how = ", loop blocked 100 ms twice a second" if blocked_s else ""
     row = {
-        "reader": "ring of transfers"
-        + (", loop blocked 100 ms twice a second" if blocked_s else ""),
+        "reader": f"ring of transfers, recording{how}",
         "frames": ours.frames,
         "lost": ours.lost,
-        "dry": theirs.dry,
         "cpu_pct": 100 * share,
         "stamp_spread_ms": float(late_ns.max()) * 1e-6,
     }
     _note(row)
     assert ours.lost == theirs.lost == 0
-    assert len(raw) >= 2 * FRAMES
+    assert len(raw) >= ours.packets
+    assert ours.packets > 1.99 * FRAMES
     assert late_ns.max() < STAMPS_WITHIN_NS
 
 
@@ -146,7 +144,7 @@ def test_device_read_for_comparison_loses_frames(bridge, packets):
 
     device = asyncio.run(found())
     frames, before_s, start_s = 0, time.process_time(), time.monotonic()
-    while frames < FRAMES // 10:
+    while frames < FRAMES:
         frames += len(device.read(0x81, 64 * packets, 1000)) // 64
     share = (time.process_time() - before_s) / (time.monotonic() - start_s)
     theirs = bridge.counts()
@@ -156,7 +154,6 @@ def test_device_read_for_comparison_loses_frames(bridge, packets):
             "reader": f"Device.read, {packets} frames a call",
             "frames": frames,
             "lost": theirs.dry,
-            "dry": theirs.dry,
             "cpu_pct": 100 * share,
             "stamp_spread_ms": None,
         }

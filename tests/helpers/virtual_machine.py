@@ -1,6 +1,6 @@
 """A virtual machine with a stock Debian kernel, in which the host's own files run.
 
-    python tests/usb_vm/vm.py [--icount] -- COMMAND...
+    python tests/helpers/virtual_machine.py [--icount] -- COMMAND...
 
 The host's root is mounted read-only, so that the project's virtual environment is the one under
 test; ``/mnt`` in the guest is a folder of the host for what comes out. The kernel is fetched once
