@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from typing import Any
 
@@ -60,6 +61,7 @@ def _row(device: Any, bridge: str) -> dict[str, Any]:
 
 def _why_not(device: Any) -> str:
     import usb.core
+    import usb.util
 
     node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
     if os.path.exists(node) and not os.access(node, os.R_OK | os.W_OK):
@@ -67,21 +69,25 @@ def _why_not(device: Any) -> str:
 
         return f"no permission for {node}; {PERMISSION_HELP}"
     try:
-        if device.is_kernel_driver_active(INTERFACE):
-            return "in use: stop the program or driver that has claimed it"
-    except NotImplementedError:
-        pass
+        usb.util.claim_interface(device, INTERFACE)
     except usb.core.USBError as error:
+        if error.errno == errno.EBUSY:
+            return "in use: stop the program that has claimed it"
         return f"cannot be opened: {error.strerror or error}"
+    finally:
+        usb.util.dispose_resources(device)
     return ""
 
 
 def _description(device: Any) -> str:
     """Maker and product; without permission their strings cannot be read."""
     import usb.core
+    import usb.util
 
     try:
         names = (device.manufacturer, device.product, device.serial_number)
     except (usb.core.USBError, ValueError, NotImplementedError):
         return ""
+    finally:
+        usb.util.dispose_resources(device)
     return " ".join(name for name in names if name)

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 import usb.core
+import usb.util
 from installed import COMMAND, groundstation, require_failure
 from serial.tools.list_ports import comports
 
@@ -108,43 +109,34 @@ def test_what_is_no_port_is_not_usable(path, why):
     assert port_row(path)["why"] == why
 
 
-class Bus:
-    """What pyusb's ``find`` would give on a machine with these devices: there is no USB here."""
+class Device:
+    """What pyusb's ``find`` would give: there is no USB here (the virtual machine has it)."""
 
-    class Device:
-        bus, address, bDeviceClass = 250, 250, 0  # noqa: N815 - pyusb's name
+    bus, address, bDeviceClass = 250, 250, 0  # noqa: N815 - pyusb's name
+    manufacturer, product, serial_number = "maker", None, None
 
-        def __init__(self, vendor, product, claimed=False, text="maker"):
-            self.idVendor, self.idProduct = vendor, product
-            self._claimed, self._text = claimed, text
-
-        def is_kernel_driver_active(self, interface):
-            if isinstance(self._claimed, Exception):
-                raise self._claimed
-            return self._claimed
-
-        @property
-        def manufacturer(self):
-            if self._text is None:
-                raise ValueError("The device has no langid (permission issue, no string ...)")
-            return self._text
-
-        product = serial_number = None
+    def __init__(self, vendor, product):
+        self.idVendor, self.idProduct = vendor, product
 
 
 @pytest.mark.parametrize(
-    ("claimed", "usable", "why"),
+    ("refusal", "usable", "why"),
     [
-        (False, True, ""),
-        (True, False, "in use"),
+        (None, True, ""),
+        (usb.core.USBError("Resource busy", errno=16), False, "in use"),
         (usb.core.USBError("Access denied", errno=13), False, "cannot be opened: Access denied"),
     ],
 )
-def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, claimed, usable, why):
-    hub = Bus.Device(0x1D6B, 2)
+def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, refusal, usable, why):
+    hub = Device(0x1D6B, 2)
     hub.bDeviceClass = 9
-    found = [hub, Bus.Device(0x046D, 1, text=None), Bus.Device(0x0483, 0x5741, claimed)]
-    monkeypatch.setattr(usb.core, "find", lambda **_: iter(found))
+
+    def claim(device, interface):
+        if refusal:
+            raise refusal
+
+    give(monkeypatch, [hub, Device(0x046D, 1), Device(0x0483, 0x5741)])
+    monkeypatch.setattr(usb.util, "claim_interface", claim)
     (bridge, mouse), problem = usb_devices("0483:5741")
     assert problem == ""
     assert (bridge["name"], bridge["link"], bridge["usable"]) == ("0483:5741", "usb", usable)
@@ -154,9 +146,14 @@ def test_the_bridge_comes_first_and_is_usable_or_why_not(monkeypatch, claimed, u
     assert mouse["why"] == "not a telemetry bridge"
 
 
+def give(monkeypatch, devices):
+    monkeypatch.setattr(usb.core, "find", lambda **_: iter(devices))
+    monkeypatch.setattr(usb.util, "claim_interface", lambda device, interface: None)
+    monkeypatch.setattr(usb.util, "dispose_resources", lambda device: None)
+
+
 def test_the_bridge_is_the_one_that_was_asked_for(monkeypatch):
-    found = [Bus.Device(0x0483, 0x5741), Bus.Device(0x1209, 0xABCD)]
-    monkeypatch.setattr(usb.core, "find", lambda **_: iter(found))
+    give(monkeypatch, [Device(0x0483, 0x5741), Device(0x1209, 0xABCD)])
     rows, _ = usb_devices("1209:ABCD")
     assert [(row["name"], row["link"]) for row in rows] == [
         ("1209:abcd", "usb"),
