@@ -5,13 +5,17 @@ BIN := $(VENV)/bin
 ARGS ?=
 GROUNDSTATION_LOCAL_DATA ?= local-data
 
-.PHONY: run test check-local lint bench clean
+.PHONY: run test test-usb check-local lint bench clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
 
 test: $(VENV)/.ready-dev lint
 	$(BIN)/pytest -n auto $(ARGS)
+
+# The USB link through a real kernel, in a virtual machine (see .ci/packages.txt).
+test-usb: $(VENV)/.ready-dev
+	$(BIN)/pytest tests/usb_vm -s -v $(ARGS)
 
 # Recordings that may not be committed: a folder with usd_card/ and imrc/.
 check-local: $(VENV)/.ready-dev
