@@ -73,6 +73,7 @@ def test_an_empty_cell_is_changed_and_the_craft_flies_again():
     before, after = stamps[silence], stamps[silence + 1]
     steps = (after - before) % 65536 / (0.002 / (73e-6 / 72)) % 1
     assert 0.01 < steps < 0.99  # the timer started anew: off the 2 ms grid
+    assert 100 < (after - stamps[0]) % 65536 < 65436  # and with another phase
 
 
 def test_a_full_cell_carries_the_craft_for_about_seven_minutes():
@@ -207,6 +208,7 @@ def test_random_excitation_differs_from_lap_to_lap_but_not_from_call_to_call():
     assert (rows[:200] != rows[200:400]).any()
     pieces = [sticks.rows(first, 50) for first in range(550, -1, -50)]
     assert (np.concatenate(pieces[::-1]) == rows).all()
+    assert (Sticks(lap, seed=4).rows(0, 200) != rows[:200]).any()
 
 
 def test_importing_the_package_does_not_load_the_compiler():

@@ -43,7 +43,7 @@ def test_the_printed_margins_are_those_of_the_code(craft, axis):
 
 
 def test_the_settings_example_loads(tmp_path):
-    block = TEXT.split("```toml\n")[1].split("```")[0]
+    block = TEXT.split("```toml\n")[2].split("```")[0]
     path = tmp_path / "settings.toml"
     path.write_text(block)
     settings = load_settings(path)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -68,3 +71,59 @@ def test_fifty_flights_go_up_stay_upright_and_come_down(programme, craft, plant)
         assert np.abs(truth["rate_rad_s"][flying]).max() < 1.5, seed
         descent = truth["velocity_m_s"][truth["time_s"] > 12, 2].min()
         assert descent > -0.9, seed
+
+
+DOCUMENTATION = Path(__file__).parents[2] / "docs" / "stand_in.md"
+LARGEST: list[tuple[str, dict[str, float]]] = [
+    ("dead_time", {"delay_s": 0.012}),
+    ("gyro_low_pass", {"bandwidth_hz": 12.0}),
+    ("rotor_inertia", {"rotor_inertia_kg_m2": 1.5e-7}),
+    ("inertia_coupling", {"fraction": 1.0}),
+    ("rate_damping", {"damping_n_m_s": 3e-5}),
+    ("quadratic_rate_damping", {"damping_n_m_s2": 4e-5}),
+    ("yaw_damping", {"damping_n_m_s": 1e-5}),
+    ("centre_of_gravity_offset", {"x_m": 2e-3}),
+    ("centre_of_gravity_offset", {"y_m": -2e-3}),
+    ("rotor_mismatch", {"rotor": 2, "excess": 0.1}),
+    ("rotor_mismatch", {"rotor": 1, "excess": -0.1}),
+    ("motor_dead_voltage", {"voltage_mv": 350.0}),
+    ("motor_braking_asymmetry", {"factor": 0.4}),
+    ("supply_sag", {"resistance_ohm": 0.35}),
+    ("battery_reading_lag", {"time_constant_s": 0.6}),
+    ("gyro_bias", {"x_dps": 3.0, "y_dps": -3.0, "z_dps": 3.0}),
+    ("accelerometer_bias", {"x_g": 0.08, "y_g": -0.08}),
+    ("imu_misalignment", {"roll_deg": 7.0}),
+    ("imu_misalignment", {"pitch_deg": -7.0}),
+    ("imu_misalignment", {"yaw_deg": 7.0}),
+    ("rotor_drag", {"drag_n_s_m": 0.02}),
+    ("velocity_moment", {"moment": 30.0}),
+    ("climb_inflow", {"loss_g_per_m_s": 0.05}),
+    ("imu_lever_arm", {"x_m": 6e-3}),
+    ("ground_effect", {"height_m": 0.15}),
+    ("attitude_filter_lean", {}),
+    ("slung_load", {}),
+    ("cracked_arm", {}),
+    ("bent_propeller", {}),
+    ("side_gust", {}),
+]
+
+
+@pytest.mark.parametrize("plant", ["faithful", "reduced"])
+def test_with_the_gains_of_the_documentation_every_effect_flies_at_its_largest(plant):
+    block = DOCUMENTATION.read_text().split("```toml\n")[1].split("```")[0]
+    gains = tomllib.loads(block)
+    for name, parameters in LARGEST:
+        stand_in = StandIn(
+            StandInSettings(
+                plant=plant, effects={name: parameters}, gains=gains, truth=True, copies=1
+            )
+        )
+        stand_in.advance(30.0)
+        truth = stand_in.truth()[4000:]
+        _, x, y, _ = truth["quaternion"].T
+        tilt_deg = np.degrees(np.arccos(1 - 2 * (x * x + y * y)))
+        case = (name, parameters)
+        assert tilt_deg.max() < 30, case
+        assert np.abs(truth["rate_rad_s"][:, :2]).max() < 4.0, case
+        assert np.abs(truth["position_m"][:, :2]).max() < 10.0, case
+        assert truth["position_m"][:, 2].min() > 0.3, case
