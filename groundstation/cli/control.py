@@ -13,7 +13,13 @@ from groundstation.service.config import socket_path
 
 JSON_OPTION = typer.Option(False, "--json", help="Print JSON for programs.")
 
-record = typer.Typer(help="Start or stop a recording of the running daemon.", no_args_is_help=True)
+record = typer.Typer(
+    help=(
+        "Start or stop a recording of the running daemon."
+        "\n\nExample: [bold]groundstation record stop[/bold]"
+    ),
+    no_args_is_help=True,
+)
 
 
 def add_commands(app: typer.Typer) -> None:

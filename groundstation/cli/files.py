@@ -64,6 +64,8 @@ def convert(
     with _progress(f"writing {target}"):
         writer(recording, target)
     typer.echo(f"{target}: {len(recording.samples)} samples")
+    if target.suffix.lower() == ".csv" and not physical:
+        _warn_of_zeros(recording)
     _raise_damage(recording)
 
 
@@ -123,6 +125,20 @@ def _writer(target: Path, physical: bool) -> Callable[[Recording, Path], None]:
     raise BadInputError(f"{target}: the name must end in .mcap, .csv or .rrd")
 
 
+def _warn_of_zeros(recording: Recording) -> None:
+    """The packet has a place for every channel, and no value that means 'not known'."""
+    from groundstation.recording.channels import CHANNELS
+
+    carried = [channel for channel in CHANNELS if channel.field != "rotor_rev_s"]
+    missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
+    if missing:
+        typer.echo(
+            f"groundstation: {recording.path} has no {', '.join(missing)}: written as 0; "
+            "--physical leaves them out",
+            err=True,
+        )
+
+
 def _raise_damage(recording: Recording) -> None:
     """What was good has been used by now; the exit status tells that something was not."""
     if recording.damage:
@@ -144,6 +160,13 @@ def _progress(text: str) -> Iterator[None]:
         yield
 
 
+def _packets_line(report: dict[str, Any]) -> str:
+    line = f"{report['raw_packets']}, {report['duplicates']} of them copies"
+    for name in ("malformed", "damaged"):
+        line += f", {report[name]} {name}" * bool(report[name])
+    return line
+
+
 def _print_report(report: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -154,7 +177,7 @@ def _print_report(report: dict[str, Any]) -> None:
         ("verdict", report["verdict"]),
         ("span", f"{report['duration_s']:.3f} s, {report['segments']} segment(s)"),
         ("samples", f"{report['samples']} at {report['rate_hz']:.2f} Hz"),
-        ("raw packets", f"{report['raw_packets']}, {report['duplicates']} of them copies"),
+        ("raw packets", _packets_line(report)),
         ("lost", f"{report['lost_samples']} samples in {report['gap_count']} gap(s)"),
     ]
     facts += [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import sys
 import time
 from collections.abc import MutableMapping
@@ -13,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import Log, say
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
     from groundstation.service.config import Config
@@ -38,7 +39,9 @@ def run(
     ),
     recordings: Path | None = typer.Option(None, help="Folder for recordings."),
     record: bool | None = typer.Option(None, "--record/--no-record", help="Record at once."),
-    viewer: str | None = typer.Option(None, help="off, serve (browser) or spawn (window)."),
+    viewer: ViewerMode | None = typer.Option(
+        None, help="Live view: off, serve (browser) or spawn (window)."
+    ),
     viewer_port: int | None = typer.Option(None, min=1, max=65535, help="rerun's own TCP port."),
     web_port: int | None = typer.Option(None, min=1, max=65535, help="TCP port for the browser."),
     speed: str | None = typer.Option(
@@ -54,10 +57,10 @@ def run(
     settings = _override(
         load_config(config),
         {
-            "link": {"name": link, "speed": _speed(speed)},
+            "link": {"name": _link(link), "speed": _speed(speed)},
             "recording": {"folder": None if recordings is None else str(recordings),
                           "enabled": record},
-            "viewer": {"mode": viewer, "port": viewer_port, "web_port": web_port},
+            "viewer": {"mode": viewer and viewer.value, "port": viewer_port, "web_port": web_port},
             "command": command,
         },
     )  # fmt: skip
@@ -74,25 +77,27 @@ async def _serve(config: Config, duration_s: float | None) -> None:
     station = Station(config)
     control = ControlSocket(socket_path(config.control.socket))
     server = ControlServer(station, control)
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, station.stop)
     tasks: list[asyncio.Task[None]] = []
-    try:
-        await server.start()
-        _introduce(station, control.path)
-        if duration_s is not None:
-            tasks.append(asyncio.create_task(_stop_after(station, duration_s), name="timer"))
-        if live:
-            tasks.append(asyncio.create_task(_display(station), name="display"))
-        await station.run()
-    finally:
-        for task in tasks:
-            task.cancel()
-        if live:
-            say("\r\033[K", end="")
-        await server.stop()
-        control.close()
+
+    def last_resort() -> None:
+        station.sessions.wait()
+        control.path.unlink(missing_ok=True)
+
+    with stopped_by_signals(station.stop, last_resort):
+        try:
+            await server.start()
+            if duration_s is not None:
+                tasks.append(asyncio.create_task(_stop_after(station, duration_s), name="timer"))
+            if live:
+                tasks.append(asyncio.create_task(_display(station), name="display"))
+            await station.run(announce=lambda: _introduce(station, control.path))
+        finally:
+            for task in tasks:
+                task.cancel()
+            if live:
+                say("\r\033[K", end="")
+            await server.stop()
+            control.close()
     _conclude(station)
 
 
@@ -116,8 +121,13 @@ def _conclude(station: Station) -> None:
             f"received {statistics.samples} samples, {statistics.lost} lost, "
             f"{statistics.packets} packets; recording: {recording['file'] or 'none'}"
         )
-    if station.sessions.fault:
-        raise GroundStationError(f"the recording is not complete: {station.sessions.fault}")
+    faults = station.sessions.faults
+    if faults:
+        last = recording["file"]
+        whole = last and Path(last) not in faults and recording["state"] == "finished"
+        raise GroundStationError(
+            f"not complete: {'; '.join(faults.values())}" + (f" ({last} is complete)" * bool(whole))
+        )
     if station.damaged:
         raise GroundStationError(
             f"{station.link.name} is damaged; what could be read was delivered "
@@ -184,5 +194,16 @@ def _speed(text: str | None) -> float | str | None:
     if text is None or text == "max":
         return text
     with contextlib.suppress(ValueError):
-        return float(text)
-    raise BadInputError(f"--speed {text}: give a number or 'max'")
+        if float(text) > 0:
+            return float(text)
+    raise typer.BadParameter(f"{text!r}: give a number above 0, or max", param_hint="'--speed'")
+
+
+def _link(name: str | None) -> str | None:
+    from groundstation.links.factory import split_name
+
+    try:
+        split_name(name or "stand-in")
+    except BadInputError as error:
+        raise typer.BadParameter(str(error), param_hint="'--link'") from error
+    return name

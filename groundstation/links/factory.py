@@ -12,6 +12,7 @@ from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
 
 KINDS = "stand-in, replay:FILE, usb, serial:PORT"
+_TAKES_ARGUMENT = {"stand-in": False, "replay": True, "usb": False, "serial": True}
 
 
 def make_link(
@@ -28,24 +29,30 @@ def make_link(
     usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual ones.
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
     """
-    kind, _, argument = name.partition(":")
-    if kind == "stand-in" and not argument:
+    kind, argument = split_name(name)
+    if kind == "stand-in":
         from groundstation.links.stand_in import StandInLink
 
         return StandInLink(stand_in, speed=speed, crtp=_udp_address(command), clock=clock)
-    if kind == "replay" and argument:
+    if kind == "replay":
         from groundstation.links.replay import ReplayLink
 
         return ReplayLink(Path(argument), speed=speed, clock=clock)
-    if kind == "usb" and not argument:
+    if kind == "usb":
         from groundstation.links.usb import UsbLink
 
         return UsbLink(**(usb or {}), clock=clock)
-    if kind == "serial" and argument:
-        from groundstation.links.serial import SerialLink
+    from groundstation.links.serial import SerialLink
 
-        return SerialLink(argument, clock=clock)
-    raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
+    return SerialLink(argument, clock=clock)
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Kind of link and what follows its colon. Raises BadInputError for no known link."""
+    kind, colon, argument = name.partition(":")
+    if _TAKES_ARGUMENT.get(kind) != bool(colon) or bool(colon) != bool(argument):
+        raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
+    return kind, argument
 
 
 def make_command_link(uri: str, *, clock: HostClock | None = None) -> CommandLink:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.device_time import SYNTHESISED
 from groundstation.recording.session import Recording
+from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
     GYRO_RAD_S,
@@ -47,7 +48,8 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
 
     Keys: file, kind, link, samples, raw_packets (0 where the source had none), duration_s,
     rate_hz (samples over duration), period_s, lost_samples, gaps (start_s, duration_s, lost,
-    segment; the 100 longest), gap_count, duplicates (packets that are copies),
+    segment; the 100 longest), gap_count, duplicates (further copies of samples), malformed
+    (no telemetry packets), damaged (contradicting the other copies, or fitting nowhere),
     repeated_times, segments, clipping (channel -> samples), jitter (device_step_s,
     host_arrival_s), battery, ranges (channel -> unit, min, max, mean), missing (channels
     without data), tables (name -> rows), damage, verdict.
@@ -69,7 +71,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "lost_samples": int(steps.lost.sum()),
         "gaps": _gaps(samples, steps),
         "gap_count": int(np.count_nonzero(steps.lost)),
-        "duplicates": max(0, raw_packets - len(samples)),
+        **_packet_counts(recording),
         "repeated_times": int(np.count_nonzero(steps.step_s == 0)),
         "segments": segments,
         "clipping": _clipping(samples),
@@ -192,6 +194,22 @@ def _raw_packets(recording: Recording) -> int:
     if recording.raw is not None:
         return len(recording.raw)
     return int(recording.samples.copies.sum()) if recording.kind == "mcap" else 0
+
+
+def _packet_counts(recording: Recording) -> dict[str, int]:
+    """What became of the packets that are no sample: the decoder says so again."""
+    raw = recording.raw
+    if recording.kind != "mcap":  # one made packet a sample, where there are any
+        return {"duplicates": 0, "malformed": 0, "damaged": 0}
+    if raw is None:
+        copies = recording.samples.copies.astype(np.int64)
+        return {"duplicates": int((copies - 1).clip(0).sum()), "malformed": 0, "damaged": 0}
+    counts = decode_all(raw)[1]
+    return {
+        "duplicates": counts.duplicates,
+        "malformed": counts.malformed,
+        "damaged": counts.damaged + counts.disagreeing,
+    }
 
 
 def _clipping(samples: SampleBatch) -> dict[str, int]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import enum
 import importlib.util
 import os
 import shlex
@@ -31,6 +30,7 @@ from groundstation.viewer.messages import (
     StatisticsMessage,
     decode_acknowledgement,
 )
+from groundstation.viewer.mode import ViewerMode
 from groundstation.viewer.outbox import Outbox
 
 SEND_PERIOD_S = 0.08
@@ -46,15 +46,6 @@ SERVER_MEMORY = "128MB"
 WINDOW_MEMORY = "2GB"
 
 _SERVER_SILENT = 3  # feeder.SERVER_SILENT; importing that module would load rerun
-
-
-class ViewerMode(enum.StrEnum):
-    OFF = "off"
-    """No viewer."""
-    SERVE = "serve"
-    """Serve the live view on this machine, for a browser or a rerun viewer."""
-    SPAWN = "spawn"
-    """Serve, and open a rerun window."""
 
 
 class Viewer:

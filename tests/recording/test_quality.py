@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flights import flight
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from packet_recordings import packet_recording, packet_recordings
@@ -13,7 +14,7 @@ from groundstation.recording.microsd import read_microsd
 from groundstation.recording.quality import GAPS_LISTED, inspect_recording
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import SAMPLE_TICKS, TICK_S
-from groundstation.telemetry.samples import empty_samples
+from groundstation.telemetry.samples import RawBatch, empty_samples
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 DESIGN_KEYS = {
@@ -128,14 +129,24 @@ def test_only_the_longest_gaps_are_listed_but_all_are_counted():
 
 
 def test_packets_that_are_copies_are_duplicates():
-    recording = packet_recording(grid(np.arange(10)))
-    raw = replace(
-        recording.raw,
-        packets=np.repeat(recording.raw.packets, 4, axis=0),
-        host_time_ns=np.repeat(recording.raw.host_time_ns, 4),
-    )
-    report = inspect_recording(replace(recording, raw=raw))
-    assert (report["raw_packets"], report["duplicates"]) == (40, 30)
+    raw, samples = flight(0, 40)
+    report = inspect_recording(Recording(Path("made.mcap"), "mcap", samples, raw))
+    assert (report["raw_packets"], report["duplicates"]) == (160, 120)
+    assert report["malformed"] == report["damaged"] == 0
+    unasked = inspect_recording(Recording(Path("made.mcap"), "mcap", samples))
+    assert (unasked["raw_packets"], unasked["duplicates"]) == (160, 120)
+
+
+def test_garbage_and_damaged_copies_are_no_duplicates():
+    raw, samples = flight(0, 100)
+    packets = raw.packets.copy()
+    packets[[7, 90, 201]] = 0xFF  # nothing of ours
+    packets[[50, 330], 20] ^= 1  # a copy that contradicts three others
+    damaged = RawBatch(packets, raw.host_time_ns)
+    report = inspect_recording(Recording(Path("made.mcap"), "mcap", samples, damaged))
+    assert report["malformed"] == 3
+    assert report["damaged"] == 2
+    assert report["duplicates"] == 400 - 3 - 2 - 100
 
 
 def test_copies_stand_for_packets_that_were_not_loaded():

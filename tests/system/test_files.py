@@ -9,7 +9,7 @@ import typer
 from installed import RECORDINGS, groundstation, inspected, require_failure
 
 from groundstation import __version__
-from groundstation.cli.main import app
+from groundstation.cli.app import app
 from groundstation.recording.open_recording import open_recording
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"

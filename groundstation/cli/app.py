@@ -1,0 +1,39 @@
+"""The ``groundstation`` command line: every command, put together."""
+
+from __future__ import annotations
+
+import typer
+
+from groundstation import __version__
+from groundstation.cli import control, devices, export, files, identify, install, run
+
+app = typer.Typer(
+    name="groundstation",
+    help=(
+        "Ground station for the Crazyflie quadrotor: receive, record, view and replay telemetry."
+        "\n\nExample: [bold]groundstation run --link stand-in --viewer serve[/bold]"
+    ),
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+
+def _show_version(value: bool) -> None:
+    if value:
+        typer.echo(f"groundstation {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_show_version, is_eager=True, help="Show the version."
+    ),
+) -> None:
+    pass
+
+
+for module in (run, control, files, devices, export, identify, install):
+    module.add_commands(app)
