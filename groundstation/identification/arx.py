@@ -15,7 +15,6 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.model import ArxAxis
 from groundstation.dynamics.vehicle import MotorConstants
@@ -33,7 +32,7 @@ PARSIMONY = 0.05
 """A simpler model wins unless a larger one is better by this share on validation data."""
 LEAST_ROWS = 300
 SETTLE_S = 0.6
-STEP_S = 0.3
+STEP_S, SETTLE_STEP_S = 0.3, 0.02
 
 
 class Criterion(StrEnum):
@@ -201,9 +200,12 @@ def plausible_step(axis: ArxAxis) -> bool:
     After the delay and 20 ms in which fast poles may settle, the response must be positive and
     must not turn back within 0.3 s, as that of a free body does not.
     """
-    rows = axis.nk + round(STEP_S / axis.ts)
-    response = simulate_arx(axis, np.ones(rows))[axis.nk + round(0.02 / axis.ts) :]
-    return bool(np.all(response > 0) and np.all(np.diff(response) >= 0))
+    from groundstation.identification.arx_kernel import step_turns_one_way
+
+    a = np.zeros(MOST_POLES)
+    a[: axis.na] = axis.a
+    settled, rows = round(SETTLE_STEP_S / axis.ts), round(STEP_S / axis.ts)
+    return bool(step_turns_one_way(a, np.array(axis.b), axis.nk, settled, rows))
 
 
 def to_control(axis: ArxAxis) -> object:
@@ -260,10 +262,13 @@ def _solve(gram: Array, rows: int, order: NDArray[np.int64]) -> tuple[Array, Arr
     """Coefficients (a then b) of one structure, their standard errors, the one-step RMS error."""
     na, nb, nk = (int(value) for value in order)
     inputs = 1 + MOST_POLES + nk
-    chosen = np.r_[1 : na + 1, inputs : inputs + nb]
-    scale = np.sqrt(np.diag(gram)[chosen])
-    matrix = gram[np.ix_(chosen, chosen)] / np.outer(scale, scale)
-    inverse = np.linalg.pinv(matrix, rcond=1e-14, hermitian=True)
+    chosen = np.array([*range(1, na + 1), *range(inputs, inputs + nb)])
+    scale = np.sqrt(gram[chosen, chosen])
+    matrix = gram[chosen[:, None], chosen] / (scale[:, None] * scale)
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:  # inputs that are copies of each other
+        inverse = np.linalg.pinv(matrix, hermitian=True)
     theta = inverse @ (gram[chosen, 0] / scale)
     left = max(float(gram[0, 0] - theta @ (gram[chosen, 0] / scale)), 0.0)
     variance = left / max(rows - len(chosen), 1)
@@ -273,7 +278,7 @@ def _solve(gram: Array, rows: int, order: NDArray[np.int64]) -> tuple[Array, Arr
     back = back / scale
     coefficients = back @ theta
     coefficients[0] -= 1.0
-    stderr = np.sqrt(variance * np.einsum("ij,jk,ik->i", back, inverse, back))
+    stderr = np.sqrt(variance * np.maximum(((back @ inverse) * back).sum(axis=1), 0.0))
     return coefficients, stderr, float(np.sqrt(left / rows))
 
 

@@ -55,3 +55,19 @@ def steps_ahead(
                 y += b[j] * inputs[k - nk - j]
             y4, y3, y2, y1 = y3, y2, y1, y
         predicted[t] = y
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def step_turns_one_way(a: Any, b: Any, nk: int, settled: int, rows: int) -> bool:
+    """Whether the response to a unit step stays positive and never falls, from row ``nk`` +
+    ``settled`` on for ``rows`` rows after the delay. a: (4,), b: (nb,)."""
+    y1, y2, y3, y4 = 0.0, 0.0, 0.0, 0.0
+    drive = 0.0
+    for k in range(rows):
+        if k < len(b):
+            drive += b[k]
+        y = drive - (a[0] * y1 + a[1] * y2 + a[2] * y3 + a[3] * y4)
+        if k >= settled and (y <= 0.0 or (k > settled and y < y1)):
+            return False
+        y4, y3, y2, y1 = y3, y2, y1, y
+    return True

@@ -225,21 +225,21 @@ def _minimise(
 ) -> tuple[Array, Array]:
     """Levenberg-Marquardt; returns the minimum and J^T W J there."""
     damping = 1e-4
+    tolerance = 1e-4 if hold_delay else 1e-8  # the first round only finds the readings' weights
     free = np.array([not (hold_delay and i == DELAY) for i in range(len(theta))])
     normal, gradient, cost = _system(runs, weights, theta)
     for _ in range(STEPS):
         damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
         step = np.zeros(len(theta))
         step[free] = np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
+        if float(step @ gradient) <= tolerance * cost:
+            break
         trial = theta + step
         new_normal, new_gradient, new_cost = _system(runs, weights, trial)
         within = abs(trial[DELAY]) <= LONGEST_DELAY_S
         if within and np.isfinite(new_cost) and new_cost <= cost:
-            gained = cost - new_cost
             theta, normal, gradient, cost = trial, new_normal, new_gradient, new_cost
             damping = max(damping * 0.1, 1e-12)
-            if gained <= 1e-10 * cost:
-                break
         else:
             damping *= 10.0
             if damping > 1e9:
