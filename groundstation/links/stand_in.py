@@ -19,7 +19,7 @@ BATCH_S = 0.01
 """Simulated time per batch."""
 FAST_BATCH_S = 5.0
 ANNOUNCE_S = 2.0
-"""Powering on takes longer than this only where the flight model has to be compiled."""
+"""Powering on takes longer than this where the flight model has to be compiled."""
 CATCH_UP_S = 2.0
 """A process stalled for longer than this has missed what the craft sent meanwhile."""
 
@@ -64,7 +64,10 @@ class StandInLink(Link):
 
     async def _open(self) -> None:
         announcement = asyncio.get_running_loop().call_later(
-            ANNOUNCE_S, self.emit, "compiling", "compiling the flight model, once per machine"
+            ANNOUNCE_S,
+            self.emit,
+            "preparing",
+            "preparing the flight model: compiled once per machine",
         )
         try:
             self._craft = await in_background(self._power_on)

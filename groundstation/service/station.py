@@ -38,7 +38,7 @@ from groundstation.viewer.viewer import Viewer, ViewerMode
 EVENTS_KEPT = 1000
 STATISTICS_S = 1.0
 ANNOUNCE_S = 2.0
-"""Preparing takes longer than this only where something has to be compiled."""
+"""Preparing takes longer than this where something has to be compiled."""
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 
 
@@ -295,7 +295,7 @@ class Station:
             return False
         announcement = asyncio.get_running_loop().call_later(
             ANNOUNCE_S,
-            partial(self.note, "compiling", "compiling the decoder, once per machine",
+            partial(self.note, "preparing", "preparing the decoder: compiled once per machine",
                     source="decoder"),
         )  # fmt: skip
         try:
