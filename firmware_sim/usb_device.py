@@ -203,6 +203,11 @@ class UsbBridge:
                 return True
         return False
 
+    def fly_on(self, now_s: float) -> None:
+        """Time passes while nobody listens: the craft goes on, its packets are gone."""
+        if self._stream_start is None:
+            self._fly(self._frame(now_s))
+
     def due_s(self) -> float | None:
         """When something will next be complete."""
         if not self._queue or self._epoch_s is None:
@@ -312,12 +317,13 @@ class UsbBridge:
         return math.floor((now_s - self._epoch_s) / FRAME_S)
 
     def _fly(self, end: int) -> None:
-        """Have the packets of every frame before ``end`` at hand; of the stream only."""
+        """Have the packets of every frame before ``end`` at hand; of a stream only."""
         if end <= self._flown:
             return
         packets, arrival_s = self._flight.advance((end + 0.5) * FRAME_S)
         self._flown = end
+        if self._stream_start is None:
+            return
         frames = np.rint(arrival_s / FRAME_S).astype(np.int64) - 1
-        wanted = self._next if self._stream_start is None else self._stream_start
-        for row in np.flatnonzero(frames >= wanted):
+        for row in np.flatnonzero(frames >= self._stream_start):
             self._frames.setdefault(int(frames[row]), []).append(packets[row].tobytes())

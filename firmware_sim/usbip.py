@@ -23,6 +23,7 @@ BUS_ID = "1-1"
 DEVICE_ID = 1 << 16 | 2
 PORT = 3240
 VERSION = 0x0111
+IDLE_S = 0.05
 
 _SUBMIT, _UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _HEADER_BYTES = 48
@@ -110,6 +111,22 @@ def _reply(
     )
 
 
+def run(bridge: UsbBridge, where: str, stop: socket.socket) -> None:
+    """``vhci``: plug the bridge into this machine until the kernel lets go of it. ``HOST:PORT``:
+    export it there. Returns when ``stop`` becomes readable.
+
+    Raises ValueError or OSError when it cannot be done.
+    """
+    if where == "vhci":
+        serve(bridge, attach(), stop)
+        return
+    host, _, port = where.rpartition(":")
+    if not host or not port.isdigit() or int(port) > 65535:
+        raise ValueError(f"--usb {where}: give vhci, or HOST:PORT (usually 127.0.0.1:{PORT})")
+    with socket.create_server((host, int(port))) as listener:
+        serve_tcp(bridge, listener, stop)
+
+
 def serve(bridge: UsbBridge, connection: socket.socket, stop: socket.socket) -> None:
     """Answer one host until it leaves, the bridge is unplugged or ``stop`` becomes readable."""
     bridge.plug()
@@ -117,7 +134,7 @@ def serve(bridge: UsbBridge, connection: socket.socket, stop: socket.socket) -> 
     with connection:
         while bridge.plugged:
             due_s = bridge.due_s()
-            wait_s = None if due_s is None else max(0.0, due_s - time.monotonic())
+            wait_s = IDLE_S if due_s is None else max(0.0, due_s - time.monotonic())
             ready, _, _ = select.select([connection, stop], [], [], wait_s)
             if stop in ready:
                 return
@@ -128,6 +145,7 @@ def serve(bridge: UsbBridge, connection: socket.socket, stop: socket.socket) -> 
                         return
                     connection.sendall(session.take(data, time.monotonic()))
                 connection.sendall(session.complete(time.monotonic()))
+                bridge.fly_on(time.monotonic())
             except ConnectionError:
                 return
 
@@ -165,9 +183,12 @@ def _free_port() -> int:
 def serve_tcp(bridge: UsbBridge, listener: socket.socket, stop: socket.socket) -> None:
     """Export the bridge to ``usbip attach -r HOST -b 1-1``, one host after the other."""
     while True:
-        ready, _, _ = select.select([listener, stop], [], [])
+        ready, _, _ = select.select([listener, stop], [], [], IDLE_S)
         if stop in ready:
             return
+        bridge.fly_on(time.monotonic())
+        if not ready:
+            continue
         connection, _ = listener.accept()
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.settimeout(5.0)  # for the greeting; a host that says nothing blocks no other

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_sim.__main__ import main
 from firmware_sim.usb_device import Fault, FaultKind, UsbBridge
 from firmware_sim.usbip import UsbIpSession, serve_tcp
 from groundstation.telemetry.bridge_usb import (
@@ -305,3 +306,31 @@ def test_a_client_that_speaks_nonsense_is_dropped_and_the_next_is_served(server)
     with socket.create_connection(server, 10) as client:
         client.sendall(struct.pack(">HHI", 0x0111, 0x8005, 0))
         assert struct.unpack_from(">HH", received(client, 328)) == (0x0111, 0x0005)
+
+
+def test_the_craft_flies_on_while_nobody_listens():
+    bridge = UsbBridge(Numbered())
+    for second in range(60):
+        bridge.fly_on(NOW_S + second)
+    assert bridge._flight.frame == 59_000
+    bridge.control(struct.pack("<BBHHH", 0, 9, 1, 0, 0), NOW_S + 60)
+    bridge.control(struct.pack("<BBHHH", 1, 11, ALTERNATE, 0, 0), NOW_S + 60)
+    bridge.submit(1, FRAMES, NOW_S + 60.0005)
+    (done,) = bridge.complete(NOW_S + 60.1)
+    assert done.packets[0] == full(60_001)
+    assert bridge.counts.lost == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "mentions"),
+    [
+        (["--usb", "somewhere"], "vhci, or HOST:PORT"),
+        (["--usb", "127.0.0.1:70000"], "vhci, or HOST:PORT"),
+        (["--usb", "vhci", "--fast", "--for", "1"], "leave --fast"),
+    ],
+)
+def test_a_wrong_place_for_the_bridge_is_refused_in_one_line(arguments, mentions, capsys):
+    assert main(arguments) == 1
+    told = capsys.readouterr().err
+    assert mentions in told
+    assert told.count("\n") == 1
