@@ -45,7 +45,8 @@ def test_status_for_people_says_the_same(daemon):
 
 def test_events_are_told_oldest_first(daemon):
     events = answer(daemon, "events")
-    assert [event["kind"] for event in events[:2]] == ["opening", "streaming"]
+    kinds = [event["kind"] for event in events if event["kind"] != "preparing"]  # a slow machine
+    assert kinds[:2] == ["opening", "streaming"]
     stamps = [event["time_ns"] for event in events]
     assert stamps == sorted(stamps)
     shown = tell(daemon, "events")

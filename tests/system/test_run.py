@@ -159,11 +159,7 @@ def test_only_its_owner_can_reach_the_socket(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "mentions"),
     [
-        (("--link", "teleport"), "teleport"),
         (("--link", "replay:nowhere.mcap"), "nowhere.mcap"),
-        (("--speed", "fast"), "--speed fast"),
-        (("--speed", "0"), "greater than 0"),
-        (("--viewer", "hologram"), "viewer.mode"),
         (("--config", "nowhere.toml"), "nowhere.toml"),
     ],
 )
@@ -177,8 +173,32 @@ def test_what_it_cannot_do_is_one_line_and_no_file(tmp_path, arguments, mentions
 
 
 @pytest.mark.parametrize(
+    ("arguments", "mentions"),
+    [
+        (("--link", "teleport"), ("--link", "stand-in", "replay:FILE")),
+        (("--link", "replay:"), ("--link", "replay:FILE")),
+        (("--speed", "fast"), ("--speed", "max")),
+        (("--speed", "0"), ("--speed", "max")),
+        (("--viewer", "hologram"), ("--viewer", "off", "serve", "spawn")),
+    ],
+)
+def test_a_mistyped_option_is_a_usage_error_that_lists_what_is_valid(tmp_path, arguments, mentions):
+    with Daemon(tmp_path, *arguments) as daemon:
+        assert daemon.wait() == 2
+        assert [word for word in mentions if word not in daemon.stderr] == []
+        assert "Traceback" not in daemon.stderr
+        assert daemon.files() == []
+
+
+@pytest.mark.parametrize(
     ("text", "mentions"),
     [
+        ("vehicle = 'banana'\n", "vehicle"),
+        ("[recording]\nlow_space_mb = -1\n", "recording.low_space_mb"),
+        ("[recording]\nlow_space_mb = nan\n", "recording.low_space_mb"),
+        ("[recording]\nfolder = ''\n", "recording.folder"),
+        ("[viewer]\nport = 99999\n", "viewer.port"),
+        ("[viewer]\nmode = 'serve'\nport = 9090\n", "viewer.web_port"),
         ("[link]\nnmae = 'stand-in'\n", "nmae"),
         ("[link\n", "config.toml"),
         ("[stand_in]\nprogram = 'loop the loop'\n", "loop the loop"),
