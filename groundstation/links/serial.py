@@ -143,14 +143,13 @@ class SerialLink(Link):
         if now == self._reported or time.monotonic() < self._report_due_s:
             return
         damaged, dropped = now[0] - self._reported[0], now[1] - self._reported[1]
-        if unreadable:
+        if unreadable and not self._reported[2]:
             text = (
                 f"{self._received_bytes} bytes at {self.baud} baud hold no telemetry frame: "
-                f"check the bridge's baud rate and framing"
+                "check the bridge's baud rate and framing"
             )
-            if not self._reported[2]:
-                self.emit("fault", text, received_bytes=self._received_bytes)
-        elif damaged:
+            self.emit("fault", text, received_bytes=self._received_bytes)
+        if damaged and not unreadable:
             self.emit("fault", f"{damaged} damaged frames skipped", damaged=self.damaged)
         if dropped:
             text = f"{dropped} bytes dropped: they were not read in time"
@@ -168,9 +167,12 @@ class SerialLink(Link):
 def permission_advice(port: str) -> str:
     """What to do about a port that exists and may not be opened."""
     try:
-        group = grp.getgrgid(os.stat(port).st_gid).gr_name
+        owner = os.stat(port).st_gid
+        group = grp.getgrgid(owner).gr_name
     except (OSError, KeyError):
-        group = "dialout"
+        owner, group = 0, "root"
+    if owner == 0:
+        return "permission denied; only root may use it: change its group by a udev rule"
     return (
         f"permission denied; join its group with 'sudo usermod -aG {group} $USER' and log in again"
     )

@@ -1,6 +1,7 @@
 """The serial link on real pseudo-terminals: the contract, damage, and ports that come and go."""
 
 import asyncio
+import grp
 import os
 import subprocess
 import sys
@@ -360,10 +361,14 @@ def test_a_port_that_another_reader_has_is_refused(line):
     asyncio.run(session())
 
 
-def test_a_port_without_permission_tells_which_group_to_join(line):
+@pytest.mark.parametrize(
+    ("group", "advice"), [(1, "sudo usermod -aG {name} $USER"), (0, "udev rule")]
+)
+def test_a_port_without_permission_tells_what_to_do(line, group, advice):
     if os.geteuid() != 0:
         pytest.skip("only root can become a user without permission")
     os.chmod(line.path, 0o600)
+    os.chown(line.path, -1, group)
     program = (
         "import asyncio, sys\n"
         "from groundstation.links.serial import SerialLink\n"
@@ -378,7 +383,7 @@ def test_a_port_without_permission_tells_which_group_to_join(line):
     last = result.stderr.strip().splitlines()[-1]
     assert "LinkError" in last
     assert "permission denied" in last
-    assert "sudo usermod -aG" in last
+    assert advice.format(name=grp.getgrgid(group).gr_name) in last
 
 
 @pytest.mark.parametrize(

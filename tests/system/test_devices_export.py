@@ -89,6 +89,7 @@ def test_a_port_without_permission_tells_which_group_to_join(terminal):
     if os.geteuid() != 0:
         pytest.skip("only root can become a user without permission")
     os.chmod(terminal, 0o600)
+    os.chown(terminal, -1, 1)
     program = (
         "import os, sys\n"
         "from groundstation.cli.devices import port_row\n"
