@@ -182,6 +182,9 @@ async def _fly(
     craft: StandIn, options: argparse.Namespace, line: SerialPort | None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Advance until the time is up or Ctrl-C; packets are kept only if they will be written."""
+    stopped = asyncio.Event()
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(sign, stopped.set)
     server = None
     if options.crtp is not None:
         from firmware_sim.crtp_server import CrtpServer
@@ -192,9 +195,6 @@ async def _fly(
         server = CrtpServer(craft, host, int(port))
         await server.start()
         print(f"CRTP on udp://{host}:{server.port}", flush=True)
-    stopped = asyncio.Event()
-    for sign in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(sign, stopped.set)
     end_s = float("inf") if options.seconds is None else options.seconds
     step_s = FAST_STEP_S if options.fast else STEP_S if line is None else SERIAL_STEP_S
     parts: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = [craft.advance(0.0)]
