@@ -10,7 +10,7 @@ import pytest
 from stand_in_flights import recorded
 from typer.testing import CliRunner
 
-from groundstation.cli.main import app
+from groundstation.cli.app import app
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
