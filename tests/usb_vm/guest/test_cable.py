@@ -17,7 +17,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.usb import UsbLink
 
 CYCLES = 100
-QUICK_POLL_S = 0.05
+QUICK_POLL_S = 0.25
 UNPLUG_SEEN_S = 0.1
 REPLUG_STREAMS_S = 2.0
 

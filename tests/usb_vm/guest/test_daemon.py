@@ -92,6 +92,13 @@ class Blocker:
 def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp_path, blocked_s):
     async def session():
         station = station_in(tmp_path)
+        record, seen = station.sessions.raw, []
+
+        def record_and_look(batch):
+            record(batch)
+            seen.append((station.clock(), batch.host_time_ns))
+
+        station.sessions.raw = record_and_look
         running = asyncio.create_task(station.run())
         bridge.plug()
         await until(station, lambda: station.link.state.value == "streaming")
@@ -104,9 +111,10 @@ def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp
         theirs = bridge.counts()
         station.stop()
         await running
-        return share, counts, theirs
+        latency_ns = np.concatenate([now_ns - stamps for now_ns, stamps in seen])
+        return share, counts, theirs, latency_ns * 1e-6
 
-    share, ours, theirs = asyncio.run(session())
+    share, ours, theirs, latency_ms = asyncio.run(session())
     (path,) = tmp_path.glob("*.mcap")
     raw = open_recording(path, raw=True).raw
     sent = RecordedFlight(flight)
@@ -122,6 +130,7 @@ def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp
         "lost": ours.lost,
         "cpu_pct": 100 * share,
         "stamp_spread_ms": float(late_ns.max()) * 1e-6,
+        "latency_ms": [float(np.median(latency_ms)), float(np.percentile(latency_ms, 99))],
     }
     _note(row)
     assert ours.lost == theirs.lost == 0
@@ -156,6 +165,7 @@ def test_device_read_for_comparison_loses_frames(bridge, packets):
             "lost": theirs.dry,
             "cpu_pct": 100 * share,
             "stamp_spread_ms": None,
+            "latency_ms": None,
         }
     )
     assert theirs.dry >= frames // packets - 1
