@@ -1,0 +1,138 @@
+"""How a command ends: one line, the right status, never a traceback."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+
+import pytest
+from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
+
+from groundstation.recording.open_recording import open_recording
+
+EXCERPT = RECORDINGS / "thesis_excerpt.csv"
+
+
+def in_shell(command, folder):
+    return subprocess.run(
+        ["sh", "-c", command.replace("groundstation", str(COMMAND), 1)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "c.sock")},
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize("arguments", ["inspect", "inspect --json", "--help"])
+def test_a_full_device_for_the_output_is_one_line(tmp_path, arguments):
+    file = "" if arguments == "--help" else EXCERPT
+    assert "No space left" in require_failure(
+        in_shell(f"groundstation {arguments} {file} >/dev/full", tmp_path)
+    )
+
+
+@pytest.mark.parametrize("where", [">&-", ">/dev/full", "2>&-", "<&- >&- 2>&-"])
+def test_a_daemon_without_a_place_to_print_records_all_the_same(tmp_path, where):
+    result = in_shell(f"groundstation run --link replay:{EXCERPT} {where}", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "Traceback" not in result.stderr
+    (path,) = (tmp_path / "sessions").glob("*.mcap")
+    recording = open_recording(path)
+    assert (len(recording.samples), recording.damage) == (25, [])
+
+
+def test_names_that_are_not_utf_8_are_shown_recorded_and_answered(tmp_path):
+    name = os.fsdecode(b"fl\xff.csv")
+    shutil.copy(EXCERPT, tmp_path / name)
+    folder = os.fsdecode(b"s\xfe")
+    result = groundstation(
+        "run", "--link", f"replay:{name}", "--recordings", folder, cwd=tmp_path,
+        socket_path=tmp_path / "c.sock",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert r"fl\udcff.csv" in result.stdout
+    (path,) = (tmp_path / folder).glob("*.mcap")
+    recording = open_recording(path)
+    assert len(recording.samples) == 25
+    assert recording.link == r"replay:fl\udcff.csv"
+    assert any("fl" in event["text"] for event in recording.events)
+    assert groundstation("inspect", name, cwd=tmp_path).returncode == 0
+    with Daemon(tmp_path, "--recordings", folder) as daemon:
+        assert daemon.recording()["recording"]["file"].startswith(folder)
+        assert daemon.stop() == 0
+
+
+def test_sighup_finishes_the_recording(tmp_path):
+    """The terminal was closed."""
+    with Daemon(tmp_path) as daemon:
+        daemon.recording(samples=100)
+        assert daemon.stop(signal.SIGHUP) == 0
+        assert open_recording(daemon.only_file()).damage == []
+
+
+def test_an_early_interrupt_is_one_line(tmp_path):
+    """At whatever moment it comes: the program imports for most of this time."""
+    for delay_s in (0.1, 0.2, 0.4, 0.8):
+        process = subprocess.Popen(
+            [COMMAND, "inspect", EXCERPT, "--json"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        time.sleep(delay_s)  # any moment will do
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+        assert process.returncode in (0, 130, -signal.SIGINT)
+        if process.returncode == 130:
+            assert said == "groundstation: interrupted\n"
+
+
+def test_ctrl_c_does_not_wait_for_the_compiler(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "nothing_compiled_yet"))
+    with Daemon(tmp_path) as daemon:
+        daemon.status_when(lambda status: status["link"]["state"] == "opening", "opening")
+        assert daemon.stop() == 0
+        assert "stopped before it was open" in daemon.stderr
+        assert "received 0 samples" in daemon.stdout
+        assert daemon.files() == []
+
+
+def test_the_daemon_answers_while_the_decoder_is_compiled(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "nothing_compiled_yet"))
+    flight = RECORDINGS / "stand_in_flight.mcap"
+    with Daemon(tmp_path, "--link", f"replay:{flight}", "--speed", "max") as daemon:
+        until(lambda: "preparing the decoder" in daemon.stderr, "preparing")
+        assert daemon.status()["link"]["state"] == "closed"
+        assert daemon.process.poll() is None
+        assert daemon.stop() == 0
+
+
+def test_channels_the_packet_csv_cannot_leave_out_are_told(tmp_path):
+    out = tmp_path / "log.csv"
+    result = groundstation("convert", RECORDINGS / "microsd_log16", out)
+    assert result.returncode == 0
+    (line,) = result.stderr.strip().splitlines()
+    assert "has no battery, roll, pitch, yaw: written as 0; --physical" in line
+    quiet = groundstation("convert", RECORDINGS / "microsd_log16", tmp_path / "p.csv", "--physical")
+    assert (quiet.returncode, quiet.stderr) == (0, "")
+    assert groundstation("convert", EXCERPT, tmp_path / "e.csv").stderr == ""
+
+
+@pytest.mark.parametrize("command", [[], ["record"]])
+def test_help_of_a_group_has_an_example(command):
+    assert "Example: groundstation" in groundstation(*command, "--help").stdout
+
+
+def test_a_failed_recording_and_the_good_one_after_it_are_told_apart(tmp_path):
+    with Daemon(tmp_path) as daemon:
+        daemon.recording(samples=100)
+        bad = daemon.only_file()
+        bad.unlink()
+        daemon.status_when(lambda status: status["recording"]["state"] == "failed", "a failure")
+        daemon.ask("POST", "/record/start")
+        daemon.recording(samples=100)
+        assert daemon.stop() == 1
+        assert f"{bad.name}: recording stopped: the file was removed" in daemon.last_line
+        assert f"{daemon.only_file().name} is complete" in daemon.last_line
