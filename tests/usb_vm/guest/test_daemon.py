@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_bridge import RecordedFlight
+from emulated_bridge import EmulatedBridge, RecordedFlight
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
@@ -36,6 +36,24 @@ async def until(station, condition):
 
 def kinds(station):
     return [event.kind for event in station.events]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def loaded(flight, tmp_path_factory):
+    """One short session: modules come from the host, in real time, while time here runs on."""
+
+    async def session():
+        with EmulatedBridge(flight) as bridge:
+            station = station_in(tmp_path_factory.mktemp("loaded"))
+            running = asyncio.create_task(station.run())
+            bridge.plug()
+            await until(station, lambda: station._decoder.counts().samples > 200)
+            station.stop()
+            await running
+        for path in Path(station.config.recording.folder).glob("*.mcap"):
+            inspect_recording(open_recording(path, raw=True))
+
+    asyncio.run(session())
 
 
 def test_absent_at_start_unplugged_and_back_in_one_recording(bridge, tmp_path):
