@@ -299,7 +299,13 @@ class _Problem:
 
 
 def _require_excited(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+    period = stretches[0].run.period_s
     for stretch in stretches:
+        if abs(stretch.run.period_s / period - 1) > 0.01:
+            raise BadInputError(
+                f"{stretch.run.name}: {1 / stretch.run.period_s:.0f} rows a second, others"
+                f" {1 / period:.0f}; the noise model needs one rate: fit them apart"
+            )
         terms = terms_of(stretch, vehicle, 0.0, ())
         for axis, name in enumerate(AXES):
             if np.ptp(terms.base[:, axis]) == 0.0 or np.ptp(terms.acceleration[:, axis]) == 0.0:

@@ -35,6 +35,8 @@ LEAST_SECONDS = 1.0
 WELL_KNOWN = 0.10
 """A parameter less certain than this share of itself is worth a warning."""
 ROUNDS, STEPS = 4, 50
+SETTLED = 1e-3
+"""Rounds end when no more than this share of the readings changes sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +127,11 @@ def fit_motor(runs: Sequence[MotorRun]) -> MotorFit:
         _require_excited(run)
     weights = [np.isfinite(run.rev_s).astype(np.float64) for run in runs]
     theta = np.array([*_first_constants(runs), 0.0, *[_first_speed(run) for run in runs]])
-    rejected = -1
+    rejected, readings = 0, sum(int(np.isfinite(run.rev_s).sum()) for run in runs)
     for attempt in range(ROUNDS):
         theta, normal = _minimise(runs, weights, theta, hold_delay=attempt == 0)
         weights, now_rejected = _weights(runs, theta)
-        if attempt > 0 and now_rejected == rejected:
+        if attempt > 0 and abs(now_rejected - rejected) <= SETTLED * readings:
             break
         rejected = now_rejected
     return _outcome(runs, weights, theta, normal, rejected)
@@ -143,7 +145,7 @@ def simulate_run(run: MotorRun, motor: MotorConstants, delay_s: float = 0.0) -> 
     theta = np.array([motor.a0, motor.a1, motor.a2, delay_s, _first_speed(run)])
     weight = np.isfinite(run.rev_s).astype(np.float64)
     for _ in range(5):
-        normal, gradient, _ = _system([run], [weight], theta)
+        normal, gradient, _ = _system([run], [weight], theta, _buffers([run]))
         if normal[SHARED, SHARED] > 0:
             theta[SHARED] += gradient[SHARED] / normal[SHARED, SHARED]
     model = np.full(len(run.rev_s), np.nan)
@@ -224,10 +226,10 @@ def _minimise(
     runs: Sequence[MotorRun], weights: list[Array], theta: Array, hold_delay: bool
 ) -> tuple[Array, Array]:
     """Levenberg-Marquardt; returns the minimum and J^T W J there."""
-    damping = 1e-4
+    damping, buffers = 1e-6, _buffers(runs)
     tolerance = 1e-4 if hold_delay else 1e-8  # the first round only finds the readings' weights
     free = np.array([not (hold_delay and i == DELAY) for i in range(len(theta))])
-    normal, gradient, cost = _system(runs, weights, theta)
+    normal, gradient, cost = _system(runs, weights, theta, buffers)
     for _ in range(STEPS):
         damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
         step = np.zeros(len(theta))
@@ -235,7 +237,7 @@ def _minimise(
         if float(step @ gradient) <= tolerance * cost:
             break
         trial = theta + step
-        new_normal, new_gradient, new_cost = _system(runs, weights, trial)
+        new_normal, new_gradient, new_cost = _system(runs, weights, trial, buffers)
         within = abs(trial[DELAY]) <= LONGEST_DELAY_S
         if within and np.isfinite(new_cost) and new_cost <= cost:
             theta, normal, gradient, cost = trial, new_normal, new_gradient, new_cost
@@ -247,15 +249,23 @@ def _minimise(
     return theta, normal
 
 
+Buffers = list[tuple[Array, Array]]
+"""Room for each run's speeds and sensitivities, reused from step to step."""
+
+
+def _buffers(runs: Sequence[MotorRun]) -> Buffers:
+    return [(np.empty(len(run.rev_s)), np.empty((len(run.rev_s), 4))) for run in runs]
+
+
 def _system(
-    runs: Sequence[MotorRun], weights: list[Array], theta: Array
+    runs: Sequence[MotorRun], weights: list[Array], theta: Array, buffers: Buffers
 ) -> tuple[Array, Array, float]:
     from groundstation.identification.motor_kernel import motor_normal_equations
 
     normal, gradient = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
     cost = 0.0
     for index, (run, weight) in enumerate(zip(runs, weights, strict=True)):
-        speed, sensitivity = _simulate(run, theta, SHARED + index)
+        speed, sensitivity = _simulate(run, theta, SHARED + index, buffers[index])
         scale = np.ones(len(theta))
         scale[DELAY] = 1 / run.period_s
         part, slope = np.zeros_like(normal), np.zeros_like(gradient)
@@ -303,10 +313,12 @@ def _weights(runs: Sequence[MotorRun], theta: Array) -> tuple[list[Array], int]:
     return weights, rejected
 
 
-def _simulate(run: MotorRun, theta: Array, initial: int) -> tuple[Array, Array]:
+def _simulate(
+    run: MotorRun, theta: Array, initial: int, buffers: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
     from groundstation.identification.motor_kernel import motor_sensitivities
 
-    speed, sensitivity = np.empty(len(run.rev_s)), np.empty((len(run.rev_s), 4))
+    speed, sensitivity = buffers or _buffers([run])[0]
     motor_sensitivities(theta[:3], run.voltage_mv, run.period_s, theta[initial], speed, sensitivity)
     return speed, sensitivity
 

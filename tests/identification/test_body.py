@@ -259,6 +259,13 @@ def test_a_constant_rate_is_refused(reduced):
         fit_body(stretches_of([replace(run, gyro=gyro)], THESIS_MOTOR), VEHICLE)
 
 
+def test_recordings_of_different_rates_are_refused(reduced):
+    slower = [replace(run, period_s=1 / 400, name="slow") for run in reduced]
+    stretches = stretches_of([*reduced, *slower], THESIS_MOTOR)
+    with pytest.raises(BadInputError, match=r"slow: 400 rows a second, others 500"):
+        fit_body(stretches, VEHICLE)
+
+
 def test_an_effect_that_the_fit_does_not_know_is_refused(reduced):
     with pytest.raises(BadInputError, match="the body fit knows dead_time"):
         fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("ground_effect",))
