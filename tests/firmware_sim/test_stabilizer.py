@@ -88,6 +88,14 @@ def test_only_the_upper_limit_of_an_integral_holds():
     assert bounds == pytest.approx([500, -500, 500, -4000])
 
 
+def test_the_angle_integrals_stop_at_20_degree_seconds():
+    _, fw = loops(Quirks())
+    fw["setpoint"] = 25.0, 25.0, 0.0
+    for _ in range(1000):
+        angle_loops(fw[0])
+    assert fw["angle_integral"][0].tolist() == [20.0, 20.0, 0.0]
+
+
 def test_the_most_negative_yaw_output_keeps_its_sign():
     differences = []
     for quirks in (NO_QUIRKS, Quirks(clamp_macro=False)):
