@@ -40,6 +40,8 @@ POLL_S = 0.5
 """How often an absent device is looked for."""
 WATCHDOG_S = 1.0
 """The bus delivers frames even when the craft is off: without any, the transfers are stuck."""
+FRUITLESS_MOST = 3
+"""Restarts of the stream without a frame, after which the device is opened anew."""
 REPORT_S = 1.0
 BLOCKS_KEPT = 1024
 """8 s of frames wait for a reader; older ones are dropped and counted."""
@@ -104,6 +106,7 @@ class UsbLink(Link):
         self._awaited = False
         self._restart: asyncio.Task[None] | None = None
         self._alive_s = 0.0
+        self._fruitless = 0
         self._reported = UsbCounts()
         self._report_due_s = 0.0
 
@@ -122,6 +125,7 @@ class UsbLink(Link):
         self.counts, self._reported = UsbCounts(), UsbCounts()
         self._frames, self._last_stamp_ns = FrameClock(), 0
         self._blocks.clear()
+        self._fruitless = 0
         self._ready = asyncio.Event()
         try:
             self._ring = IsoRing(claimed, ENDPOINT, clock=self.clock, on_block=self._take)
@@ -209,10 +213,13 @@ class UsbLink(Link):
                 await asyncio.shield(self._restart)
                 self._restart = None
                 continue
+            if self._fruitless >= FRUITLESS_MOST:
+                raise LinkLostError(f"USB device {self._wanted} gives no frames; it is opened anew")
             silent_s = time.monotonic() - self._alive_s
             if ring.failed or silent_s > WATCHDOG_S:
                 what = "a transfer failed" if ring.failed else f"no frame for {silent_s:.1f} s"
                 self.emit("fault", f"{what}: the stream is started again")
+                self._fruitless += 1
                 self._restart = asyncio.create_task(self._start_again(ring))
                 continue
             self._ready.clear()
@@ -267,6 +274,7 @@ class UsbLink(Link):
     def _take(self, block: Block) -> None:
         """A transfer's content, from inside the library's callback."""
         self._alive_s = time.monotonic()
+        self._fruitless = 0
         self._blocks.append(block)
         while len(self._blocks) > BLOCKS_KEPT:
             if self._blocks.popleft() is None:

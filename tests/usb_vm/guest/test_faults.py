@@ -111,6 +111,21 @@ def test_a_halted_endpoint_is_cleared_and_the_stream_goes_on(flight):
     require_right_bytes(flight, received)
 
 
+def test_an_endpoint_that_halts_again_and_again_is_given_up(flight):
+    faults = [Fault(at, FaultKind.STALL) for at in range(0, 2000, 8)]
+
+    async def session():
+        with EmulatedBridge(flight, faults) as bridge:
+            link = UsbLink()
+            bridge.plug()
+            await open_when_there(link)
+            with pytest.raises(LinkLostError, match="gives no frames"):
+                await read_for(link, SPAN_S)
+            await link.close()
+
+    asyncio.run(session())
+
+
 def test_frames_that_nobody_asked_for_are_counted_though_nothing_reports_them(flight):
     """A program that is away for longer than its transfers last."""
     received, ours, theirs = stream_with(flight, [], disturb=lambda: time.sleep(0.4))
