@@ -19,6 +19,7 @@ from groundstation.dynamics.model import BodyConstants
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body_terms import (
+    FIT_WITH,
     Stretch,
     Terms,
     require_known,
@@ -35,6 +36,8 @@ SETTLED = 0.05
 """Rounds end when no parameter moves by more than this share of its standard error."""
 TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
 LONGEST_DELAY_S, LARGEST_STEP_S = 0.03, 0.001
+CLEAR = 6.0
+"""Standard errors from which an effect that was left out is worth a word."""
 CROSS_TALK = 0.3
 """Share of an axis's own torque constant that another axis's torque may seem to have."""
 WELL_KNOWN, UNKNOWN = 0.05, 0.5
@@ -176,6 +179,7 @@ class _Problem:
         tied: bool,
     ) -> None:
         self.stretches, self.vehicle, self.effects = stretches, vehicle, effects
+        self.tied = tied
         self.base = (0, 0, 1) if tied else (0, 1, 2)
         """Place of each axis's constant among the parameters."""
         count = max(self.base) + 1
@@ -238,12 +242,13 @@ class _Problem:
         theta: Array,
         noise: Sequence[NoiseModel],
         hold_delay: bool = False,
+        steps: int = STEPS,
     ) -> tuple[Array, Array]:
         """Gauss-Newton for fixed noise models; returns the minimum and J^T W J there."""
         normal = np.zeros((len(theta), len(theta)))
         linear = hold_delay or "dead_time" not in self.effects
         most, direction = LARGEST_STEP_S, 0.0
-        for _ in range(1 if linear else STEPS):
+        for _ in range(1 if linear else steps):
             normal[:], gradient = 0.0, np.zeros(len(theta))
             for terms in self.terms(theta):
                 for axis in range(3):
@@ -286,6 +291,20 @@ class _Problem:
                         f" ({gain[other] / gain[axis]:+.0%}): is the profile's configuration"
                         f" '{self.vehicle.configuration}' the craft's?"
                     )
+        return lines
+
+    def hints(self, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
+        """Effects that were not fitted along although the prediction errors show them clearly."""
+        lines = []
+        for name in FIT_WITH:
+            if name in self.effects:
+                continue
+            wider = _Problem(self.stretches, self.vehicle, (*self.effects, name), self.tied)
+            start = np.append(theta, 0.0)
+            after, normal = wider.minimise(start, noise, steps=1)
+            error = float(np.sqrt(inverse(normal)[-1, -1]))
+            if abs(after[-1]) > CLEAR * error:
+                lines.append(f"the data clearly show {name}; fit it along: --with {name}")
         return lines
 
     def jacobian(self, terms: Terms, theta: Array, axis: int, hold_delay: bool) -> Array:
@@ -392,7 +411,11 @@ def _outcome(
         problem.effects,
         tuple(noise),
         innovation,
-        (*_warnings(estimates), *problem.cross_talk(theta, noise)),
+        (
+            *_warnings(estimates),
+            *problem.cross_talk(theta, noise),
+            *problem.hints(theta, noise),
+        ),
     )
 
 

@@ -66,6 +66,10 @@ def test_on_the_faithful_plant_they_are_within_3_percent_once_known_effects_are_
     assert np.abs(values(fit) / TRUE - 1).max() < 0.03
     plain = fit_body(stretches, VEHICLE)
     assert abs(plain.body.c2 / TRUE[2] - 1) > 0.1  # yaw without what turns it most
+    for effect in ("dead_time", "rotor_acceleration_torque"):
+        hint = f"the data clearly show {effect}; fit it along: --with {effect}"
+        assert hint in plain.warnings
+        assert hint not in fit.warnings
 
 
 def test_the_sensor_delay_is_found_within_a_sample(faithful):
