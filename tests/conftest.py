@@ -2,8 +2,13 @@
 
 from hypothesis import HealthCheck, settings
 
-# a deadline measures the machine, not the code, and examples may be slow on a loaded one
+# A deadline measures the machine, not the code, and examples may be slow on a loaded one.
+# The same examples every time: some behaviour has stated odds (docs/telemetry.md), and a change
+# must not be blamed for the draw.
 settings.register_profile(
-    "project", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+    "project",
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("project")

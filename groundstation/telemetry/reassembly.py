@@ -69,6 +69,7 @@ from groundstation.telemetry.reassembly_state import (
     NONE,
     NOWHERE,
     OPEN,
+    ORPHAN_AGE,
     ORPHANS,
     OUT,
     PEND_ENVELOPE,
@@ -98,6 +99,8 @@ RECENT = 16
 REORDER = 3
 """A sample is given out when one this many periods newer has arrived."""
 CORROBORATE = 3
+CONTINUES = 16
+"""Steps up to this many periods are device time going on rather than a silence."""
 LEAK = 200e-6
 """Rise of the envelope: the two clocks may drift apart by this fraction."""
 ON_TIME_NS = 60e6
@@ -240,24 +243,32 @@ def _place(s: State, out: Output, slot: int) -> None:
     if n[MODE] == HOLD:
         ticks = _fit_pending(s, stamp, host)
         paused = host - f[PEND_HOST] > SETTLE_NS
-        if paused and (ticks == NOWHERE or ticks - n[PEND_LAST] > 16 * GRID):
+        if paused and (ticks == NOWHERE or ticks - n[PEND_LAST] > CONTINUES * GRID):
             _resolve_hold(s, out)  # a second silence; a blocked host would just go on
+        elif ticks != NOWHERE:
+            _join_pending(s, slot, ticks)
+            if n[PENDING] == CORROBORATE:
+                _adopt_orphans(s)
+            if _settled(s) or _on_time_after_all(s) or n[PENDING] >= HELD_MOST:
+                _resolve_hold(s, out)
+            return
         else:
-            if ticks != NOWHERE:
-                _join_pending(s, slot, ticks)
-                if _settled(s) or _on_time_after_all(s) or n[PENDING] >= HELD_MOST:
-                    _resolve_hold(s, out)
-                return
             n[MISSES] += 1
-            if n[MISSES] < min(3, int(n[PENDING])):
+            if n[MISSES] < CORROBORATE:
                 _orphan(s, slot)
                 return
-            _drop_pending(s)
+            # three in a row elsewhere: a gap inside what the late host has to catch up with
+            if n[PENDING] >= CORROBORATE or _steps_from_main(s) <= CONTINUES:
+                _resolve_hold(s, out)
+            else:
+                _drop_pending(s)
     ticks = _fit_main(s, stamp, host)
     if ticks != NOWHERE:
         lateness = _lateness_ns(s, ticks, host)
         if lateness <= ON_TIME_NS:
             _accept(s, out, slot, ticks)
+            if n[ORPHANS] > 0:
+                _accept_orphans(s, out)
             n[MAIN_SINCE] += 1
             if n[PENDING] > 0 and n[MAIN_SINCE] >= CORROBORATE:
                 _drop_pending(s)
@@ -308,7 +319,22 @@ def _fit_main(s: State, stamp: int, host: int) -> int:
 
 
 def _fit_pending(s: State, stamp: int, host: int) -> int:
-    return _fit(int(s.n[PEND_LAST]), s.f[PEND_GRID], s.f[PEND_ENVELOPE], stamp, host, 9)
+    ticks = _fit(int(s.n[PEND_LAST]), s.f[PEND_GRID], s.f[PEND_ENVELOPE], stamp, host, 9)
+    return NOWHERE if ticks == NOWHERE or _is_taken(s, ticks) else ticks
+
+
+def _is_taken(s: State, ticks: int) -> bool:
+    """Is a place further back than reordering reaches held by another sample already?
+
+    A gap of a little less than 598 ms looks like a step back.
+    """
+    index = int(s.n[PEND_INDEX]) + _on_grid(ticks - s.f[PEND_GRID])[0]
+    if index >= s.n[PEND_INDEX] - REORDER:
+        return False
+    at = int(s.n[PENDING]) - 1
+    while at >= 0 and s.place[s.pending[at]] > index:
+        at -= 1
+    return bool(at >= 0 and s.place[s.pending[at]] == index)
 
 
 def _envelope_at(s: State, host: float) -> float:
@@ -354,8 +380,12 @@ def _join_pending(s: State, slot: int, ticks: int) -> None:
     host = float(s.host[slot])
     index = int(n[PEND_INDEX]) + _on_grid(ticks - f[PEND_GRID])[0]
     n[MISSES] = 0
-    f[PEND_HOST] = max(f[PEND_HOST], host)
     offset = host - ticks * TICK_NS
+    if host - f[PEND_HOST] > SETTLE_NS:
+        # nothing came for long: if that was a silence, how late things were before says nothing
+        f[PEND_ENVELOPE] = offset
+        f[PEND_FLOOR] = offset + 2 * FLOOR_NS
+    f[PEND_HOST] = max(f[PEND_HOST], host)
     f[PEND_ENVELOPE] = min(f[PEND_ENVELOPE], offset)
     if offset < f[PEND_FLOOR] - FLOOR_NS:
         f[PEND_FLOOR] = offset
@@ -416,24 +446,37 @@ def _on_time_after_all(s: State) -> bool:
     return bool(lateness <= ON_TIME_NS)
 
 
-def _resolve_hold(s: State, out: Output) -> None:
-    """Decide how far device time advanced over the gap before the held groups."""
-    n, f = s.n, s.f
+def _steps_from_main(s: State) -> float:
+    """Periods from the main chain to the pending one if device time simply went on."""
     first = int(s.pending[0])
-    stamp = int(s.stamp[first])
-    base = int(s.ticks[first])
-    last = int(n[MAIN_LAST])
-    ahead = (stamp - last) & 0xFFFF
-    nearest = _fit_main(s, stamp, int(s.host[first]))
+    ticks = _fit_main(s, int(s.stamp[first]), int(s.host[first]))
+    if ticks <= s.n[MAIN_LAST]:  # nowhere, or a step back
+        return float("inf")
+    return float((ticks - s.n[MAIN_LAST]) / GRID)
+
+
+def _resolve_hold(s: State, out: Output) -> None:
+    """Decide how far device time advanced over the gap before the held groups, or inside them."""
+    n, f = s.n, s.f
     lag = _on_time_after_all(s)
-    if not lag and nearest != NOWHERE and not _settled(s):
+    if not lag and not _settled(s):
         # no more to come and no proof: device time that simply goes on is the likelier case,
         # unless the lateness has come back to its floor
-        lag = bool((nearest - last) / GRID <= 16 and n[EVIDENCE] < 2)
-    if lag:
-        _append(s, out, nearest - base)
+        lag = bool(_steps_from_main(s) <= CONTINUES and n[EVIDENCE] < 2)
+    late = int(n[PENDING]) if lag else _late_before_silence(s)
+    first = int(s.pending[0])
+    nearest = _fit_main(s, int(s.stamp[first]), int(s.host[first]))
+    if late == n[PENDING]:
+        _append(s, out, nearest - int(s.ticks[first]))
         return
+    if late > 0:
+        _append_first(s, out, late, nearest - int(s.ticks[first]))
+        first = int(s.pending[0])
+        nearest = _fit_main(s, int(s.stamp[first]), int(s.host[first]))
     # constant lateness: a silence. The host's clock gives the place, the grid its exact value.
+    base = int(s.ticks[first])
+    last = int(n[MAIN_LAST])
+    ahead = (int(s.stamp[first]) - last) & 0xFFFF
     envelope = _envelope_at(s, f[PEND_ENVELOPE] + base * TICK_NS)
     expected = (f[PEND_ENVELOPE] - envelope) / TICK_NS + base
     wrap = int((expected + EARLY_NS / TICK_NS - last - ahead) // 65536)
@@ -447,10 +490,37 @@ def _resolve_hold(s: State, out: Output) -> None:
         wrap -= 1
     if _silence_ns(s) < RESTART_NS and nearest != NOWHERE:
         # no silence worth the name: the way to the host became slower for good
-        _append(s, out, nearest - base)
-        f[MAIN_ENVELOPE] = f[PEND_ENVELOPE] - (nearest - base) * TICK_NS
+        _append_slower(s, out, nearest - base)
         return
     _resolve_suspect(s, out)
+
+
+def _append_slower(s: State, out: Output, shift: int) -> None:
+    """Device time goes on, and the envelope is what it is from now on."""
+    _append(s, out, shift)
+    s.f[MAIN_ENVELOPE] = s.f[PEND_ENVELOPE] - shift * TICK_NS
+
+
+def _late_before_silence(s: State) -> int:
+    """How many held groups came before the silence, and were only stamped late.
+
+    None when the first one's lateness is on the floor already; else the largest step before
+    the floor is reached is where device time jumped.
+    """
+    f = s.f
+    largest = _steps_from_main(s)
+    at = 0
+    for k in range(int(s.n[PENDING])):
+        slot = int(s.pending[k])
+        if k > 0:
+            step = float(s.place[slot] - s.place[s.pending[k - 1]])
+            if step > largest:
+                largest = step
+                at = k
+        offset = s.host[slot] - s.ticks[slot] * TICK_NS
+        if abs(offset - f[PEND_ENVELOPE]) <= FLOOR_NS:
+            break
+    return at
 
 
 def _resolve_suspect(s: State, out: Output) -> None:
@@ -521,24 +591,50 @@ def _begin(s: State, grid: float, envelope: float) -> None:
 
 def _append(s: State, out: Output, shift: int) -> None:
     """Move the pending chain to the main one, ``shift`` ticks later, with orphans that fit."""
+    _adopt_orphans(s)
+    _append_first(s, out, int(s.n[PENDING]), shift)
+    s.n[MODE] = NONE
+    s.n[ORPHAN_AGE] = 0  # what comes next may be what they belong to
+
+
+def _adopt_orphans(s: State) -> None:
+    """Groups that fitted nowhere when they came may belong to the chain that came of it."""
     n, f = s.n, s.f
-    n[MODE] = HOLD
+    kept = 0
     for k in range(int(n[ORPHANS])):
         slot = int(s.orphans[k])
         ticks = _fit_pending(s, int(s.stamp[slot]), int(s.host[slot]))
         if ticks != NOWHERE and abs(_on_grid(ticks - f[PEND_GRID])[0]) <= BACK:
             _join_pending(s, slot, ticks)
         else:
-            _break(s, slot)
-    n[ORPHANS] = 0
-    count = int(n[PENDING])
-    n[PENDING] = 0
-    n[MODE] = NONE
-    if count > 0:
-        f[PEND_GRID] += shift
+            s.orphans[kept] = slot
+            kept += 1
+    n[ORPHANS] = kept
+
+
+def _accept_orphans(s: State, out: Output) -> None:
+    """Groups just before the newest that seemed misplaced while a gap was not understood."""
+    kept = 0
+    for k in range(int(s.n[ORPHANS])):
+        slot = int(s.orphans[k])
+        ticks = _fit_main(s, int(s.stamp[slot]), int(s.host[slot]))
+        steps = _on_grid(ticks - s.f[MAIN_GRID])[0] if ticks != NOWHERE else 0
+        if -CORROBORATE <= steps < 0:
+            _accept(s, out, slot, ticks)
+        else:
+            s.orphans[kept] = slot
+            kept += 1
+    s.n[ORPHANS] = kept
+
+
+def _append_first(s: State, out: Output, count: int, shift: int) -> None:
+    """Move the first ``count`` groups of the pending chain to the main one."""
     for k in range(count):
         slot = int(s.pending[k])
         _accept(s, out, slot, int(s.ticks[slot]) + shift)
+    for k in range(count, int(s.n[PENDING])):
+        s.pending[k - count] = s.pending[k]
+    s.n[PENDING] -= count
 
 
 def _drop_pending(s: State) -> None:
@@ -558,6 +654,7 @@ def _orphan(s: State, slot: int) -> None:
         count -= 1
     s.orphans[count] = slot
     s.n[ORPHANS] = count + 1
+    s.n[ORPHAN_AGE] = 0
 
 
 def _clear_orphans(s: State) -> None:
@@ -588,11 +685,15 @@ def _accept(s: State, out: Output, slot: int, ticks: int) -> None:
     step, _ = _on_grid(ticks - f[MAIN_GRID])
     index = int(n[MAIN_INDEX]) + step
     host = float(s.host[slot])
+    n[ORPHAN_AGE] += 1
+    if n[ORPHAN_AGE] > BACK and n[ORPHANS] > 0 and n[PENDING] == 0:
+        _clear_orphans(s)
     if index <= n[EMITTED]:
         n[LATE] += _copies(s, slot)
         s.fate[slot] = TOO_LATE
         return
-    f[MAIN_ENVELOPE] = min(_envelope_at(s, host), host - ticks * TICK_NS)
+    drift = LEAK * max(0, ticks - int(n[MAIN_LAST])) * TICK_NS
+    f[MAIN_ENVELOPE] = min(f[MAIN_ENVELOPE] + drift, host - ticks * TICK_NS)
     s.ticks[slot] = ticks
     s.place[slot] = index
     if index > n[MAIN_INDEX]:

@@ -80,14 +80,16 @@ def receive(
     burst: float = 0.0,
     swap: float = 0.0,
     blocks: list[tuple[float, float]] | None = None,
+    queue: int | None = None,
     damage: float = 0.0,
 ) -> Reception:
     """Send every sample ``copies`` times 500 us apart through a bad radio to a slow host.
 
     loss: independent loss of a copy. burst: chance that a whole sample is lost. swap: chance
     that the last copy of a sample comes after the next sample's first. blocks: (start s,
-    length s) during which the host reads nothing and stamps everything at the end. damage:
-    chance that a copy arrives with flipped bytes.
+    length s) during which the host reads nothing and stamps everything at the end. queue: what
+    the kernel keeps during a block; later packets are dropped. damage: chance that a copy
+    arrives with flipped bytes.
     """
     rows = np.repeat(np.arange(len(flight.ticks)), copies)
     copy = np.tile(np.arange(copies), len(flight.ticks))
@@ -101,7 +103,11 @@ def receive(
     stamps = arrival + rng.integers(50_000, 400_000, len(arrival))
     for start_s, length_s in blocks or []:
         start, end = round(start_s * 1e9), round((start_s + length_s) * 1e9)
-        stamps = np.where((stamps >= start) & (stamps < end), end, stamps)
+        waiting = np.flatnonzero((stamps >= start) & (stamps < end))
+        stamps[waiting] = end
+        kept = np.ones(len(rows), bool)
+        kept[waiting[queue:] if queue is not None else []] = False
+        rows, stamps = rows[kept], stamps[kept]
     stamps = np.maximum.accumulate(stamps)
     packets = flight.packets[rows].copy()
     sample = rows.copy()
