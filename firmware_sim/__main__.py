@@ -185,6 +185,8 @@ async def _fly(
     stopped = asyncio.Event()
     for sign in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(sign, stopped.set)
+    # compiles on a machine's first run; what is announced below answers at once
+    powered_on = await asyncio.to_thread(craft.advance, 0.0)
     server = None
     if options.crtp is not None:
         from firmware_sim.crtp_server import CrtpServer
@@ -197,7 +199,7 @@ async def _fly(
         print(f"CRTP on udp://{host}:{server.port}", flush=True)
     end_s = float("inf") if options.seconds is None else options.seconds
     step_s = FAST_STEP_S if options.fast else STEP_S if line is None else SERIAL_STEP_S
-    parts: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = [craft.advance(0.0)]
+    parts: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = [powered_on]
     if options.usb is not None:
         try:
             await _ride_usb(craft, options, stopped)

@@ -37,8 +37,15 @@ def kernel(function: Function) -> Function:
 
 @cache
 def source_stamp() -> int:
-    """A number that changes with any source file of this package."""
+    """A number that changes with any source file that compiled code is made of."""
+    here = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
+    for path in sorted(here.rglob("*.py")):
+        source = path.read_bytes()
+        if b"from firmware_sim.compiled import" in source or path.name in _CONSTANTS:
+            digest.update(source)
     return int.from_bytes(digest.digest()[:6], "little")
+
+
+_CONSTANTS = ("layout.py", "catalogue.py", "compiled.py")
+"""Files whose constants are compiled in."""
