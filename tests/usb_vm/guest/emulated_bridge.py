@@ -26,6 +26,14 @@ class RecordedFlight:
         return self.packets[rows], self._arrival_s[rows]
 
 
+def rows_of(sent, received):
+    """Where in the packets sent those received begin and end; the first may be any copy."""
+    copies = np.flatnonzero((sent == received[0]).all(axis=1))
+    came = int(np.argmax((received != received[0]).any(axis=1)))
+    first = int(copies[len(copies) - came])
+    return slice(first, first + len(received))
+
+
 class EmulatedBridge:
     """Starts the process; every method returns when the kernel has been told."""
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from emulated_bridge import EmulatedBridge, RecordedFlight
+from emulated_bridge import EmulatedBridge, RecordedFlight, rows_of
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
@@ -139,8 +139,7 @@ def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp
     (path,) = tmp_path.glob("*.mcap")
     raw = open_recording(path, raw=True).raw
     sent = RecordedFlight(flight)
-    first = int(np.flatnonzero((sent.packets == raw.packets[0]).all(axis=1))[0])
-    rows = slice(first, first + len(raw))
+    rows = rows_of(sent.packets, raw.packets)
     np.testing.assert_array_equal(raw.packets, sent.packets[rows])
     late_ns = raw.host_time_ns - np.rint(sent._arrival_s[rows] * 1e9).astype(np.int64)
     late_ns -= late_ns.min()
