@@ -143,7 +143,7 @@ def session_metadata(link: str) -> dict[str, str]:
         "created": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "groundstation": __version__,
         "python": platform.python_version(),
-        "platform": platform.platform(),
+        "platform": f"{platform.system()} {platform.machine()}",
     }
 
 
