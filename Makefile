@@ -13,7 +13,8 @@ run: $(VENV)/.ready
 test: $(VENV)/.ready-dev lint
 	$(BIN)/pytest -n auto $(ARGS)
 
-# The USB link through a real kernel, in a virtual machine (see .ci/packages.txt).
+# The USB link through a real kernel, in a virtual machine: about six minutes, and qemu-system-x86,
+# busybox-static, kmod and cpio.
 test-usb: $(VENV)/.ready-dev
 	$(BIN)/pytest tests/usb_vm -s -v $(ARGS)
 

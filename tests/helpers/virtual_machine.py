@@ -48,7 +48,7 @@ def why_not() -> str:
     """Why this machine cannot run the virtual machine; empty when it can."""
     missing = [name for name in PROGRAMS if _program(name) is None]
     if missing:
-        return f"not installed: {', '.join(missing)} (see .ci/packages.txt)"
+        return f"not installed: {', '.join(missing)}; install the packages that hold them"
     return ""
 
 
