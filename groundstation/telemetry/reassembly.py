@@ -303,7 +303,7 @@ def _fit(last: int, grid: float, envelope: float, stamp: int, host: int, furthes
     for wrap in range(-2, 1):
         ticks = last + ahead + wrap * 65536
         index, fits = _on_grid(ticks - grid)
-        if fits and (index > -BACK if wrap < 0 else True) and (wrap == 0 or index <= 0):
+        if fits and (wrap == 0 or -BACK < index <= 0):
             return ticks
     for wrap in range(1, furthest + 1):
         ticks = last + ahead + wrap * 65536
@@ -345,6 +345,12 @@ def _envelope_at(s: State, host: float) -> float:
 
 def _lateness_ns(s: State, ticks: int, host: int) -> float:
     return host - ticks * TICK_NS - float(s.f[MAIN_ENVELOPE])
+
+
+def _expected_ticks(s: State, base: int) -> float:
+    """Where the host's clock puts the pending group whose relative ticks are ``base``."""
+    offset = s.f[PEND_ENVELOPE]
+    return float((offset - _envelope_at(s, offset + base * TICK_NS)) / TICK_NS + base)
 
 
 def _silence_ns(s: State) -> float:
@@ -415,8 +421,7 @@ def _corroborate(s: State, out: Output, slot: int) -> None:
     if ticks == NOWHERE:
         n[MISSES] += 1
         if n[MISSES] >= n[PENDING]:
-            for k in range(int(n[PENDING])):
-                _orphan(s, int(s.pending[k]))
+            _drop_pending(s)
             _start_pending(s, slot, SUSPECT)
         else:
             _orphan(s, slot)
@@ -477,8 +482,7 @@ def _resolve_hold(s: State, out: Output) -> None:
     base = int(s.ticks[first])
     last = int(n[MAIN_LAST])
     ahead = (int(s.stamp[first]) - last) & 0xFFFF
-    envelope = _envelope_at(s, f[PEND_ENVELOPE] + base * TICK_NS)
-    expected = (f[PEND_ENVELOPE] - envelope) / TICK_NS + base
+    expected = _expected_ticks(s, base)
     wrap = int((expected + EARLY_NS / TICK_NS - last - ahead) // 65536)
     while wrap >= 0:
         ticks = last + ahead + wrap * 65536
@@ -563,8 +567,7 @@ def _promote(s: State, out: Output) -> None:
 def _anchor(s: State, out: Output, last: int, ahead: int, base: int) -> None:
     """Put a chain without a grid in common where the host's clock says, after ``last``."""
     n, f = s.n, s.f
-    envelope = _envelope_at(s, f[PEND_ENVELOPE] + base * TICK_NS)
-    expected = (f[PEND_ENVELOPE] - envelope) / TICK_NS + base
+    expected = _expected_ticks(s, base)
     wrap = max(0, int((expected - last - ahead) // 65536))
     ticks = last + ahead + wrap * 65536
     _emit(s, out, EVERYTHING)
@@ -576,7 +579,7 @@ def _anchor(s: State, out: Output, last: int, ahead: int, base: int) -> None:
 
 
 def _begin(s: State, grid: float, envelope: float) -> None:
-    """Start a new grid one step before its first sample."""
+    """Start a new grid at its first sample."""
     n, f = s.n, s.f
     n[MAIN] = 1
     f[MAIN_GRID] = grid
