@@ -1,0 +1,1 @@
+"""HTML reports: one self-contained file with text, tables and figures."""

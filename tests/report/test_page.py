@@ -1,0 +1,69 @@
+"""A report is one file that shows what it was given, and never more than that."""
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from groundstation.errors import BadInputError
+from groundstation.report.figure import figure, png, svg, thinned
+from groundstation.report.page import Page
+
+
+def drawn():
+    made, (left, right) = figure(8, 3, columns=2)
+    left.plot(np.linspace(0, 1, 50), np.linspace(0, 1, 50) ** 2, label="square")
+    left.set_title("left")
+    right.imshow(np.eye(3))
+    return made
+
+
+def test_a_page_needs_no_other_file_and_escapes_what_it_is_given(tmp_path):
+    page = Page("Gap <of> & model", "flight \udcff.mcap")
+    page.heading("Where")
+    page.verdict("one effect found", "good")
+    page.table(["name", "value"], [["<script>", 1.23456789], ["none", None]], "a table")
+    page.figure(drawn(), "what one sees")
+    page.bullets(["a < b"])
+    page.links([("the recording", 'a"b.mcap')])
+    path = tmp_path / "report.html"
+    page.write(path)
+    text = path.read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert "&lt;script&gt;" in text
+    assert "1.235" in text
+    assert 'href="a&quot;b.mcap"' in text
+    outside = re.findall(r'(?:src|href)="(?!#|a&quot;b)([^"]+)"', text)
+    assert not [one for one in outside if one.startswith(("http", "//"))]
+
+
+def test_a_report_is_never_overwritten(tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("mine")
+    with pytest.raises(BadInputError, match="exists already"):
+        Page("x").write(path)
+    assert path.read_text() == "mine"
+
+
+def test_a_report_into_a_missing_folder_is_one_clear_error(tmp_path):
+    with pytest.raises(BadInputError, match="cannot be written"):
+        Page("x").write(tmp_path / "none" / "report.html")
+
+
+def test_a_row_of_another_length_than_the_head_is_refused():
+    with pytest.raises(ValueError, match="3 cells under 2"):
+        Page("x").table(["a", "b"], [["1", "2", "3"]])
+
+
+def test_a_figure_is_valid_svg_and_the_same_every_time():
+    one, other = svg(drawn()), svg(drawn())
+    assert one == other
+    assert ElementTree.fromstring(one).tag.endswith("svg")
+    assert png(drawn())[:4] == b"\x89PNG"
+
+
+def test_thinning_keeps_columns_together():
+    x, y = thinned(np.arange(10000.0), np.arange(10000.0) * 2, most=100)
+    assert len(x) == 100
+    np.testing.assert_array_equal(y, 2 * x)
