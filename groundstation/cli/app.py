@@ -5,7 +5,17 @@ from __future__ import annotations
 import typer
 
 from groundstation import __version__
-from groundstation.cli import control, devices, export, files, identify, install, run
+from groundstation.cli import (
+    attitude,
+    control,
+    devices,
+    export,
+    files,
+    fit,
+    install,
+    run,
+    simulate,
+)
 
 app = typer.Typer(
     name="groundstation",
@@ -35,5 +45,5 @@ def _options(
     pass
 
 
-for module in (run, control, files, devices, export, identify, install):
+for module in (run, control, files, devices, export, fit, simulate, attitude, install):
     module.add_commands(app)
