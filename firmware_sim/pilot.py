@@ -21,6 +21,7 @@ from firmware_sim.layout import (
     ROW_LEVEL,
     ROW_MODE,
     ROW_PITCH,
+    ROW_PUSH,
     ROW_ROLL,
     ROW_THRUST,
     ROW_YAW,
@@ -53,7 +54,7 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
         s.target[2] = row[ROW_YAW] / DEGREES
     if fw.client_ns >= 0 and now_ns - fw.client_ns < p.resume_ns:
         if fw.altitude_hold > 0.0 and fw.setpoint_thrust > MIN_THRUST and fw.thrust > 0.0:
-            fw.setpoint_thrust = hold_height(p, fw, s, p.hold_height, hover)
+            fw.setpoint_thrust = hold_height(p, fw, s, p.hold_height, 0.0, hover)
         return
     if s.mode == HELD:
         accept(fw, now_ns, 0.0, 0.0, 0.0, 0.0)
@@ -62,10 +63,11 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
     wanted = row[ROW_LEVEL]
     height_held = row[ROW_THRUST] == THRUST_HEIGHT
     keep = row[ROW_KEEP]
+    push = row[ROW_PUSH]
     if p.land_when_low != 0 and fw.power_state == 3:
         s.landing = 1
     if s.landing != 0:
-        roll, pitch, yaw, wanted, keep = 0.0, 0.0, 0.0, 0.0, 1.0
+        roll, pitch, yaw, wanted, keep, push = 0.0, 0.0, 0.0, 0.0, 1.0, 0.0
     if keep > 0.0 and s.mode == FREE:
         lean_roll, lean_pitch, turn = correct(s)
         roll += keep * lean_roll
@@ -76,13 +78,18 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
     if row[ROW_THRUST] == THRUST_DIRECT:
         thrust = wanted
     elif height_held:
-        thrust = hold_height(p, fw, s, wanted, hover)
+        thrust = hold_height(p, fw, s, wanted, push, hover)
     accept(fw, now_ns, roll, pitch, yaw, thrust)
 
 
 @inner
-def hold_height(p: Record, fw: Record, s: Record, wanted: float, hover: float) -> float:
-    """16-bit thrust that brings the craft to a height (m); 0 once it stands and is to stand."""
+def hold_height(
+    p: Record, fw: Record, s: Record, wanted: float, share: float, hover: float
+) -> float:
+    """16-bit thrust that brings the craft to a height (m); 0 once it stands and is to stand.
+
+    share: of the hover thrust, a push on top that the programme asks for.
+    """
     height, climb = s.y[2], s.y[5]
     if fw.thrust <= 0.0:
         s.pilot_integral = 0.0
@@ -104,7 +111,7 @@ def hold_height(p: Record, fw: Record, s: Record, wanted: float, hover: float) -
     s.pilot_integral = min(max(s.pilot_integral, -4.0), 4.0)
     push = HEIGHT_GAIN * error + SPEED_GAIN * (speed - climb) + s.pilot_integral
     # Thrust grows with the 1.7th power of the command around hover.
-    ratio = 1.0 + push / p.gravity
+    ratio = 1.0 + push / p.gravity + share
     thrust = hover * math.pow(min(max(ratio, 0.3), 2.0), 1.0 / 1.7)
     return min(max(thrust, MIN_THRUST + 1.0), MAX_THRUST)
 

@@ -14,7 +14,8 @@ segment for ever. Each segment lasts ``seconds`` and says what the sticks do::
     seconds = 30
     height_m = 0.8
     [[segment.excite]]
-    axis = "roll"                   # roll, pitch (deg), yaw (deg/s), height (m)
+    axis = "roll"                   # roll, pitch (deg), yaw (deg/s), height (m),
+                                    # collective (share of the hover thrust)
     shape = "doublet"               # step, doublet, sine, multisine, chirp, random
     amplitude = 8
     period_s = 2.0
@@ -46,6 +47,7 @@ from firmware_sim.layout import (
     ROW_LEVEL,
     ROW_MODE,
     ROW_PITCH,
+    ROW_PUSH,
     ROW_ROLL,
     ROW_THRUST,
     ROW_YAW,
@@ -66,7 +68,7 @@ class Excitation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         period), ``trapeze`` (smoothly to the amplitude, to its negative, and back to zero).
     """
 
-    axis: Literal["roll", "pitch", "yaw", "height", "thrust"]
+    axis: Literal["roll", "pitch", "yaw", "height", "collective", "thrust"]
     shape: Literal["step", "doublet", "sine", "multisine", "chirp", "random", "trapeze"]
     amplitude: float
     period_s: float = 1.0
@@ -182,6 +184,7 @@ _COLUMN = {
     "pitch": ROW_PITCH,
     "yaw": ROW_YAW,
     "height": ROW_LEVEL,
+    "collective": ROW_PUSH,
     "thrust": ROW_LEVEL,
 }
 

@@ -175,6 +175,33 @@ def test_a_programme_can_be_written_in_toml(tmp_path):
     assert abs(roll[3300:3480].mean()) < 1
 
 
+def test_a_programme_pushes_the_collective_thrust_on_top_of_the_held_height(tmp_path):
+    path = tmp_path / "push.toml"
+    path.write_text(
+        """
+        name = "push"
+        [[segment]]
+        kind = "rest"
+        seconds = 3
+        [[segment]]
+        kind = "fly"
+        seconds = 9
+        [[segment.excite]]
+        axis = "collective"
+        shape = "step"
+        amplitude = 0.4
+        start_s = 7
+        end_s = 7.3
+        """
+    )
+    craft, _ = flown(10.8, program=str(path), plant="reduced", truth=True)
+    truth = craft.truth()
+    squares = (truth["rotor_rev_s"] ** 2).sum(axis=1)
+    before, pushed = squares[4800:4980].mean(), squares[5020:5150].max()
+    assert 1.2 < pushed / before < 1.45
+    assert truth["position_m"][5020:, 2].max() < 1.2
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
