@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import itertools
 import re
 import time
 from collections import deque
@@ -21,7 +22,7 @@ from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkError, LinkLostError
 from groundstation.links.base import Link
 from groundstation.links.usb_frames import FrameClock
-from groundstation.links.usb_ring import DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
+from groundstation.links.usb_ring import DEPTH, DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
 from groundstation.telemetry.bridge_usb import (
     ALTERNATE,
     ENDPOINT,
@@ -43,6 +44,9 @@ WATCHDOG_S = 1.0
 FRUITLESS_MOST = 3
 """Restarts of the stream without a frame, after which the device is opened anew."""
 REPORT_S = 1.0
+ANCHOR_BLOCKS = DEPTH
+"""A stream's first blocks are held until so many tell when it began (128 ms): a program that was
+busy meanwhile, as it is when it opens a recording, would stamp them late."""
 BLOCKS_KEPT = 1024
 """8 s of frames wait for a reader; older ones are dropped and counted."""
 PERMISSION_HELP = (
@@ -102,6 +106,7 @@ class UsbLink(Link):
         self._blocks: deque[Block | None] = deque()  # None: an interruption
         self._ready = asyncio.Event()
         self._frames = FrameClock()
+        self._anchored = False
         self._last_stamp_ns = 0
         self._awaited = False
         self._restart: asyncio.Task[None] | None = None
@@ -124,6 +129,7 @@ class UsbLink(Link):
         self._awaited = True
         self.counts, self._reported = UsbCounts(), UsbCounts()
         self._frames, self._last_stamp_ns = FrameClock(), 0
+        self._anchored = False
         self._blocks.clear()
         self._fruitless = 0
         self._ready = asyncio.Event()
@@ -286,10 +292,11 @@ class UsbLink(Link):
     def _decode(self) -> RawBatch:
         """Everything received so far, as whole packets with the ends of their frames."""
         parts: list[RawBatch] = []
-        while self._blocks:
+        while self._blocks and (self._anchored or self._anchor()):
             block = self._blocks.popleft()
             if block is None:
                 self._frames.interrupt()
+                self._anchored = False
                 continue
             end_ns = self._frames.see(FRAMES, block.seen_ns, block.queued)
             packets, frame = self._whole_packets(block)
@@ -299,6 +306,17 @@ class UsbLink(Link):
             parts.append(RawBatch(packets, stamps))
         self.counts.unseen = self._frames.lost
         return RawBatch.concatenate(parts)
+
+    def _anchor(self) -> bool:
+        """Whether enough blocks are here, or will ever be, to tell when this stream began."""
+        first = list(itertools.takewhile(lambda block: block is not None, self._blocks))
+        more = len(first) == len(self._blocks) < ANCHOR_BLOCKS
+        ring = self._ring
+        if more and not (ring is None or ring.gone or ring.failed):
+            return False
+        self._frames.anchor(FRAMES, [block.seen_ns for block in first if block is not None])
+        self._anchored = True
+        return True
 
     def _whole_packets(self, block: Block) -> tuple[Packets, NDArray[np.int64]]:
         """Packets (n, 32) of the good frames, and the place (n,) of each one's frame."""

@@ -11,6 +11,7 @@ afterwards: that number is the frames lost.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 from groundstation.telemetry.bridge_usb import FRAME_NS
 
@@ -34,6 +35,17 @@ class FrameClock:
         self._before_ns: int | None = None
         self._blocks = 0
         self._breaks: deque[int] = deque()
+
+    def anchor(self, frames: int, seen_ns: Sequence[int]) -> None:
+        """Blocks of ``frames`` frames that ``see`` will be given next: the one that was looked at
+        most promptly tells when all of them ended. A program is busy when a stream begins.
+        """
+        for number, seen in enumerate(seen_ns, 1):
+            ahead = number * frames
+            offset_ns = seen - (self._frames + ahead) * FRAME_NS + ahead * LEAK_NS
+            self._offset_ns = min(
+                offset_ns, offset_ns if self._offset_ns is None else self._offset_ns
+            )
 
     def see(self, frames: int, seen_ns: int, queued: int) -> int:
         """The next ``frames`` frames were seen at ``seen_ns``; when the last of them ended (ns).

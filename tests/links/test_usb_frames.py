@@ -46,6 +46,31 @@ def test_a_stamp_is_never_early_and_never_after_it_was_seen(lates, ppm):
     assert clock.lost == 0
 
 
+def seen_of(lates, ppm):
+    ends = [round(FRAMES * (at + 1) * FRAME_NS * (1 + ppm * 1e-6)) for at in range(len(lates))]
+    return [START_NS + end_ns + late_ns for end_ns, late_ns in zip(ends, lates, strict=True)]
+
+
+def test_a_program_that_is_busy_when_the_stream_begins_gets_the_stamps_of_an_idle_one():
+    clock = FrameClock()
+    lates = [round(50e6 - 8e6 * at) for at in range(6)] + [LATE_NS] * 10
+    clock.anchor(FRAMES, seen_of(lates, 0.0))
+    errors = [see(clock, FRAMES * (at + 1), late_ns) for at, late_ns in enumerate(lates)]
+    assert min(errors) >= 0
+    assert max(errors) < LATE_NS + 100_000
+
+
+@given(
+    lates=st.lists(st.integers(20_000, 110_000_000), min_size=16, max_size=100),
+    ppm=st.floats(-150, 150),
+)
+def test_a_stamp_that_was_waited_for_is_never_early_either(lates, ppm):
+    clock = FrameClock()
+    clock.anchor(FRAMES, seen_of(lates[:16], ppm))
+    for at, late_ns in enumerate(lates):
+        assert 0 <= see(clock, FRAMES * (at + 1), late_ns, ppm) <= late_ns
+
+
 @given(gaps=st.lists(st.integers(0, 2000), min_size=1, max_size=4), ppm=st.floats(-100, 100))
 def test_frames_that_passed_a_dry_queue_are_counted_to_the_last_one(gaps, ppm):
     """Away for longer than the queue lasts: what it holds comes late, then frames are missing."""
