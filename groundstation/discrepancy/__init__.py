@@ -1,0 +1,1 @@
+"""Where model and recordings disagree, which physical effect is missing, and the proof."""
