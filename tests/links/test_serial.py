@@ -10,41 +10,25 @@ import time
 import numpy as np
 import pytest
 from flights import flight
-from link_contract import PATIENCE_S, LinkContract, joined, listen, read_span, read_to_end
+from link_contract import PATIENCE_S, LinkContract, joined, listen, read_span
+from one_flight import BRIDGES, OneFlight, packets_read, require_equal
 from serial_craft import SerialCraft
 
-from firmware_sim.craft import StandIn
 from firmware_sim.serial_port import SerialPort
 from firmware_sim.settings import Loss, StandInSettings
 from groundstation.errors import BadInputError, LinkError, LinkLostError
 from groundstation.links import serial as serial_module
 from groundstation.links.base import LinkState
 from groundstation.links.factory import make_link
-from groundstation.links.replay import FAST, ReplayLink
 from groundstation.links.serial import SerialLink
-from groundstation.links.stand_in import StandInLink
-from groundstation.recording.recording_file import write_mcap
-from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.framing import BAUD, FRAME_BYTES, frame_packets
-from groundstation.telemetry.samples import COLUMNS, RawBatch
 
 SOUND = Loss(good_loss=0.0)
 
 
 def packets_of(rows, first=0):
     return flight(first, rows)[0].packets
-
-
-async def packets_read(link, count):
-    """Read until ``count`` packets have come; all of them."""
-    batches = []
-    async with asyncio.timeout(PATIENCE_S):
-        while sum(map(len, batches)) < count:
-            batch = await link.read()
-            if batch is not None:
-                batches.append(batch)
-    return joined(batches)
 
 
 @pytest.fixture
@@ -86,46 +70,17 @@ class TestSerialThatFiltersCopies(SerialContract):
     copies = 1
 
 
-@pytest.mark.parametrize("deduplicated", [False, True], ids=["copies", "no copies"])
-def test_one_flight_is_the_same_through_stand_in_replay_and_serial(tmp_path, line, deduplicated):
-    options = {"seed": 5, "bridge_dedup": deduplicated, "loss": {"good_loss": 0.3}}
-    settings = StandInSettings(seed=5, bridge_dedup=deduplicated, loss=Loss(good_loss=0.3))
-    sent, arrival_s = StandIn(settings).advance(2.0)
-
-    async def fly_stand_in():
-        async with StandInLink(options) as link:
-            return await packets_read(link, len(sent))
-
-    async def send(started):
-        for batch in np.split(np.arange(len(sent)), np.flatnonzero(np.diff(arrival_s) > 0) + 1):
-            await asyncio.sleep(max(0.0, started + arrival_s[batch[0]] - time.monotonic()))
-            line.send(sent[batch])
-
-    async def fly_serial():
-        async with SerialLink(line.path) as link:
-            sending = asyncio.create_task(send(time.monotonic()))
-            raw = await packets_read(link, len(sent))
-            await sending
-            return raw
-
-    async def replay(path):
-        async with ReplayLink(path, speed=FAST) as link:
-            return joined(await read_to_end(link)), link.start_ticks
-
-    flown = asyncio.run(fly_stand_in())
-    flown = RawBatch(flown.packets[: len(sent)], flown.host_time_ns[: len(sent)])
+@pytest.mark.parametrize("bridge", BRIDGES)
+def test_one_flight_is_the_same_through_stand_in_replay_and_serial(tmp_path, line, bridge):
+    """Through USB as well where there is a kernel for it: ``tests/usb_vm``."""
+    flight = OneFlight(BRIDGES[bridge])
+    flown = flight.through_stand_in()
     through_stand_in, counts = decode_all(flown)
     assert counts.lost > 0
-    write_mcap(Recording(tmp_path, "mcap", through_stand_in, flown), tmp_path / "flight.mcap")
-    raw, start_ticks = asyncio.run(replay(tmp_path / "flight.mcap"))
-    through_replay, _ = decode_all(raw, start_ticks)
-    through_serial, _ = decode_all(asyncio.run(fly_serial()))
     assert len(through_stand_in) > 900
-    for name in COLUMNS:
-        if name != "host_time_ns":
-            expected = getattr(through_stand_in, name)
-            np.testing.assert_array_equal(getattr(through_replay, name), expected, name)
-            np.testing.assert_array_equal(getattr(through_serial, name), expected, name)
+    through_replay = flight.through_replay(flown, tmp_path / "flight.mcap")
+    require_equal(through_replay, through_stand_in, "replay")
+    require_equal(flight.through_serial(line), through_stand_in, "serial")
 
 
 def test_two_thousand_packets_a_second_lose_nothing():
