@@ -33,3 +33,7 @@ class LinkEndedError(LinkError, EOFError):
 
 class TakenError(GroundStationError):
     """A socket, port or file that another process holds."""
+
+
+class NotAuthorisedError(GroundStationError):
+    """A client asked for what only the holder of a token may do."""

@@ -13,13 +13,17 @@ from collections.abc import Callable
 from typing import Any
 
 from groundstation.clock import HostClock, steady_clock
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, LinkError
 from groundstation.links.base import EventSink, LinkEvent
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""
 ANGLE_MOST_DEG = 45.0
 YAW_RATE_MOST_DPS = 720.0
+GAIN_MOST = 1000.0
+"""No controller gain of the firmware is near this; the stock ones are below 100."""
+SINGLE_MOST = 3.4028234e38
+"""The largest number of 32 bits."""
 
 EntrySink = Callable[[dict[str, Any]], None]
 
@@ -35,13 +39,16 @@ class CommandLink(ABC):
     """Commands to one craft.
 
     on_event: told of state changes. on_entry: told of each command, for the recording:
-    ``time_ns``, ``direction`` (out or in), ``kind`` (setpoint or parameter) and its values.
+    ``time_ns``, ``direction`` (out or in), ``kind`` (setpoint, parameter or parameters), the
+    ``client`` who wanted it, and its values.
+    superseded: setpoints that a newer one replaced before the radio took them.
     """
 
     def __init__(self, uri: str, *, clock: HostClock | None = None) -> None:
         self.uri = uri
         self.clock = clock or steady_clock()
         self.state = CommandState.CLOSED
+        self.superseded = 0
         self.on_event: EventSink = lambda event: None
         self.on_entry: EntrySink = lambda entry: None
 
@@ -57,43 +64,64 @@ class CommandLink(ABC):
     def parameters(self) -> dict[str, float]:
         """Every parameter of the craft by full name, as last read."""
 
-    def setpoint(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
-        """Send one setpoint in the firmware's convention: pitch nose up positive, yaw rate
-        positive clockwise from above, thrust 0..60000. The firmware levels the craft 0.5 s
-        after the last one and stops its motors after 2 s.
+    def setpoint(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int, *, client: str = ""
+    ) -> int:
+        """Hand over one setpoint without waiting for the radio; when, Unix ns.
+
+        Signs are those of the telemetry samples: roll left side up, pitch nose down, yaw rate
+        counter-clockwise from above. thrust: 0..60000. The firmware levels the craft 0.5 s after
+        the last setpoint and stops its motors after 2 s. client: who wants it, recorded.
 
         Raises BadInputError before anything is sent for a value that is not finite or out of
         range, LinkError when the craft is not connected.
         """
         for name, value, most in (
-            ("roll", roll_deg, ANGLE_MOST_DEG),
-            ("pitch", pitch_deg, ANGLE_MOST_DEG),
-            ("yaw rate", yaw_dps, YAW_RATE_MOST_DPS),
+            ("roll_deg", roll_deg, ANGLE_MOST_DEG),
+            ("pitch_deg", pitch_deg, ANGLE_MOST_DEG),
+            ("yaw_dps", yaw_dps, YAW_RATE_MOST_DPS),
         ):
             if not (math.isfinite(value) and abs(value) <= most):
-                raise BadInputError(f"setpoint: {name} {value} is outside -{most:g}..{most:g} deg")
+                raise BadInputError(f"setpoint: {name} {value} is outside -{most:g}..{most:g}")
         if not 0 <= thrust <= THRUST_MOST:
             raise BadInputError(f"setpoint: thrust {thrust} is outside 0..{THRUST_MOST}")
         self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust)
-        self._entry(
-            "out", "setpoint", roll_deg=roll_deg, pitch_deg=pitch_deg, yaw_dps=yaw_dps,
-            thrust=thrust,
+        return self._entry(
+            "out", "setpoint", client=client, roll_deg=roll_deg, pitch_deg=pitch_deg,
+            yaw_dps=yaw_dps, thrust=thrust,
         )  # fmt: skip
 
-    async def write_parameter(self, name: str, value: float) -> float:
-        """Write a parameter and return what the craft says it is now.
-
-        Raises BadInputError for an unknown name or a value that is not finite, LinkError when
-        the craft does not confirm it.
-        """
+    def require_parameter(self, name: str, value: float) -> None:
+        """Raises BadInputError for an unknown name or a value that no craft should get."""
         if name not in self.parameters():
             raise BadInputError(f"the craft has no parameter {name!r}")
-        if not math.isfinite(value):
+        if not abs(value) <= SINGLE_MOST:
             raise BadInputError(f"parameter {name}: {value} is not a finite number")
-        self._entry("out", "parameter", name=name, value=value)
+        if name.startswith("pid_") and not 0 <= value <= GAIN_MOST:
+            raise BadInputError(f"parameter {name}: {value:g} is outside 0..{GAIN_MOST:g}")
+        whole = self._whole_range(name)
+        if whole is not None and not (value == int(value) and whole[0] <= value <= whole[1]):
+            raise BadInputError(
+                f"parameter {name}: {value:g} is not a whole number {whole[0]}..{whole[1]}"
+            )
+
+    async def write_parameter(self, name: str, value: float, *, client: str = "") -> float:
+        """Write a parameter and return what the craft says it is now: the same number, rounded
+        to the 32 bits it has there.
+
+        Raises as ``require_parameter``, LinkError when the craft does not confirm it.
+        """
+        self.require_parameter(name, value)
+        self._entry("out", "parameter", client=client, name=name, value=value)
         confirmed = await self._write_parameter(name, value)
-        self._entry("in", "parameter", name=name, value=confirmed)
+        self._entry("in", "parameter", client=client, name=name, value=confirmed)
+        if not math.isclose(confirmed, value, rel_tol=1e-6, abs_tol=1e-30):
+            raise LinkError(f"{self.uri}: parameter {name} is {confirmed:g}, not {value:g}")
         return confirmed
+
+    def record_parameters(self, client: str) -> None:
+        """Put every parameter, as last read, into the recording."""
+        self._entry("in", "parameters", client=client, values=self.parameters())
 
     @abstractmethod
     def _send_setpoint(
@@ -103,9 +131,16 @@ class CommandLink(ABC):
     @abstractmethod
     async def _write_parameter(self, name: str, value: float) -> float: ...
 
-    def _entry(self, direction: str, kind: str, **values: Any) -> None:
-        entry = {"time_ns": self.clock(), "direction": direction, "kind": kind}
+    @abstractmethod
+    def _whole_range(self, name: str) -> tuple[int, int] | None:
+        """What fits a parameter that holds whole numbers, None for one that does not. Raises
+        BadInputError for one that can only be read."""
+
+    def _entry(self, direction: str, kind: str, **values: Any) -> int:
+        time_ns = self.clock()
+        entry = {"time_ns": time_ns, "direction": direction, "kind": kind}
         self.on_entry({**entry, "link": self.uri, **values})
+        return time_ns
 
     def _enter(self, state: CommandState, text: str) -> None:
         if state is not self.state:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,16 @@ from groundstation.links.command import CommandLink, CommandState
 
 CONNECT_S = 10.0
 CONFIRM_S = 2.0
+SEND_S = 2.5
+"""cflib waits 2 s for a radio that takes nothing."""
+_WHOLE = {
+    "uint8_t": (0, 255),
+    "int8_t": (-128, 127),
+    "uint16_t": (0, 65535),
+    "int16_t": (-32768, 32767),
+    "uint32_t": (0, 2**32 - 1),
+    "int32_t": (-(2**31), 2**31 - 1),
+}
 
 
 class CrazyflieLink(CommandLink):
@@ -40,6 +51,7 @@ class CrazyflieLink(CommandLink):
         cache = _cache_folder()
         self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(cache))
         self._craft: Any = None
+        self._sender: _Sender | None = None
 
     async def open(self) -> None:
         loop = asyncio.get_running_loop()
@@ -68,10 +80,14 @@ class CrazyflieLink(CommandLink):
             await self.close()
             text = str(error) or f"{self.uri}: no craft answered within {CONNECT_S:g} s"
             raise LinkError(text) from error
+        self._sender = _Sender(craft)
         self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
 
     async def close(self) -> None:
         craft, self._craft = self._craft, None
+        sender, self._sender = self._sender, None
+        if sender is not None:
+            await asyncio.to_thread(sender.close)
         if craft is not None:
             await asyncio.to_thread(craft.close_link)
         self._enter(CommandState.CLOSED, "closed")
@@ -88,7 +104,10 @@ class CrazyflieLink(CommandLink):
     def _send_setpoint(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
     ) -> None:
-        self._connected().commander.send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust)
+        self._connected()
+        assert self._sender is not None
+        # cflib turns pitch round by itself, from nose down to the firmware's nose up
+        self.superseded += self._sender.send((roll_deg, pitch_deg, -yaw_dps, thrust))
 
     async def _write_parameter(self, name: str, value: float) -> float:
         craft = self._connected()
@@ -109,10 +128,56 @@ class CrazyflieLink(CommandLink):
         finally:
             craft.param.remove_update_callback(group, short, updated)
 
+    def _whole_range(self, name: str) -> tuple[int, int] | None:
+        craft = self._connected()
+        element = craft.param.toc.get_element_by_complete_name(name)
+        if element.access == element.RO_ACCESS:
+            raise BadInputError(f"parameter {name} can only be read")
+        return _WHOLE.get(element.ctype)
+
     def _connected(self) -> Any:
         if self._craft is None or self.state is not CommandState.CONNECTED:
             raise LinkError(f"{self.uri} is not connected ({self.state.value})")
         return self._craft
+
+
+class _Sender:
+    """Hands setpoints to cflib from a thread of its own, for a radio may block for seconds.
+
+    Holds one setpoint: a newer one replaces it, for an old one is worth nothing.
+    """
+
+    def __init__(self, craft: Any) -> None:
+        self._craft = craft
+        self._next: tuple[float, float, float, int] | None = None
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
+        self._thread.start()
+
+    def send(self, setpoint: tuple[float, float, float, int]) -> bool:
+        """Whether it replaced one that had not been sent."""
+        with self._changed:
+            replaced = self._next is not None
+            self._next = setpoint
+            self._changed.notify()
+        return replaced
+
+    def close(self) -> None:
+        """Send what waits, if the radio takes it soon, and end."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(SEND_S)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._next is not None or self._closing)
+                setpoint, self._next = self._next, None
+            if setpoint is None:
+                return
+            self._craft.commander.send_setpoint(*setpoint)
 
 
 def _cache_folder() -> Path:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import socket
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from groundstation.errors import GroundStationError
 
 TIMEOUT_S = 45.0
 """Finishing a recording on a bad disk is given 30 s."""
+IDLE_S = 3.0
+"""The daemon closes a connection that has been idle for 5 s: one this old is opened anew."""
 
 
 class _UnixConnection(http.client.HTTPConnection):
@@ -22,21 +28,163 @@ class _UnixConnection(http.client.HTTPConnection):
     def connect(self) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.sock.settimeout(TIMEOUT_S)
-        self.sock.connect(str(self._path))
+        try:
+            self.sock.connect(str(self._path))
+        except OSError:
+            self.sock.close()
+            raise
 
 
-def ask(path: Path, method: str, route: str) -> Any:
-    """One request to the daemon at ``path``; its answer decoded from JSON.
+class Client:
+    """A connection to the daemon at ``path`` that is kept between requests."""
 
-    Raises GroundStationError when no daemon answers there, or with the daemon's own refusal.
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._connection = _UnixConnection(path)
+        self._used_s = 0.0
+
+    def ask(self, method: str, route: str, body: dict[str, Any] | None = None) -> Any:
+        """One request; its answer decoded from JSON.
+
+        Raises GroundStationError when no daemon answers, or with the daemon's own refusal.
+        """
+        content = None if body is None else json.dumps(body)
+        headers = {} if body is None else {"Content-Type": "application/json"}
+        if time.monotonic() - self._used_s > IDLE_S:
+            self._connection.close()
+        self._used_s = time.monotonic()
+        with _explained(self._path):
+            try:
+                self._connection.request(method, route, content, headers)
+                response = self._connection.getresponse()
+                answer = response.read()
+                if response.status == 200:
+                    return json.loads(answer)
+            except BaseException:
+                self._connection.close()
+                raise
+        status = f"{response.status} {response.reason}"
+        raise GroundStationError(
+            _refusal(answer)
+            or f"the daemon at {self._path} answered {method} {route} with {status}"
+        )
+
+    def close(self) -> None:
+        """Safe to call twice."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def ask(path: Path, method: str, route: str, body: dict[str, Any] | None = None) -> Any:
+    """One request to the daemon at ``path``, as ``Client.ask``."""
+    with Client(path) as client:
+        return client.ask(method, route, body)
+
+
+class Pilot(Client):
+    """The one client that commands, from entering the context until leaving it.
+
+    client: a name for people. lease: token, the dead man's limits (``lease_s``, ``level_s``,
+    ``stop_s``), and the command link's ``uri`` and ``state``.
+
+    Leaving stops motors that still run. A process that dies instead leaves it to the dead man.
     """
+
+    def __init__(self, path: Path, client: str) -> None:
+        super().__init__(path)
+        self._client = client
+        self.lease: dict[str, Any] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self.lease = self.ask("POST", "/command/acquire", {"client": self._client})
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with contextlib.suppress(GroundStationError):  # the lease may be over already
+            self.release()
+        self.close()
+
+    def setpoint(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+    ) -> dict[str, Any]:
+        """Send one setpoint: ``time_ns``, the newest ``telemetry`` and ``link_state``.
+
+        Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate
+        counter-clockwise. At most 100 a second; thrust 0..60000.
+        """
+        values = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_dps": yaw_dps}
+        answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust)
+        return answer
+
+    def parameters(self) -> dict[str, float]:
+        """Every parameter of the craft by full name."""
+        values: dict[str, float] = self.ask("GET", "/command/parameters")["values"]
+        return values
+
+    def write(self, values: dict[str, float]) -> dict[str, float]:
+        """Write parameters, all or none where one is refused; what the craft read back."""
+        back: dict[str, float] = self._command("parameters", values=values)["values"]
+        return back
+
+    def keep(self) -> None:
+        """Keep the lease while nothing is sent."""
+        self._command("keep")
+
+    def mark(self, text: str, **details: Any) -> None:
+        """Put a note into the recording, among its events."""
+        self.ask("POST", "/record/mark", {"text": text, "details": details})
+
+    def release(self) -> None:
+        """Stop the motors and give the craft back."""
+        self._command("release")
+
+    def _command(self, what: str, **content: Any) -> Any:
+        token = self.lease["token"]
+        return self.ask("POST", f"/command/{what}", {"token": token, **content})
+
+
+def live(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """What the daemon at ``path`` streams, as (kind, content); kinds are samples, event and
+    statistics. Ends with the daemon; raises GroundStationError when there is none."""
     connection = _UnixConnection(path)
+    with _explained(path), contextlib.closing(connection):
+        connection.request("GET", "/stream")
+        with contextlib.closing(connection.getresponse()) as response:
+            if response.status != 200:
+                raise GroundStationError(_refusal(response.read()) or f"{path}: {response.reason}")
+            kind = ""
+            for line in response:
+                name, _, content = line.decode().rstrip("\n").partition(": ")
+                if name == "event":
+                    kind = content
+                elif name == "data":
+                    yield kind, json.loads(content)
+
+
+@contextlib.contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """What can go wrong with the daemon at ``path``, in words."""
     try:
-        connection.request(method, route)
-        response = connection.getresponse()
-        body = response.read()
-        if response.status == 200:
-            return json.loads(body)
+        yield
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise GroundStationError(
             f"no groundstation is running (nothing answers at {path}); start one with "
@@ -49,12 +197,6 @@ def ask(path: Path, method: str, route: str) -> Any:
         ) from error
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise GroundStationError(f"control socket {path}: {error}") from error
-    finally:
-        connection.close()
-    answer = f"{response.status} {response.reason}"
-    raise GroundStationError(
-        _refusal(body) or f"the daemon at {path} answered {method} {route} with {answer}"
-    )
 
 
 def _refusal(body: bytes) -> str | None:

@@ -57,6 +57,18 @@ class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     socket: str = ""
 
 
+class DeadManConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What happens when a client that commands falls silent, in seconds.
+
+    level_s: without a setpoint while motors run: level attitude. stop_s: motors off and the
+    lease is over. lease_s: without any request while motors stand: the lease is over.
+    """
+
+    level_s: Annotated[float, msgspec.Meta(ge=0.05, le=0.5)] = 0.2
+    stop_s: Annotated[float, msgspec.Meta(ge=0.1, le=2.0)] = 0.6
+    lease_s: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 5.0
+
+
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Everything the daemon can be told.
 
@@ -70,6 +82,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
     control: ControlConfig = ControlConfig()
+    dead_man: DeadManConfig = DeadManConfig()
     command: str = ""
     vehicle: Text = "crazyflie1"
     stand_in: dict[str, Any] = {}
@@ -93,6 +106,8 @@ def require_sense(config: Config) -> None:
         load_vehicle(config.vehicle)
     except BadInputError as error:
         raise BadInputError(f"setting vehicle: {error}") from error
+    if config.dead_man.stop_s <= config.dead_man.level_s:
+        raise BadInputError("setting dead_man.stop_s: must be greater than dead_man.level_s")
     viewer = config.viewer
     if viewer.mode != "off" and viewer.port == viewer.web_port:
         raise BadInputError(

@@ -9,23 +9,31 @@ import json
 import os
 import socket
 import stat
-from collections.abc import Awaitable, Callable, Iterator
-from dataclasses import asdict
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import msgspec
 import uvicorn
 from starlette.applications import Starlette
-from starlette.requests import Request
-from starlette.responses import JSONResponse
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
-from groundstation.errors import GroundStationError, TakenError
+from groundstation.errors import (
+    BadInputError,
+    GroundStationError,
+    NotAuthorisedError,
+    TakenError,
+)
+from groundstation.service.api import Operation, operations
 from groundstation.service.config import shared_folder
 from groundstation.service.station import Station
+from groundstation.text import printable
 
 BACKLOG = 16
+BODY_MOST = 1 << 16
 PATH_MOST = 107
 """Bytes a Unix socket's address can hold."""
 
@@ -129,46 +137,86 @@ class ControlServer:
 
 def control_app(station: Station) -> Starlette:
     """The routes; every answer is JSON, errors as ``{"error": text}``: status 400 for what the
-    station refuses, 500 for a fault of its own, which is an event too."""
+    station refuses, 403 for a token that is not in force, 409 for what another client holds,
+    413 and 429 beyond the limits, 500 for a fault of its own, which is an event too."""
 
-    async def status() -> Any:
-        return station.status()
+    def answering(operation: Operation) -> Callable[[Request], Awaitable[Response]]:
+        where = f"{operation.method} {operation.path}"
 
-    async def events() -> Any:
-        return [asdict(event) for event in station.events]
-
-    async def record_start() -> Any:
-        await station.start_recording()
-        return station.sessions.status()
-
-    async def record_stop() -> Any:
-        return await station.stop_recording()
-
-    def answering(work: Callable[[], Awaitable[Any]]) -> Callable[[Request], Awaitable[_Json]]:
-        async def answer(request: Request) -> _Json:
+        async def answer(request: Request) -> Response:
             try:
-                return _Json(await work())
+                body = await _body(request, operation.body)
+                return _Json(await operation.work(body))
+            except _TooLargeError as error:
+                return _refusal(413, error)
+            except NotAuthorisedError as error:
+                return _refusal(403, error)
+            except TakenError as error:
+                return _refusal(409, error)
             except GroundStationError as error:
-                return _Json({"error": str(error)}, status_code=400)
+                return _refusal(400, error)
+            except ClientDisconnect:
+                return Response(status_code=499)
             except Exception as error:
-                where = f"{request.method} {request.url.path}"
                 station.fault(f"{where}: {error!r}", source="control")
-                return _Json({"error": f"{where}: internal fault: {error!r}"}, status_code=500)
+                return _refusal(500, f"{where}: internal fault: {error!r}")
 
         return answer
 
+    async def stream(request: Request) -> Response:
+        try:
+            subscriber = station.stream.subscribe()
+        except TakenError as error:
+            return _refusal(409, error)
+
+        async def messages() -> AsyncIterator[bytes]:
+            try:
+                async for message in subscriber.messages():
+                    yield message
+            finally:
+                station.stream.leave(subscriber)
+
+        return StreamingResponse(messages(), media_type="text/event-stream")
+
     return Starlette(
         routes=[
-            Route("/status", answering(status)),
-            Route("/events", answering(events)),
-            Route("/record/start", answering(record_start), methods=["POST"]),
-            Route("/record/stop", answering(record_stop), methods=["POST"]),
+            *(
+                Route(each.path, answering(each), methods=[each.method])
+                for each in operations(station)
+            ),
+            Route("/stream", stream),
         ]
     )
 
 
-class _Json(JSONResponse):
-    """ASCII: a file name need not be UTF-8, and UTF-8 cannot carry one that is not."""
+class _TooLargeError(GroundStationError):
+    pass
+
+
+async def _body(request: Request, kind: type | None) -> Any:
+    """The request's JSON as ``kind``. Raises BadInputError with the path of what is wrong."""
+    if kind is None:
+        return None
+    content = b""
+    async for piece in request.stream():
+        content += piece
+        if len(content) > BODY_MOST:
+            raise _TooLargeError(f"the request is longer than {BODY_MOST} bytes")
+    try:
+        return msgspec.json.decode(content, type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"the request's body: {error}") from error
+
+
+def _refusal(status: int, error: GroundStationError | str) -> Response:
+    return _Json({"error": printable(str(error))}, status_code=status)
+
+
+class _Json(Response):
+    media_type = "application/json"
 
     def render(self, content: Any) -> bytes:
-        return json.dumps(content, separators=(",", ":"), default=str).encode("ascii")
+        try:
+            return msgspec.json.encode(content, enc_hook=str)
+        except UnicodeEncodeError:  # the name of a file that is not UTF-8
+            return json.dumps(content, separators=(",", ":"), default=str).encode("ascii")

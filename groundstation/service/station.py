@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import structlog
 
 from groundstation.background import in_background
@@ -25,12 +26,14 @@ from groundstation.errors import (
     LinkLostError,
 )
 from groundstation.links.base import Link, LinkEvent, LinkState
-from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.factory import make_command_link, make_link
+from groundstation.service.commander import Commander
 from groundstation.service.config import MEBIBYTE, Config, link_speed, require_sense
+from groundstation.service.requests import Telemetry
 from groundstation.service.sessions import Sessions
+from groundstation.service.stream import Stream
 from groundstation.telemetry.decoder import Decoded, Decoder, compile_kernel
-from groundstation.telemetry.samples import RawBatch
+from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
 from groundstation.text import printable
 from groundstation.viewer.viewer import Viewer, ViewerMode
@@ -70,10 +73,17 @@ class Station:
             clock=self.clock,
         )
         self.link.on_event = self.take_event
-        self.command: CommandLink | None = None
+        command = None
         if config.command:
-            self.command = make_command_link(config.command, clock=self.clock)
-            self.command.on_event = self.take_event
+            command = make_command_link(config.command, clock=self.clock)
+            command.on_event = self.take_event
+        self.commander = Commander(
+            command,
+            config.dead_man,
+            note=lambda kind, text: self.note(kind, text, source=config.command or "command"),
+            telemetry=lambda: (self.link_state(), self._no_craft()),
+        )
+        self.stream = Stream()
         self.sessions = Sessions(
             Path(config.recording.folder),
             {
@@ -89,13 +99,14 @@ class Station:
             web_port=config.viewer.web_port,
             on_event=lambda kind, text: self.note(kind, text, source="viewer"),
         )
-        if self.command is not None:
-            self.command.on_entry = self.sessions.command
+        if command is not None:
+            command.on_entry = self.sessions.command
         self._log = structlog.get_logger("groundstation")
         self._started_s = time.monotonic()
         self._decoder = Decoder()
         self._meter = LinkMeter(self.clock())
         self._newest_ns = 0  # the latest host stamp
+        self._newest: SampleBatch | None = None
         self._ready_made = 0  # samples of a source that needs no decoder
         self._retry_s = RETRY_FIRST_S
         self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
@@ -125,12 +136,12 @@ class Station:
             closing.callback(self._close_window)
             closing.callback(self._drain)
             closing.push_async_callback(self.link.close)
-            if self.command is not None:
-                closing.push_async_callback(self.command.close)
+            closing.push_async_callback(self.commander.close)
             receiving = asyncio.create_task(self._receive(), name="link")
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
             others = [
-                asyncio.create_task(self._supervise("command", self._connect_command)),
+                asyncio.create_task(self._supervise("command", self.commander.keep_connected)),
+                asyncio.create_task(self._supervise("dead man", self.commander.watch)),
                 asyncio.create_task(self._supervise("statistics", self._close_windows)),
             ]
             await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -174,20 +185,35 @@ class Station:
         return {
             "link": {
                 "name": self.link.name,
-                "state": (self._away or self.link.state).value,
+                "state": self.link_state().value,
                 "rate_hz": statistics.rate_hz if statistics else 0.0,
                 "lost": statistics.lost if statistics else 0,
                 "latency_ms": statistics.latency_ms if statistics else None,
             },
             "recording": self.sessions.status(),
             "viewer": self.viewer.status(),
-            "command": None
-            if self.command is None
-            else {"uri": self.command.uri, "state": self.command.state.value},
+            "command": self.commander.status(),
+            "stream": {"clients": len(self.stream), "dropped": self.stream.dropped},
             "faults": self.faults,
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
+
+    def mark(self, text: str, details: dict[str, Any]) -> None:
+        """A note of an operator or a client, in the recording and among the events."""
+        self.take_event(LinkEvent(self.clock(), "operator", "mark", text, details))
+
+    def link_state(self) -> LinkState:
+        """Of the telemetry link: lost until a lost device is back."""
+        return self._away or self.link.state
+
+    def newest(self) -> Telemetry | None:
+        """The newest sample, None before the first."""
+        return None if self._newest is None else _telemetry(self._newest, self._now_ns())
+
+    def _no_craft(self) -> str:
+        """Why nothing that could be commanded is behind the telemetry, or empty."""
+        return f"{self.link.name} is a recording" if self.link.finite else ""
 
     # -- events ----------------------------------------------------------------------------
 
@@ -211,13 +237,12 @@ class Station:
         level(event.text, source=event.link, kind=event.kind)
         self.sessions.event(event)
         self.viewer.show_event(event)
+        self.stream.event(event)
 
     def _recorder_fault(self, text: str) -> None:
         # called from the recorder's thread
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(lambda: self.note("fault", text, source="recorder"))
-
-    # -- the way to the craft --------------------------------------------------------------
 
     async def _supervise(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
         """Begin anew what fails by a fault of the program."""
@@ -227,20 +252,6 @@ class Station:
             except Exception as error:
                 self.fault(f"{name}: {error!r}", source=name)
                 await asyncio.sleep(RETRY_MOST_S)
-
-    async def _connect_command(self) -> None:
-        """Keep the command link connected while telemetry is on."""
-        command = self.command
-        while command is not None:
-            # a stand-in answers only once its link is open
-            if self.link.state is LinkState.STREAMING and command.state is not _CONNECTED:
-                try:
-                    await command.close()
-                    await command.open()
-                except LinkError as error:
-                    self.note("waiting", str(error), source=command.uri)
-                    await asyncio.sleep(RETRY_MOST_S)
-            await asyncio.sleep(RETRY_FIRST_S)
 
     # -- the stream ------------------------------------------------------------------------
 
@@ -335,8 +346,7 @@ class Station:
             if len(batch):
                 self._newest_ns = max(self._newest_ns, int(batch.host_time_ns[-1]))
             if not isinstance(batch, RawBatch):
-                self.sessions.samples(batch)
-                self.viewer.show_samples(batch)
+                self._give(batch)
                 self._meter.add_samples(batch)
                 self._ready_made += len(batch)
             else:
@@ -349,9 +359,15 @@ class Station:
 
     def _take(self, decoded: Decoded) -> None:
         self._meter.add(decoded)
-        if len(decoded.samples):
-            self.sessions.samples(decoded.samples)
-            self.viewer.show_samples(decoded.samples)
+        self._give(decoded.samples)
+
+    def _give(self, samples: SampleBatch) -> None:
+        if len(samples) == 0:
+            return
+        self._newest = samples
+        self.sessions.samples(samples)
+        self.viewer.show_samples(samples)
+        self.stream.samples(samples)
 
     async def _close_windows(self) -> None:
         """Once a second, also while nothing comes."""
@@ -371,13 +387,36 @@ class Station:
         if statistics.restarts > (self.statistics.restarts if self.statistics else 0):
             self.note("restart", "the device restarted: a new segment", source=self.link.name)
         self.statistics = statistics
-        self.sessions.statistics(statistics.as_dict())
+        entry = statistics.as_dict()
+        self.sessions.statistics(entry)
+        self.stream.statistics(entry)
         self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
 
 
-_CONNECTED = CommandState.CONNECTED
 _ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
-_WARNINGS = frozenset({"fault", "lost", "loss", "silent", "waiting", "restart", "damage"})
+_WARNINGS = frozenset(
+    {"fault", "lost", "loss", "silent", "waiting", "restart", "damage", "dead man"}
+)
+
+
+def _telemetry(samples: SampleBatch, now_ns: int) -> Telemetry:
+    """The last row, in the units of the API; what a source does not have is None."""
+
+    def numbers(values: Any) -> list[float | None]:
+        return [None if np.isnan(value) else round(float(value), 4) for value in values]
+
+    roll, pitch, yaw = numbers(np.degrees(samples.attitude[-1]))
+    (battery,) = numbers(samples.battery_v[-1:])
+    return Telemetry(
+        age_s=round((now_ns - int(samples.host_time_ns[-1])) * 1e-9, 4),
+        timestamp=int(samples.ticks[-1]),
+        roll_deg=roll,
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        gyro_dps=numbers(np.degrees(samples.gyro[-1])),
+        battery_v=battery,
+        motors=numbers(samples.duty[-1]),
+    )
 
 
 def _recorded_configuration(config: Config) -> dict[str, str]:

@@ -1,0 +1,272 @@
+"""Who may command the craft: one authorised client at a time, and what happens when it vanishes.
+
+A client acquires a lease and gets a token; nothing leaves for the craft without it. While the
+motors run, a setpoint must come often: when none has come for ``level_s`` the daemon levels the
+craft, after ``stop_s`` it stops the motors and the lease is over. Both come before the
+firmware's own limits of 0.5 s and 2 s, which still hold when the daemon itself is gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from groundstation.errors import (
+    BadInputError,
+    GroundStationError,
+    LinkError,
+    NotAuthorisedError,
+    TakenError,
+)
+from groundstation.links.base import LinkState
+from groundstation.links.command import CommandLink, CommandState
+from groundstation.service.config import DeadManConfig
+from groundstation.service.limits import RateLimit
+from groundstation.service.requests import Lease as Granted
+
+SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 20.0
+"""100 Hz with the jitter of a client's clock."""
+WATCH_S = 0.05
+"""How often the dead man looks, and repeats what it sends."""
+STOPS = 5
+"""How often zero thrust is sent at an end: a radio may lose some."""
+RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
+DEAD_MAN = "dead man"
+
+Note = Callable[[str, str], None]
+
+
+@dataclass(slots=True)
+class Lease:
+    """One client's right to command."""
+
+    client: str
+    token: str
+    heard_s: float
+    """When the client last said anything, monotonic."""
+    setpoint_s: float = 0.0
+    thrust: int = 0
+    levelled: bool = False
+
+
+class Commander:
+    """The command link and the lease on it.
+
+    link: None where the daemon was given no command link.
+    note: told (kind, text) of leases and of the dead man.
+    telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
+
+    What refuses raises BadInputError for a value, NotAuthorisedError for a token that is not in
+    force, TakenError where another client commands, LinkError where the craft is not connected.
+    """
+
+    def __init__(
+        self,
+        link: CommandLink | None,
+        limits: DeadManConfig,
+        *,
+        note: Note,
+        telemetry: Callable[[], tuple[LinkState, str]],
+    ) -> None:
+        self.link = link
+        self.limits = limits
+        self.setpoints = self.refused = self.interventions = 0
+        self._note, self._telemetry = note, telemetry
+        self._lease: Lease | None = None
+        self._stops = 0  # zero thrusts still to be repeated
+        self._stopped_by = DEAD_MAN
+        self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
+
+    # -- what a client can do --------------------------------------------------------------
+
+    @property
+    def client(self) -> str | None:
+        """Who commands at the moment."""
+        return None if self._lease is None else self._lease.client
+
+    def acquire(self, client: str) -> Granted:
+        """Begin a lease: its token, and the limits the client must keep."""
+        link = self._require_link()
+        _, reason = self._telemetry()
+        if reason:
+            raise BadInputError(f"no craft can be commanded: {reason}")
+        if self._lease is not None:
+            self.refused += 1
+            raise TakenError(f"{self._lease.client} is commanding; one client at a time")
+        if link.state is not CommandState.CONNECTED:
+            raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
+        self._lease = Lease(client, secrets.token_urlsafe(24), time.monotonic())
+        self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
+        self._note("command", f"{client} commands now")
+        link.record_parameters(client)
+        return Granted(
+            token=self._lease.token,
+            lease_s=self.limits.lease_s,
+            level_s=self.limits.level_s,
+            stop_s=self.limits.stop_s,
+            uri=link.uri,
+            state=link.state.value,
+        )
+
+    def release(self, token: str) -> None:
+        """End the lease; motors that still run are stopped."""
+        lease = self._require(token)
+        if lease.thrust:
+            self._stop_motors(lease)
+        self._end(f"{lease.client} has released the craft")
+
+    def keep(self, token: str) -> None:
+        """Say that the client is alive. It does not keep motors running: setpoints do."""
+        self._require(token)
+
+    def setpoint(
+        self, token: str, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+    ) -> int:
+        """Send one setpoint in the frame of the telemetry; when, Unix ns.
+
+        Signs as in ``CommandLink.setpoint``.
+        """
+        lease = self._require(token)
+        link = self._require_link()
+        if not self._rate.allows():
+            self.refused += 1
+            raise BadInputError("setpoints come faster than 100 a second; this one was not sent")
+        try:
+            sent_ns = link.setpoint(roll_deg, pitch_deg, yaw_dps, thrust, client=lease.client)
+        except GroundStationError:
+            self.refused += 1
+            raise
+        self._stops = 0
+        self.setpoints += 1
+        lease.setpoint_s, lease.thrust, lease.levelled = lease.heard_s, thrust, False
+        return sent_ns
+
+    def parameters(self) -> dict[str, float]:
+        """Every parameter of the craft, as last read; needs no lease."""
+        link = self._require_link()
+        if link.state is not CommandState.CONNECTED:
+            raise LinkError(f"{link.uri} is not connected ({link.state.value})")
+        return link.parameters()
+
+    async def write_parameters(self, token: str, values: dict[str, float]) -> dict[str, float]:
+        """Write parameters; what the craft says they are now. All are checked before any is
+        written; what was written before the craft failed to confirm one stays."""
+        lease = self._require(token)
+        link = self._require_link()
+        for name, value in values.items():
+            link.require_parameter(name, value)
+        confirmed = {}
+        for name, value in values.items():
+            confirmed[name] = await link.write_parameter(name, value, client=lease.client)
+            lease.heard_s = time.monotonic()
+        return confirmed
+
+    def status(self) -> dict[str, Any] | None:
+        if self.link is None:
+            return None
+        return {
+            "uri": self.link.uri,
+            "state": self.link.state.value,
+            "client": self.client,
+            "setpoints": self.setpoints,
+            "superseded": self.link.superseded,
+            "refused": self.refused,
+            "interventions": self.interventions,
+        }
+
+    # -- the daemon's part -----------------------------------------------------------------
+
+    async def keep_connected(self) -> None:
+        """Connect the command link whenever telemetry streams and it is not."""
+        link = self.link
+        while link is not None:
+            # a stand-in answers only once its link is open
+            streaming = self._telemetry()[0] is LinkState.STREAMING
+            if streaming and link.state in (CommandState.CLOSED, CommandState.LOST):
+                try:
+                    await link.close()
+                    await link.open()
+                except LinkError as error:
+                    self._note("waiting", str(error))
+                    await asyncio.sleep(RECONNECT_FAILED_S)
+            await asyncio.sleep(RECONNECT_S)
+
+    async def watch(self) -> None:
+        """The dead man: runs as long as the daemon."""
+        while True:
+            self.look(time.monotonic())
+            await asyncio.sleep(WATCH_S)
+
+    def look(self, now_s: float) -> None:
+        """Do what the time since the client's last words demands."""
+        lease = self._lease
+        if self._stops:
+            self._stops -= 1
+            self._send(0, self._stopped_by)
+        if lease is None:
+            return
+        silent_s = now_s - lease.setpoint_s
+        if lease.thrust and silent_s >= self.limits.stop_s:
+            self.interventions += 1
+            self._stop_motors(lease, client=DEAD_MAN)
+            self._end(f"{lease.client} has vanished: motors stopped", kind="fault")
+        elif lease.thrust and silent_s >= self.limits.level_s:
+            if not lease.levelled:
+                lease.levelled = True
+                self._note("dead man", f"no setpoint from {lease.client}: level attitude")
+            self._send(lease.thrust, DEAD_MAN)
+        elif not lease.thrust and now_s - lease.heard_s >= self.limits.lease_s:
+            self._end(f"{lease.client} was silent for {self.limits.lease_s:g} s: its lease is over")
+
+    async def close(self) -> None:
+        """Stop motors that still run, and disconnect. Safe to call twice."""
+        lease = self._lease
+        if lease is not None:
+            if lease.thrust:
+                self._stop_motors(lease, client=DEAD_MAN)
+            self._end(f"the daemon ends: {lease.client} commands no more")
+        if self.link is not None:
+            while self._stops and self.link.state is CommandState.CONNECTED:
+                self._stops -= 1
+                self._send(0, self._stopped_by)
+                await asyncio.sleep(WATCH_S / 5)
+            await self.link.close()
+
+    def _require_link(self) -> CommandLink:
+        if self.link is None:
+            raise BadInputError(
+                "the daemon has no command link; start it with --command udp://HOST:PORT or "
+                "radio://..."
+            )
+        return self.link
+
+    def _require(self, token: str) -> Lease:
+        lease = self._lease
+        if lease is None or not hmac.compare_digest(lease.token.encode(), token.encode()):
+            self.refused += 1
+            raise NotAuthorisedError("this token is not (or no more) in force; acquire a lease")
+        lease.heard_s = time.monotonic()
+        return lease
+
+    def _stop_motors(self, lease: Lease, *, client: str | None = None) -> None:
+        lease.thrust = 0
+        self._stops = STOPS - 1
+        self._stopped_by = client or lease.client
+        self._send(0, self._stopped_by)
+
+    def _send(self, thrust: int, client: str) -> None:
+        link = self.link
+        if link is not None:
+            # without the craft there is nothing to be done: its own limits stop it
+            with contextlib.suppress(LinkError):
+                link.setpoint(0.0, 0.0, 0.0, thrust, client=client)
+
+    def _end(self, text: str, *, kind: str = "command") -> None:
+        self._lease = None
+        self._note(kind, text)

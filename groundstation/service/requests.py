@@ -1,0 +1,94 @@
+"""What clients of the control API say and hear, as types: they validate, and make the schema."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Token = Annotated[str, msgspec.Meta(max_length=128)]
+Line = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+
+
+class Acquire(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Wants to command. client: a name for people, shown in the status and recorded."""
+
+    client: Name
+
+
+class Holder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Holds the lease."""
+
+    token: Token
+
+
+class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One setpoint, in the signs of the telemetry: roll left side up, pitch nose down, yaw rate
+    counter-clockwise from above. thrust: 0..60000, up to 10000 is none."""
+
+    token: Token
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_dps: float = 0.0
+    thrust: int
+
+
+class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Parameters to be written, by full name (``pid_rate.roll_kp``)."""
+
+    token: Token
+    values: Annotated[dict[str, float], msgspec.Meta(min_length=1, max_length=64)]
+
+
+class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A note for the recording."""
+
+    text: Line
+    details: Annotated[dict[str, Any], msgspec.Meta(max_length=64)] = {}
+
+
+class Lease(msgspec.Struct, frozen=True, kw_only=True):
+    """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
+    uri, state: of the command link."""
+
+    token: str
+    lease_s: float
+    level_s: float
+    stop_s: float
+    uri: str
+    state: str
+
+
+class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
+    """The newest sample. age_s: since its packet arrived. timestamp: unwrapped ticks."""
+
+    age_s: float
+    timestamp: int
+    roll_deg: float | None
+    pitch_deg: float | None
+    yaw_deg: float | None
+    gyro_dps: list[float | None]
+    battery_v: float | None
+    motors: list[float | None]
+
+
+class Sent(msgspec.Struct, frozen=True, kw_only=True):
+    """time_ns: when the setpoint was handed to the radio. telemetry: None where nothing has
+    come yet."""
+
+    time_ns: int
+    telemetry: Telemetry | None
+    link_state: str
+
+
+class Values(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the craft by full name."""
+
+    values: dict[str, float]
+
+
+class Done(msgspec.Struct, frozen=True, kw_only=True):
+    """It was done."""
+
+    done: bool = True

@@ -1,0 +1,143 @@
+"""The live samples for other programs: a bounded queue for each, the oldest dropped first."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator
+from dataclasses import asdict
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from groundstation.errors import TakenError
+from groundstation.links.base import LinkEvent
+from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
+from groundstation.telemetry.samples import SampleBatch
+
+CLIENTS_MOST = 8
+ROWS_MOST = 2000
+"""Four seconds of telemetry wait for a client that does not read."""
+NOTES_MOST = 100
+PERIOD_S = 0.02
+"""What has come meanwhile goes out together: 50 messages a second at most."""
+KEEP_ALIVE_S = 2.0
+"""A comment is sent after so long without anything, so that a dead connection shows."""
+
+
+class Subscriber:
+    """What waits for one client. dropped: samples and notes that it was too slow for."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._batches: deque[SampleBatch] = deque()
+        self._rows = 0
+        self._notes: deque[tuple[str, dict[str, Any]]] = deque()
+        self._something = asyncio.Event()
+
+    def put_samples(self, batch: SampleBatch) -> None:
+        self._batches.append(batch)
+        self._rows += len(batch)
+        while self._rows > ROWS_MOST and len(self._batches) > 1:
+            self._forget(self._batches.popleft())
+        if self._rows > ROWS_MOST:
+            newest = self._batches.pop()[-ROWS_MOST:]
+            self.dropped += self._rows - len(newest)
+            self._rows = len(newest)
+            self._batches.append(newest)
+        self._something.set()
+
+    def put_note(self, kind: str, note: dict[str, Any]) -> None:
+        self._notes.append((kind, note))
+        if len(self._notes) > NOTES_MOST:
+            self._notes.popleft()
+            self.dropped += 1
+        self._something.set()
+
+    async def messages(self) -> AsyncIterator[bytes]:
+        """Server-sent events for as long as somebody asks."""
+        yield b": live telemetry\n\n"
+        while True:
+            try:
+                async with asyncio.timeout(KEEP_ALIVE_S):
+                    await self._something.wait()
+            except TimeoutError:
+                yield b": nothing\n\n"
+                continue
+            self._something.clear()
+            while self._notes:
+                kind, note = self._notes.popleft()
+                yield _event(kind, note)
+            while self._batches:
+                batch = self._batches.popleft()
+                self._rows -= len(batch)
+                while self._batches and self._batches[0].tick_s == batch.tick_s:
+                    more = self._batches.popleft()
+                    self._rows -= len(more)
+                    batch = SampleBatch.concatenate([batch, more])
+                yield _event("samples", {**columns(batch), "dropped": self.dropped})
+            await asyncio.sleep(PERIOD_S)
+
+    def _forget(self, batch: SampleBatch) -> None:
+        self._rows -= len(batch)
+        self.dropped += len(batch)
+
+
+class Stream:
+    """Every client that listens. dropped: over all of them, also those that have left."""
+
+    def __init__(self) -> None:
+        self._subscribers: set[Subscriber] = set()
+        self._dropped_before = 0
+
+    def __len__(self) -> int:
+        return len(self._subscribers)
+
+    @property
+    def dropped(self) -> int:
+        return self._dropped_before + sum(one.dropped for one in self._subscribers)
+
+    def subscribe(self) -> Subscriber:
+        """Raises TakenError when there are too many."""
+        if len(self._subscribers) >= CLIENTS_MOST:
+            raise TakenError(f"{CLIENTS_MOST} clients read the stream already; end one of them")
+        subscriber = Subscriber()
+        self._subscribers.add(subscriber)
+        return subscriber
+
+    def leave(self, subscriber: Subscriber) -> None:
+        """Forget a client. Safe to call twice."""
+        if subscriber in self._subscribers:
+            self._subscribers.remove(subscriber)
+            self._dropped_before += subscriber.dropped
+
+    def samples(self, batch: SampleBatch) -> None:
+        for subscriber in self._subscribers:
+            subscriber.put_samples(batch)
+
+    def event(self, event: LinkEvent) -> None:
+        for subscriber in self._subscribers:
+            subscriber.put_note("event", asdict(event))
+
+    def statistics(self, entry: dict[str, Any]) -> None:
+        for subscriber in self._subscribers:
+            subscriber.put_note("statistics", entry)
+
+
+def columns(batch: SampleBatch) -> dict[str, Any]:
+    """A batch as lists, named as in a recording; a channel without data is left out."""
+    values: dict[str, Any] = {"tick_s": batch.tick_s}
+    for column, (field, _) in SAMPLE_FIELDS.items():
+        array = getattr(batch, column)
+        if array.dtype.kind == "f":
+            if np.isnan(array).all():
+                continue
+            # six decimals are finer than any sensor here, and shorter than 32 bits spelt out
+            array = np.round(array.astype(np.float64), 6)
+        values[field] = array.tolist()
+    return values
+
+
+def _event(kind: str, content: dict[str, Any]) -> bytes:
+    return b"event: %s\ndata: %s\n\n" % (kind.encode(), msgspec.json.encode(content, enc_hook=str))

@@ -1,0 +1,305 @@
+"""Commanding through the daemon: cflib over UDP to a stand-in, whose pilot holds the height."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from flown_link import free_udp_port
+from installed import RECORDINGS, until
+from served_station import recorded, serve
+
+from groundstation.errors import GroundStationError
+from groundstation.service.client import Client, Pilot, ask, live
+from groundstation.service.config import (
+    Config,
+    DeadManConfig,
+    LinkConfig,
+    RecordingConfig,
+)
+
+HOVER = 40000
+LATE_S = 0.15
+"""What a loaded machine may add to a time limit."""
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "control.sock"
+
+
+@pytest.fixture
+def fly(tmp_path, path):
+    """Runs a conversation with a daemon whose craft can be commanded; then its recording."""
+
+    def flying(conversation, **dead_man):
+        config = Config(
+            link=LinkConfig(name="stand-in"),
+            command=f"udp://127.0.0.1:{free_udp_port()}",
+            stand_in={"program": "wait", "altitude_hold": True},
+            recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
+            dead_man=DeadManConfig(**dead_man),
+        )
+
+        def connected(station):
+            until(
+                lambda: ask(path, "GET", "/status")["command"]["state"] == "connected",
+                "the command link is connected",
+            )
+            conversation()
+
+        serve(config, path, connected)
+        return recorded(config)
+
+    return flying
+
+
+def steer(pilot, seconds, *, roll=0.0, pitch=0.0, yaw=0.0, thrust=HOVER):
+    """Command for some time; the last answer."""
+    answer = None
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        answer = pilot.setpoint(roll, pitch, yaw, thrust)
+        time.sleep(0.02)
+    return answer
+
+
+def burst(pilot):
+    for _ in range(200):
+        pilot.setpoint(0, 0, 0, 0)
+
+
+def setpoints(recording):
+    return [entry for entry in recording.commands if entry["kind"] == "setpoint"]
+
+
+def test_the_craft_leans_and_turns_as_commanded_in_the_signs_of_the_telemetry(fly, path):
+    reached = {}
+
+    def conversation():
+        with Pilot(path, "test") as pilot:
+            steer(pilot, 2.5)
+            before = steer(pilot, 0.1)["telemetry"]["yaw_deg"]
+            reached["roll"] = steer(pilot, 0.5, roll=8.0)["telemetry"]["roll_deg"]
+            steer(pilot, 0.6, roll=-8.0)
+            reached["pitch"] = steer(pilot, 0.5, pitch=8.0)["telemetry"]["pitch_deg"]
+            steer(pilot, 0.6, pitch=-8.0)
+            yaw = steer(pilot, 0.8, yaw=60.0)["telemetry"]["yaw_deg"]
+            reached["yaw"] = yaw - before
+
+    recording = fly(conversation)
+    assert reached["roll"] > 3
+    assert reached["pitch"] > 3
+    assert reached["yaw"] > 15
+    sent = setpoints(recording)
+    assert {entry["client"] for entry in sent} == {"test"}
+    assert max(entry["pitch_deg"] for entry in sent) == 8.0
+    assert recording.samples.duty.max() > 0.3
+
+
+def test_two_clients_cannot_both_command(fly, path):
+    def conversation():
+        with Pilot(path, "first") as first:
+            with (
+                pytest.raises(GroundStationError, match="first is commanding"),
+                Pilot(path, "second"),
+            ):
+                pass  # fmt: skip
+            first.setpoint(0, 0, 0, 0)
+        with Pilot(path, "second") as second:
+            with pytest.raises(GroundStationError, match="acquire a lease"):
+                first.setpoint(0, 0, 0, HOVER)
+            first.close()
+            second.setpoint(0, 0, 0, 0)
+
+    recording = fly(conversation)
+    assert [(entry["client"], entry["thrust"]) for entry in setpoints(recording)] == [
+        ("first", 0),
+        ("second", 0),
+    ]
+
+
+def test_nothing_leaves_without_an_authorised_client(fly, path):
+    def conversation():
+        with Client(path) as client:
+            for token in ("", "x" * 32, "\u20ac"):
+                for what, content in (
+                    ("setpoint", {"thrust": HOVER}),
+                    ("parameters", {"values": {"pid_rate.roll_kp": 50.0}}),
+                    ("keep", {}),
+                    ("release", {}),
+                ):
+                    with pytest.raises(GroundStationError, match="acquire a lease"):
+                        client.ask("POST", f"/command/{what}", {"token": token, **content})
+            for body in ({"thrust": HOVER}, {"token": None, "thrust": 1}, [1], None):
+                with pytest.raises(GroundStationError):
+                    client.ask("POST", "/command/setpoint", body)
+            assert client.ask("GET", "/status")["command"]["setpoints"] == 0
+
+    assert fly(conversation).commands == []
+
+
+def test_a_client_that_vanishes_means_level_and_then_motors_off(fly, path):
+    def conversation():
+        pilot = Pilot(path, "doomed").__enter__()
+        steer(pilot, 1.5, roll=5.0)
+        pilot.close()
+        until(lambda: ask(path, "GET", "/status")["command"]["client"] is None, "the lease is over")
+        with Pilot(path, "next") as following:
+            following.setpoint(0, 0, 0, 0)
+
+    recording = fly(conversation)
+    entries = setpoints(recording)
+    last = max(k for k, entry in enumerate(entries) if entry["client"] == "doomed")
+    after = [entry for entry in entries[last + 1 :] if entry["client"] == "dead man"]
+
+    def since_s(entry):
+        return (entry["time_ns"] - entries[last]["time_ns"]) * 1e-9
+
+    level = [entry for entry in after if entry["thrust"] == HOVER]
+    stopped = [entry for entry in after if entry["thrust"] == 0]
+    print(f"level after {since_s(level[0]):.3f} s, motors off after {since_s(stopped[0]):.3f} s")
+    assert 0.2 <= since_s(level[0]) < 0.2 + LATE_S
+    assert {(entry["roll_deg"], entry["pitch_deg"]) for entry in after} == {(0.0, 0.0)}
+    assert 0.6 <= since_s(stopped[0]) < 0.6 + LATE_S
+    samples = recording.samples
+    running = samples.host_time_ns[(samples.duty > 0).any(axis=1)]
+    off_s = (running[-1] - entries[last]["time_ns"]) * 1e-9
+    print(f"the last sample with a running motor {off_s:.3f} s after the last setpoint")
+    assert off_s < 0.6 + 2 * LATE_S
+    told = [event["text"] for event in recording.events]
+    assert "no setpoint from doomed: level attitude" in told
+    assert "doomed has vanished: motors stopped" in told
+
+
+def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
+    def conversation():
+        pilot = Pilot(path, "flying").__enter__()
+        steer(pilot, 1.5)
+        pilot.close()  # and the station is stopped at once
+
+    recording = fly(conversation)
+    last = setpoints(recording)[-1]
+    assert (last["thrust"], last["client"]) == (0, "dead man")
+
+
+def test_a_silent_client_on_the_ground_loses_its_lease_unless_it_keeps_it(fly, path):
+    def conversation():
+        with Pilot(path, "patient") as pilot:
+            for _ in range(6):
+                time.sleep(0.25)
+                pilot.keep()
+            time.sleep(1.3)
+            with pytest.raises(GroundStationError, match="acquire a lease"):
+                pilot.keep()
+
+    recording = fly(conversation, lease_s=1.0)
+    assert "patient was silent for 1 s: its lease is over" in [e["text"] for e in recording.events]
+
+
+def test_parameters_are_written_all_or_none_and_read_back(fly, path):
+    gains = {"pid_rate.roll_kp": 55.5, "pid_attitude.pitch_ki": 0.1, "imu_acc_lpf.factor": 16}
+
+    def conversation():
+        with Pilot(path, "tuner") as pilot:
+            before = pilot.parameters()
+            for name, value in (
+                ("pid_rate.nonsense", 1.0),
+                ("pid_rate.pitch_kp", -1.0),
+                ("pid_rate.pitch_kp", 1001.0),
+                ("imu_acc_lpf.factor", 256),
+                ("imu_acc_lpf.factor", 1.5),
+                ("sensorfusion6.kp", 1e39),
+            ):
+                with pytest.raises(GroundStationError, match=name):
+                    pilot.write({"pid_rate.roll_kp": 60.0, name: value})
+            for bad in (math.nan, math.inf):
+                with pytest.raises(GroundStationError, match="body"):
+                    pilot.write({"pid_rate.roll_kp": bad})
+            assert pilot.parameters() == before
+            back = pilot.write(gains)
+            assert back == {name: float(np.float32(value)) for name, value in gains.items()}
+            assert pilot.parameters() == before | back
+
+    recording = fly(conversation)
+    written = [entry for entry in recording.commands if entry["kind"] == "parameter"]
+    assert [(entry["name"], entry["direction"]) for entry in written] == [
+        (name, direction) for name in gains for direction in ("out", "in")
+    ]
+    (known,) = [entry for entry in recording.commands if entry["kind"] == "parameters"]
+    assert known["values"]["pid_rate.roll_kp"] == 70
+
+
+def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path):
+    took = []
+
+    def conversation():
+        with Pilot(path, "fast") as pilot:
+            due_s = time.monotonic()
+            for _ in range(200):
+                started_s = time.monotonic()
+                pilot.setpoint(1.0, 0.0, 0.0, 0)
+                took.append(time.monotonic() - started_s)
+                due_s += 0.01
+                time.sleep(max(0.0, due_s - time.monotonic()))
+            with pytest.raises(GroundStationError, match="faster than 100 a second"):
+                burst(pilot)
+            time.sleep(0.2)
+            with pytest.raises(GroundStationError, match="thrust 70000"):
+                pilot.setpoint(0, 0, 0, 70000)
+            with pytest.raises(GroundStationError, match="roll_deg 50"):
+                pilot.setpoint(50, 0, 0, 0)
+
+    recording = fly(conversation)
+    print(
+        f"a setpoint took {1e3 * np.median(took):.2f} ms, p99 {1e3 * np.quantile(took, 0.99):.2f}"
+    )
+    assert sum(entry["roll_deg"] == 1.0 for entry in setpoints(recording)) == 200
+
+
+def test_the_stream_carries_samples_events_and_marks(fly, path):
+    seen = {}
+
+    def conversation():
+        with Pilot(path, "marker") as pilot:
+            for kind, content in live(path):
+                if kind not in seen:
+                    seen[kind] = content
+                    pilot.mark("step 1", axis="roll")
+                if kind == "event" and content["kind"] == "mark":
+                    seen["mark"] = content
+                if {"samples", "statistics", "mark"} <= set(seen):
+                    break
+        assert ask(path, "GET", "/status")["stream"]["clients"] <= 1
+
+    recording = fly(conversation)
+    assert seen["mark"]["details"] == {"axis": "roll"}
+    assert seen["samples"]["dropped"] == 0
+    rows = len(seen["samples"]["ticks"])
+    assert np.shape(seen["samples"]["gyro_rad_s"]) == (rows, 3)
+    where = np.searchsorted(recording.samples.ticks, seen["samples"]["ticks"])
+    np.testing.assert_allclose(
+        recording.samples.attitude[where], seen["samples"]["attitude_rad"], atol=1e-6
+    )
+    assert "step 1" in [event["text"] for event in recording.events if event["kind"] == "mark"]
+
+
+@pytest.mark.parametrize(
+    ("link", "says"),
+    [
+        ("stand-in", "no command link"),
+        (f"replay:{RECORDINGS / 'stand_in_flight.mcap'}", "is a recording"),
+    ],
+)
+def test_where_no_craft_can_be_commanded_a_client_is_told_why(tmp_path, path, link, says):
+    config = Config(
+        link=LinkConfig(name=link),
+        command="" if link == "stand-in" else "udp://127.0.0.1:1",
+        recording=RecordingConfig(folder=str(tmp_path), enabled=False),
+    )
+
+    def conversation(station):
+        with pytest.raises(GroundStationError, match=says), Pilot(path, "hopeful"):
+            pass
+
+    serve(config, path, conversation)
