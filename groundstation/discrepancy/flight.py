@@ -1,0 +1,193 @@
+"""A flight made ready for the search: what is airborne, which rows are real, where it rested."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.recordings import filled
+from groundstation.dynamics.rotations import rotation_matrix
+from groundstation.errors import BadInputError
+from groundstation.identification.runs import Run
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+TURNING = 0.1
+"""Duty from which a motor turns."""
+SETTLE_S = 0.5
+"""A flight that is recorded from the air on loses this: the motors forget their unknown start."""
+CLEAR_M = 0.02
+"""Height from which the ground carries nothing any more."""
+CONTACT_S = 1.0
+"""Left out at the start where height cannot be told; the ground may carry part of the torque."""
+REST_S = 0.2
+LOW_S = 6.0
+"""How long height can be had from integrating the accelerometer."""
+LEAST_AIR_S = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One uninterrupted airborne stretch with everything around it.
+
+    run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
+    airborne rows. attitude_rows: rows on which the attitude was new, evenly spaced, within the
+    stretch; empty without attitude. height_m: (n,) above the take-off point where it can be
+    told, otherwise infinite. rests: whether the flight began (ended) at rest on the ground.
+    rotor_measured: rotor speeds were recorded.
+    """
+
+    run: Run
+    known: Flags
+    first: int
+    last: int
+    attitude_rows: NDArray[np.int64]
+    height_m: Array
+    rests: tuple[bool, bool]
+    has_accelerometer: bool
+    has_attitude: bool
+    rotor_measured: bool
+
+    @property
+    def period_s(self) -> float:
+        return self.run.period_s
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.last)
+
+
+def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:
+    """The airborne stretches of runs, at least ``least_s`` long each.
+
+    Raises BadInputError where the gyro is missing or nothing is left.
+    """
+    found = [flight for run in runs for flight in _flights(run, least_s)]
+    if not found:
+        names = ", ".join(sorted({run.name for run in runs})) or "recordings"
+        raise BadInputError(
+            f"{names}: no {least_s:.0f} s of uninterrupted flight after take-off;"
+            " fly and record longer"
+        )
+    return found
+
+
+def _flights(raw: Run, least_s: float) -> list[Flight]:
+    known = np.isfinite(raw.gyro).all(axis=1)
+    if not known.any():
+        raise BadInputError(
+            f"{raw.name}: the gyro is missing; without body rates no effect can be told"
+        )
+    measured = bool(np.isfinite(raw.rotor_rev_s).any())
+    if not measured and not (np.isfinite(raw.duty).any() and np.isfinite(raw.supply_v).any()):
+        raise BadInputError(f"{raw.name}: PWM or battery voltage is missing; the motors need both")
+    has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
+    has_attitude = bool(np.isfinite(raw.attitude).any())
+    run = Run(
+        raw.name,
+        raw.start_s,
+        raw.period_s,
+        *(
+            filled(getattr(raw, name))
+            for name in (
+                "duty",
+                "supply_v",
+                "gyro",
+                "accelerometer",
+                "attitude",
+                "rotor_rev_s",
+                "debug_s",
+            )
+        ),
+    )
+    turning = (run.rotor_rev_s > 20.0 if measured else run.duty > TURNING).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
+    period = run.period_s
+    flights = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if (stop - start) * period < least_s:
+            continue
+        rests = (start * period > REST_S, (len(run) - stop) * period > REST_S)
+        height = np.full(len(run), np.inf)
+        if has_accelerometer:
+            _low_height(run, start, stop, rests, height)
+        first, last = _airborne(run, start, stop, rests, height)
+        if (last - first) * period < least_s:
+            continue
+        fresh = _fresh_rows(run, known, first, last) if has_attitude else np.empty(0, np.int64)
+        flights.append(
+            Flight(
+                run,
+                known,
+                first,
+                last,
+                fresh,
+                height,
+                rests,
+                has_accelerometer,
+                has_attitude,
+                measured,
+            )
+        )
+    return flights
+
+
+def _low_height(run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array) -> None:
+    """Height for some seconds after take-off and before landing, from the accelerometer.
+
+    Its offset is what it shows at rest more than 1 g, so that only the motion is integrated.
+    """
+    from groundstation.discrepancy.kernels import height_of
+
+    rows = round(LOW_S / run.period_s)
+    least = round(REST_S / run.period_s)
+    attitude = run.attitude if np.isfinite(run.attitude).all() else np.zeros((len(run), 3))
+    matrix = rotation_matrix(attitude)
+    vertical = np.einsum("ni,ni->n", matrix[:, 2], run.accelerometer) - STANDARD_GRAVITY
+    scratch = np.full(len(run), np.inf)
+    if rests[0]:
+        calm = vertical[max(0, start - 10 * least) : start]
+        height_of(vertical - calm.mean(), run.period_s, start, min(start + rows, stop), scratch)
+        part = slice(start, min(start + rows, stop))
+        height[part] = np.minimum(height[part], scratch[part])
+    if rests[1]:
+        calm = vertical[stop + least // 2 : stop + 10 * least]
+        begin = max(stop - rows, start)
+        scratch[:] = np.inf
+        height_of(vertical - calm.mean(), run.period_s, stop + least // 2, begin, scratch)
+        part = slice(begin + 1, stop)
+        height[part] = np.minimum(height[part], scratch[part])
+
+
+def _airborne(
+    run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array
+) -> tuple[int, int]:
+    """From where the ground carries nothing to where it begins to."""
+    period = run.period_s
+    first, last = start, stop
+    if not rests[0]:
+        first += round(SETTLE_S / period)
+    else:
+        low = np.flatnonzero(height[start:stop] > CLEAR_M)
+        first += int(low[0]) if len(low) and np.isfinite(height[start]) else round(1.5 / period)
+    if rests[1]:
+        near = np.flatnonzero(height[first:stop] < CLEAR_M)
+        later = near[near > round(2 * CONTACT_S / period)]
+        last = first + int(later[0]) if len(later) else stop - round(CONTACT_S / period)
+    return first, last
+
+
+def _fresh_rows(run: Run, known: Flags, first: int, last: int) -> NDArray[np.int64]:
+    """Rows with a new attitude: an even comb, its stride and phase as most changes have them."""
+    changed = np.flatnonzero((np.diff(run.attitude[first:last], axis=0) != 0).any(axis=1)) + 1
+    changed = changed[known[first + changed] & known[first + changed - 1]]
+    if len(changed) < 100:
+        return np.empty(0, np.int64)
+    stride = int(np.clip(np.rint(np.median(np.diff(changed))), 1, 20))
+    phase = int(np.bincount(changed % stride, minlength=stride).argmax())
+    return first + np.arange(phase, last - first, stride, dtype=np.int64)
