@@ -39,6 +39,17 @@ async def read_to_end(link):
     return await read_span(link, span_ns=1 << 62)
 
 
+async def packets_read(link, count):
+    """Read until ``count`` packets have come; all of them."""
+    batches = []
+    async with asyncio.timeout(PATIENCE_S):
+        while sum(map(len, batches)) < count:
+            batch = await link.read()
+            if batch is not None:
+                batches.append(batch)
+    return joined(batches)
+
+
 def joined(batches):
     return type(batches[0]).concatenate(batches)
 

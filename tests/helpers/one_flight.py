@@ -4,7 +4,7 @@ import asyncio
 import time
 
 import numpy as np
-from link_contract import PATIENCE_S, joined, read_to_end
+from link_contract import joined, packets_read, read_to_end
 
 from firmware_sim.craft import StandIn
 from firmware_sim.settings import Loss, StandInSettings
@@ -19,17 +19,6 @@ from groundstation.telemetry.samples import COLUMNS, RawBatch
 BRIDGES = {"copies": False, "no copies": True}
 """What the bridge does with copies: whether it removes them."""
 SEED, LOSS, SPAN_S = 5, 0.3, 2.0
-
-
-async def packets_read(link, count):
-    """Read until ``count`` packets have come; all of them."""
-    batches = []
-    async with asyncio.timeout(PATIENCE_S):
-        while sum(map(len, batches)) < count:
-            batch = await link.read()
-            if batch is not None:
-                batches.append(batch)
-    return joined(batches)
 
 
 class OneFlight:

@@ -1,33 +1,35 @@
 """Runs the tests of ``tests/usb_vm/guest`` inside the virtual machine."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import virtual_machine
 
 PROJECT = Path(__file__).parents[2]
 HELPERS = Path(__file__).parent
 GUEST = PROJECT / "tests" / "usb_vm" / "guest"
 PATIENCE_S = 1500
-FLIGHTS = {"flight": (200, ""), "filtered": (60, "bridge_dedup = true\n")}
+FLIGHT_S = 200
+SOUND_RADIO = "[loss]\ngood_loss = 0.0\n"
 
 
-def run_guest(out, chosen="."):
+def run_guest(out, chosen=".", flights=None):
     """Run the tests in the machine, or those of one file; what they said.
+
+    flights: by name, to be sent over USB from power-on to their end.
 
     In virtual time (10^9 instructions a second), which the load of this machine cannot touch:
     what is lost there is lost by the program.
     """
-    for name, (seconds, settings) in FLIGHTS.items():
-        sound = out / f"{name}.toml"
-        sound.write_text(f"{settings}[loss]\ngood_loss = 0.0\n")
-        subprocess.run(
-            [sys.executable, "-m", "firmware_sim", "--settings", sound, "--for", str(seconds),
-             "--fast", "-o", out / f"{name}.npz"],
-            check=True, cwd=PROJECT,
-        )  # fmt: skip
+    for name, flight in (flights or {}).items():
+        np.savez(out / f"{name}.npz", packets=flight.packets, arrival_s=flight.arrival_s)
+    (out / "flight.toml").write_text(SOUND_RADIO)
+    _compile_for_the_guest(out)
     command = [
         # plugins that nothing here uses take longer to load than some tests to run
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
@@ -36,6 +38,20 @@ def run_guest(out, chosen="."):
         "--timeout=0", "-p", "no:cacheprovider", f"--confcutdir={GUEST}", str(GUEST / chosen),
     ]  # fmt: skip
     return virtual_machine.run(command, out, icount="sleep=off", timeout_s=PATIENCE_S, cwd=PROJECT)
+
+
+def _compile_for_the_guest(out):
+    """Fly ``flight.npz``; what that compiled, for a processor as the guest has it, is left in
+    ``numba``: the guest itself would take longer than its tests.
+    """
+    compiled = virtual_machine.cache_folder() / "numba"
+    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(compiled)}
+    subprocess.run(
+        [sys.executable, "-m", "firmware_sim", "--settings", out / "flight.toml",
+         "--for", str(FLIGHT_S), "--fast", "-o", out / "flight.npz"],
+        check=True, cwd=PROJECT, env={**os.environ, **generic},
+    )  # fmt: skip
+    shutil.copytree(compiled, out / "numba")
 
 
 def table(out):

@@ -24,7 +24,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-PROGRAMS = ("qemu-system-x86_64", "busybox", "depmod", "cpio", "dpkg", "apt-get")
+PROGRAMS = ("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get")
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p")
 GUEST_MODULES = ("usbcore", "vhci-hcd")
 MEMORY_MB = 512
@@ -100,10 +100,15 @@ def run(
     return VmResult(int(_read(out / "exit")), _read(out / "output"), console)
 
 
+def cache_folder() -> Path:
+    """What is made once for all machines."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "groundstation-usb-vm"
+
+
 def kernel_root() -> Path:
     """A folder with ``boot`` and ``lib/modules`` of Debian's kernel, fetched when it is absent."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    cache = base / "groundstation-usb-vm"
+    cache = cache_folder()
     root = cache / "root"
     if not root.exists():
         cache.mkdir(parents=True, exist_ok=True)
@@ -176,6 +181,7 @@ $b mount -t devtmpfs none /host/dev
 $b mkdir -p /host/dev/shm /host/dev/pts
 $b mount -t tmpfs -o size=128m none /host/dev/shm
 $b mount -t devpts none /host/dev/pts
+$b mount -t tmpfs none /host/run
 $b mount -t 9p -o $share out /host/mnt || $b echo "no out"
 $b ip link set lo up
 $b chroot /host /bin/sh /mnt/command.sh > /host/mnt/output 2>&1

@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 from flights import flight
-from link_contract import PATIENCE_S, LinkContract, joined, listen, read_span
-from one_flight import BRIDGES, OneFlight, packets_read, require_equal
+from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
+from one_flight import BRIDGES, OneFlight, require_equal
 from serial_craft import SerialCraft
 
 from firmware_sim.serial_port import SerialPort

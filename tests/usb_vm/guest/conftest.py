@@ -10,19 +10,14 @@ IN_VM = "GROUNDSTATION_USB_VM" in os.environ
 collect_ignore_glob = [] if IN_VM else ["test_*.py"]
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[2] / "helpers"))
-OUT = Path("/mnt")
 
 
 @pytest.fixture(scope="session")
 def flight():
     """Packets without loss on the radio: every frame of the bus is full."""
+    from emulated_bridge import OUT
+
     return OUT / "flight.npz"
-
-
-@pytest.fixture(scope="session")
-def filtered_flight():
-    """The same craft behind a bridge that removes copies."""
-    return OUT / "filtered.npz"
 
 
 @pytest.fixture

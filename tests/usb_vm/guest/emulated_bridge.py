@@ -3,12 +3,18 @@
 import multiprocessing
 import socket
 import threading
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from firmware_sim.usb_device import UsbBridge
 from firmware_sim.usbip import attach, serve
-from groundstation.errors import LinkError
+from groundstation.errors import LinkError, LinkLostError
+from groundstation.telemetry.bridge_usb import FRAME_S
+
+OUT = Path("/mnt")
+"""The folder that the host sees too."""
 
 
 class RecordedFlight:
@@ -26,6 +32,27 @@ class RecordedFlight:
         return self.packets[rows], self._arrival_s[rows]
 
 
+class AwaitedFlight(RecordedFlight):
+    """A craft that is switched on when a host begins to listen: nothing of it is missed."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.start_s = np.inf
+
+    def advance(self, until_s):
+        packets, arrival_s = super().advance(until_s - self.start_s)
+        return packets, arrival_s + self.start_s
+
+
+class AwaitedBridge(UsbBridge):
+    """The bridge of an ``AwaitedFlight``."""
+
+    def submit(self, tag, frames, now_s):
+        if np.isinf(self._flight.start_s):
+            self._flight.start_s = (self._frame(now_s) + 1) * FRAME_S
+        super().submit(tag, frames, now_s)
+
+
 def rows_of(sent, received):
     """Where in the packets sent those received begin and end; the first may be any copy."""
     copies = np.flatnonzero((sent == received[0]).all(axis=1))
@@ -35,15 +62,18 @@ def rows_of(sent, received):
 
 
 class EmulatedBridge:
-    """Starts the process; every method returns when the kernel has been told."""
+    """Starts the process; every method returns when the kernel has been told.
 
-    def __init__(self, flight, faults=(), serial="VM1"):
+    awaited: whether the flight begins with the stream, and not with the process.
+    """
+
+    def __init__(self, flight, faults=(), serial="VM1", *, awaited=False):
         # a server that has imported everything forks: starting costs no files, thus no time
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["emulated_bridge"])
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=run_bridge, args=(theirs, flight, list(faults), serial), daemon=True
+            target=run_bridge, args=(theirs, flight, list(faults), serial, awaited), daemon=True
         )
         self._process.start()
         theirs.close()
@@ -71,9 +101,10 @@ class EmulatedBridge:
         return self._pipe.recv()
 
 
-def run_bridge(pipe, flight, faults, serial):
+def run_bridge(pipe, flight, faults, serial, awaited):
     """The process: obeys until the pipe is closed."""
-    bridge = UsbBridge(RecordedFlight(flight), serial=serial, faults=faults)
+    made, flown = (AwaitedBridge, AwaitedFlight) if awaited else (UsbBridge, RecordedFlight)
+    bridge = made(flown(flight), serial=serial, faults=faults)
     ours, theirs = socket.socketpair()
     thread = None
     pipe.send("ready")
@@ -104,3 +135,12 @@ async def open_when_there(link):
         await link.open()
     except LinkError:
         await link.open()
+
+
+async def read_until_lost(link):
+    async def read_on():
+        while True:
+            await link.read()
+
+    with pytest.raises(LinkLostError, match="unplugged"):
+        await read_on()
