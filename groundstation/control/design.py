@@ -1,0 +1,233 @@
+"""Gains by optimisation: the best tracking that a stated robustness allows.
+
+Among all gains that keep the limits (``Limits``) the design has the smallest sum of two ratios:
+its settling time over the shortest that any such gains reach, and its overshoot over the
+smallest (each plus 5 points, so that overshoots near zero do not decide alone). That is a point
+of the Pareto front of overshoot and settling at the limit of maximum sensitivity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.control.direct import DirectJudge, direct_margins
+from groundstation.control.margins import Margins
+from groundstation.control.pid import PidGains
+from groundstation.control.search import Archive, pareto_front, search
+from groundstation.dynamics.model import ArxAxis
+from groundstation.errors import BadInputError
+
+Array = NDArray[np.float64]
+
+RMS, OVERSHOOT, SETTLING, OFFSET, SENSITIVITY, EFFORT = range(6)
+"""Columns of a judgement."""
+POINTS = 5.0
+"""Overshoot in percent points that weighs as much as the smallest one possible."""
+OTHER_LIMITS = (1.4, 1.7, 2.5, 3.0)
+"""Maximum sensitivities at which the front is drawn beside the chosen one."""
+ALONG = (0.1, 0.25, 0.5)
+"""Where the front is traced between its two ends, as shares of the overshoot."""
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True):
+    """What a design must keep.
+
+    sensitivity: largest max |1/(1+L)|; 2 leaves a gain margin of 2 and a phase margin of 29 deg.
+    delay_s: more delay that the loop must bear.
+    offset: largest steady-state error, as a share of the step.
+    effort: largest controller output for a unit step, inf for any.
+    """
+
+    sensitivity: float = 2.0
+    delay_s: float = 0.002
+    offset: float = 0.02
+    effort: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Chosen gains and how they came about.
+
+    gains: (d,). judgement: its six columns. front: (n, 6) judgements of the Pareto front of
+    overshoot, settling and maximum sensitivity, front_gains (n, d). fastest, calmest: the
+    shortest settling (s) and smallest overshoot (%) that the limits allow.
+    """
+
+    gains: Array
+    judgement: Array
+    front: Array
+    front_gains: Array
+    fastest: float
+    calmest: float
+
+
+def optimise(
+    judge: Callable[[Array], Array],
+    low: Array,
+    high: Array,
+    limits: Limits,
+    seed: int = 0,
+    start: Array | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    **effort: int,
+) -> Design:
+    """The design for any judge of gains (m, d) that answers with the six columns.
+
+    Raises BadInputError where no gains keep the limits: with the best sensitivity found.
+    """
+    archive = Archive()
+    runs = 3 + len(ALONG) + 2 * len(OTHER_LIMITS)
+    done = 0
+
+    def best(score: Callable[[Array], Array], start: Array | None) -> tuple[Array, Array]:
+        nonlocal done
+        found = search(judge, score, low, high, archive, seed + done, start, **effort)
+        done += 1
+        progress(done / runs)
+        return found
+
+    def within(values: Callable[[Array], Array], peak: float, most: float = math.inf) -> Scorer:
+        return Scorer(values, msgspec.structs.replace(limits, sensitivity=peak), most)
+
+    peak = limits.sensitivity
+    fast_gains, fast = best(within(lambda j: j[:, SETTLING], peak), start)
+    if not _kept(fast[None], limits)[0]:
+        raise BadInputError(_impossible(archive, limits))
+    calm_gains, calm = best(within(lambda j: j[:, OVERSHOOT], peak), fast_gains[None])
+    known = np.vstack([fast_gains, calm_gains])
+    knee = _knee(fast[SETTLING], calm[OVERSHOOT])
+    chosen, _ = best(within(knee, peak), known)
+    known = np.vstack([known, chosen])
+    for share in ALONG:
+        most = calm[OVERSHOOT] + share * (fast[OVERSHOOT] - calm[OVERSHOOT])
+        best(within(lambda j: j[:, SETTLING], peak, most), known)
+    for other in OTHER_LIMITS:
+        gains, _ = best(within(lambda j: j[:, SETTLING], other), known)
+        best(within(lambda j: j[:, OVERSHOOT], other), np.vstack([known, gains]))
+    candidates, judgements = archive.table()
+    # what the later searches found on the way may be better still
+    kept = _kept(judgements, limits)
+    fastest, calmest = judgements[kept, SETTLING].min(), judgements[kept, OVERSHOOT].min()
+    values = np.where(kept, _knee(fastest, calmest)(judgements), np.inf)
+    winner = int(np.argmin(values))
+    loose = (judgements[:, OFFSET] <= limits.offset) & (judgements[:, EFFORT] <= limits.effort)
+    loose &= judgements[:, SENSITIVITY] <= max(OTHER_LIMITS)
+    front = np.flatnonzero(loose)
+    front = front[pareto_front(judgements[front][:, [OVERSHOOT, SETTLING, SENSITIVITY]])]
+    return Design(
+        candidates[winner],
+        judgements[winner],
+        judgements[front],
+        candidates[front],
+        float(fastest),
+        float(calmest),
+    )
+
+
+class Scorer:
+    """A value to be small, where the limits are kept; elsewhere by how much they are not."""
+
+    def __init__(self, value: Callable[[Array], Array], limits: Limits, overshoot: float) -> None:
+        self._value, self._limits, self._overshoot = value, limits, overshoot
+
+    def __call__(self, judgements: Array) -> Array:
+        limits = self._limits
+        with np.errstate(invalid="ignore"):
+            missed = (
+                np.maximum(judgements[:, SENSITIVITY] / limits.sensitivity - 1, 0)
+                + np.maximum(judgements[:, OFFSET] / limits.offset - 1, 0)
+                + np.maximum(judgements[:, EFFORT] / limits.effort - 1, 0)
+                + np.maximum(judgements[:, OVERSHOOT] / max(self._overshoot, 1e-9) - 1, 0)
+            )
+            missed = np.where(np.isfinite(judgements[:, SETTLING]), missed, missed + 100.0)
+            score = np.where(missed > 0, 1e3 * (1 + missed), self._value(judgements))
+        return np.where(np.isfinite(score), score, 1e12)
+
+
+def design_direct(
+    plants: Sequence[ArxAxis],
+    limits: Limits,
+    seconds: float = 2.0,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> tuple[PidGains, Design, Margins]:
+    """A PID in the thesis's form for an axis, the worst of several plants counting.
+
+    plants: the nominal one first. The margins are the nominal plant's.
+
+    Raises BadInputError where no gains keep the limits on all of them.
+    """
+    low, high = direct_bounds(plants[0])
+    judge = DirectJudge(plants, seconds, limits.delay_s)
+    design = optimise(judge, low, high, limits, seed, progress=progress)
+    gains = PidGains(*(float(g) for g in design.gains))
+    return gains, design, direct_margins(plants[0], gains)
+
+
+def direct_bounds(plant: ArxAxis) -> tuple[Array, Array]:
+    """Where kp, ki, kd are searched: bandwidths of 0.3 to 300 rad/s of a double integrator with
+    the plant's acceleration per unit of input."""
+    acceleration = sum(plant.b) / plant.ts**2
+    return (
+        np.array([0.1, 0.01, 0.1]) / acceleration,
+        np.array([1e5, 1e6, 300.0]) / acceleration,
+    )
+
+
+def rounding_corners(plant: ArxAxis) -> list[ArxAxis]:
+    """The plant and the corners of what its printed digits may stand for.
+
+    The thesis prints four significant digits: each coefficient is known to half a unit of its
+    last one.
+    """
+    half = [_half_digit(value) for value in (*plant.a, *plant.b)]
+    corners = [plant]
+    for signs in np.ndindex(*(2,) * len(half)):
+        moved = [
+            value + (2 * sign - 1) * width
+            for value, sign, width in zip((*plant.a, *plant.b), signs, half, strict=True)
+        ]
+        a, b = tuple(moved[: plant.na]), tuple(moved[plant.na :])
+        corners.append(ArxAxis(plant.na, plant.nb, plant.nk, a, b, plant.ts))
+    return corners
+
+
+def _half_digit(value: float) -> float:
+    return float(0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - 3))
+
+
+def _knee(fastest: float, calmest: float) -> Callable[[Array], Array]:
+    def value(judgements: Array) -> Array:
+        fast = judgements[:, SETTLING] / fastest
+        calm = (judgements[:, OVERSHOOT] + POINTS) / (calmest + POINTS)
+        return np.asarray(fast + calm)
+
+    return value
+
+
+def _kept(judgements: Array, limits: Limits) -> NDArray[np.bool_]:
+    return np.asarray(
+        (judgements[:, SENSITIVITY] <= limits.sensitivity)
+        & (judgements[:, OFFSET] <= limits.offset)
+        & (judgements[:, EFFORT] <= limits.effort)
+        & np.isfinite(judgements[:, SETTLING])
+    )
+
+
+def _impossible(archive: Archive, limits: Limits) -> str:
+    _, judgements = archive.table()
+    wanted = f"maximum sensitivity {limits.sensitivity:g}, {limits.delay_s * 1e3:g} ms of spare"
+    wanted += f" delay, steady-state error {100 * limits.offset:g} %"
+    if len(judgements) == 0:
+        return f"no gains make this model stable ({wanted}): the delay is too long for it"
+    best = float(judgements[:, SENSITIVITY].min())
+    return (
+        f"no gains keep the limits ({wanted}) on this model: the smallest maximum sensitivity"
+        f" found is {best:.2f}; allow more (--sensitivity), or know the model better"
+    )

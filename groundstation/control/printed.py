@@ -1,0 +1,104 @@
+"""What the thesis prints of its controllers: gains (Tables 8.1-8.4), results (8.5-8.7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from groundstation.control.direct import axis_plant, is_stable, most_delay, step_direct
+from groundstation.control.metrics import StepMetrics
+from groundstation.control.pid import AXES, PidGains
+from groundstation.dynamics.model import THESIS, Model
+
+GAINS: dict[str, dict[str, PidGains]] = {
+    "P": {
+        "roll": PidGains(149000.0),
+        "pitch": PidGains(149000.0),
+        "yaw": PidGains(44100.0),
+    },
+    "PI": {
+        "roll": PidGains(226000.0, 166000.0),
+        "pitch": PidGains(226000.0, 166000.0),
+        "yaw": PidGains(79500.0, 6980.0),
+    },
+    "PD": {
+        "roll": PidGains(1530000.0, 0.0, 10200.0),
+        "pitch": PidGains(1530000.0, 0.0, 10200.0),
+        "yaw": PidGains(121000.0, 0.0, 35900.0),
+    },
+    "PID": {
+        "roll": PidGains(1050000.0, 1930000.0, 3760.0),
+        "pitch": PidGains(1050000.0, 1930000.0, 3760.0),
+        "yaw": PidGains(30500.0, 1560.0, 3730.0),
+    },
+}
+"""Controller -> axis -> gains on u' in (rev/s)^2."""
+
+RESULTS: dict[str, dict[str, tuple[float, float, float]]] = {
+    "P": {
+        "roll": (0.5648, 50.0, 0.3),
+        "pitch": (0.5648, 50.0, 0.3),
+        "yaw": (0.3131, 40.0, 2.0),
+    },
+    "PI": {
+        "roll": (0.3292, 100.0, 0.4),
+        "pitch": (0.3292, 100.0, 0.4),
+        "yaw": (0.2987, 60.0, 2.5),
+    },
+    "PD": {
+        "roll": (0.1506, 40.0, 0.1),
+        "pitch": (0.1506, 40.0, 0.1),
+        "yaw": (0.1340, 1.0, 0.3),
+    },
+    "PID": {
+        "roll": (0.1769, 70.0, 0.2),
+        "pitch": (0.1769, 70.0, 0.2),
+        "yaw": (0.2736, 5.0, 1.5),
+    },
+}
+"""Controller -> axis -> printed RMS error, overshoot in percent, settling time in s."""
+
+WINDOW_S = {"roll": 1.0, "pitch": 1.0, "yaw": 5.0}
+"""Not printed; roll and pitch fit over 1 s, and yaw settles within 2.5 s as printed."""
+DELAYS = (2, 8)
+
+FINDING = (
+    "The printed gains act on u' itself. With the printed delay of 8 samples P barely holds and"
+    " PI, PD and PID diverge; with 2 samples they come close to the printed figures. The printed"
+    " models' delay and the printed tables cannot both be right: 8 x 0.5 ms, one per radio copy,"
+    " would be 2 rows. The yaw tables follow at no delay from the printed digits, which leave open"
+    " whether yaw is stable at all."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedCase:
+    """One printed controller on one axis, at one delay in samples."""
+
+    controller: str
+    axis: str
+    delay: int
+    metrics: StepMetrics
+    stable: bool
+    most_delay: int | None
+    printed: tuple[float, float, float]
+
+
+def printed_cases(delays: tuple[int, ...] = DELAYS, model: Model = THESIS) -> list[PrintedCase]:
+    """Every printed controller on the printed models, at each delay."""
+    cases = []
+    for axis in AXES:
+        for name, gains in GAINS.items():
+            for delay in delays:
+                plant = axis_plant(model, axis, delay)
+                cases.append(
+                    PrintedCase(
+                        name,
+                        axis,
+                        delay,
+                        step_direct(plant, gains[axis], WINDOW_S[axis]),
+                        is_stable(plant, gains[axis]),
+                        most_delay(plant, gains[axis]),
+                        RESULTS[name][axis],
+                    )
+                )
+    return cases
