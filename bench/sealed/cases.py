@@ -1,0 +1,144 @@
+"""The acceptance matrix: every case by name, seed, mode and condition."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bench.sealed.hidden import ALWAYS_FAITHFUL, LISTED, OUTSIDE
+
+Mode = Literal["clean", "affected"]
+Condition = Literal["", "loss", "restart", "low_battery", "other_mass"]
+CONDITIONS: tuple[Condition, ...] = ("loss", "restart", "low_battery", "other_mass")
+GROUPS = (
+    "single",
+    "noise",
+    "quiet",
+    "quiet_noise",
+    "faithful",
+    "faithful_plus",
+    "pair",
+    "triple",
+    "outside",
+    "power",
+    "power_noise",
+)
+POWER_SIGMAS = (2.0, 4.0, 6.0, 9.0, 14.0, 25.0)
+"""Sizes of the power curve, in standard errors of the Cramer-Rao bound."""
+PAIRS, TRIPLES = 30, 15
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One hidden craft.
+
+    names: what is hidden on top of the plant. mode: whether the base model comes from flights
+    without the effect (``clean``) or from the very flights that have it. sigmas: the size in
+    standard errors where the power curve asks for one, else 0: drawn from the range.
+    """
+
+    group: str
+    names: tuple[str, ...]
+    seed: int
+    mode: Mode = "clean"
+    condition: Condition = ""
+    sigmas: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Unique, and what ``--case`` takes."""
+        hidden = "+".join(self.names) or "nothing"
+        size = f":{self.sigmas:g}" if self.sigmas else ""
+        return f"{self.group}:{hidden}:{self.seed}:{self.mode}{size}"
+
+    @property
+    def number(self) -> int:
+        """Seeds everything that is drawn for this case; tells nothing by itself."""
+        label = f"{self.group}:{'+'.join(self.names)}:{self.seed}"
+        return zlib.crc32(label.encode())
+
+    @property
+    def plant(self) -> Literal["reduced", "faithful"]:
+        return "faithful" if self.group.startswith("faithful") else "reduced"
+
+    @property
+    def torque_noise(self) -> float:
+        return 6.0 if self.group.endswith("noise") else 1.0
+
+    @property
+    def sensor_noise(self) -> float:
+        return 2.0 if self.group.endswith("noise") else 1.0
+
+
+def matrix(groups: tuple[str, ...], modes: tuple[Mode, ...], seeds: int) -> Iterator[Case]:
+    """All cases of some groups, seed by seed so that a part of the matrix is a fair sample.
+
+    seeds: for each name and for each plant; pairs, triples and quiet flights come ``seeds``
+    tenths of their full number.
+    """
+    for seed in range(seeds):
+        for group in groups:
+            for mode in modes:
+                yield from _of_seed(group, mode, seed)
+
+
+def named(name: str) -> Case:
+    """The case of that name. Raises ValueError where it is none."""
+    parts = name.split(":")
+    if len(parts) not in (4, 5) or parts[0] not in GROUPS or parts[3] not in ("clean", "affected"):
+        raise ValueError(f"{name!r} is no case; GROUP:EFFECT[+EFFECT]:SEED:clean|affected[:SIGMAS]")
+    hidden = () if parts[1] == "nothing" else tuple(parts[1].split("+"))
+    unknown = set(hidden) - {*LISTED, *OUTSIDE}
+    if unknown:
+        raise ValueError(f"{name!r}: no effect {', '.join(sorted(unknown))}")
+    sigmas = float(parts[4]) if len(parts) == 5 else 0.0
+    mode: Mode = "affected" if parts[3] == "affected" else "clean"
+    return _case(parts[0], hidden, int(parts[2]), mode, sigmas)
+
+
+def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
+    if group in ("single", "noise"):
+        for name in LISTED:
+            yield _case(group, (name,), seed, mode)
+    elif group in ("quiet", "quiet_noise"):
+        for part in range(10):
+            yield _case(group, (), 10 * seed + part, mode)
+    elif group == "faithful":
+        for part in range(2):
+            yield _case(group, (), 2 * seed + part, mode)
+    elif group == "faithful_plus":
+        for name in LISTED:
+            if name not in ALWAYS_FAITHFUL:
+                yield _case(group, (name,), seed, mode)
+    elif group in ("pair", "triple"):
+        count, size = (PAIRS, 2) if group == "pair" else (TRIPLES, 3)
+        for number in range(seed * count // 10, (seed + 1) * count // 10):
+            yield _case(group, _mixture(number, size), number, mode)
+    elif group == "outside":
+        for name in OUTSIDE:
+            yield _case(group, (name,), seed, mode)
+    else:
+        for name in LISTED:
+            if name != "attitude_filter_lean":  # at the firmware's gains or absent
+                for sigmas in POWER_SIGMAS:
+                    yield _case(group, (name,), seed, mode, sigmas)
+
+
+def _mixture(number: int, size: int) -> tuple[str, ...]:
+    generator = np.random.default_rng((size, number))
+    return tuple(str(name) for name in generator.choice(LISTED, size, replace=False))
+
+
+def _case(group: str, names: tuple[str, ...], seed: int, mode: Mode, sigmas: float = 0.0) -> Case:
+    return Case(group, names, seed, mode, _condition(group, names, seed), sigmas)
+
+
+def _condition(group: str, names: tuple[str, ...], seed: int) -> Condition:
+    """A third of the seeds of the singles meets what recordings meet in the field."""
+    if group not in ("single", "noise") or seed % 3 != 2:
+        return ""
+    return CONDITIONS[(LISTED.index(names[0]) + seed // 3) % len(CONDITIONS)]

@@ -1,0 +1,242 @@
+"""Flights of the stand-in as recordings, the motor bench, and the base model's fit.
+
+A case's folder holds what the search may see: ``fit1.mcap``, ``fit2.mcap``, ``validate.mcap``,
+``model.json`` and, for a craft of another mass, ``vehicle.toml``.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.sealed.bound import significances
+from bench.sealed.cases import Case
+from bench.sealed.hidden import draw, planted, scaled
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.effects.present import present_effects
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.samples import RawBatch, SampleBatch
+
+COMMAND = Path(sys.executable).with_name("groundstation")
+PROGRAMME = str(Path(__file__).with_name("programme.toml"))
+VEHICLE = "vehicle.toml"
+FLIGHT_S, BENCH_S = 60.0, 64.0
+RESTART_CHARGE, RESTART_S, RESTART_FLIGHT_S = 0.1, 3.0, 66.0
+LOW_CHARGE = 0.32
+OTHER_MASS = (0.85, 1.15)
+START_NS = 1_700_000_000_000_000_000
+CARRY = {
+    "pid_rate.roll_kp": 30.0,
+    "pid_rate.pitch_kp": 30.0,
+    "pid_attitude.roll_kp": 3.0,
+    "pid_attitude.pitch_kp": 3.0,
+    "pid_attitude.roll_ki": 3.0,
+    "pid_attitude.pitch_ki": 3.0,
+}
+"""Gains that carry every size of every effect (docs/stand_in.md)."""
+
+Effects = dict[str, dict[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Sealed:
+    """What the search must not see.
+
+    hidden: what was put in on purpose. present: every listed effect in the craft, name ->
+    parameter -> value. significance: size of each present effect in standard errors of its
+    Cramer-Rao bound. craft: settings of the stand-in that flew, without seed and condition.
+    """
+
+    case: str
+    hidden: Effects
+    present: Effects
+    significance: dict[str, float]
+    condition: str
+    craft: dict[str, Any]
+
+
+class Generator:
+    """Makes the folders of cases; base models are shared by cases of one seed and plant."""
+
+    def __init__(self, families: Path) -> None:
+        self._families = families
+
+    def make(self, case: Case, folder: Path) -> Sealed:
+        """Write the recordings and the model of ``case`` into ``folder``; the truth is returned."""
+        family = self.family(case)
+        folder.mkdir(parents=True)
+        craft = _craft(case, family)
+        hidden = self._hidden(case, craft)
+        affected = {**craft, "effects": hidden}
+        condition = _condition(case)
+        seconds = RESTART_FLIGHT_S if case.condition == "restart" else FLIGHT_S
+        flights = []
+        for number, name in enumerate(("fit1", "fit2", "validate")):
+            settings = {**affected, "seed": flight_seed(case, number)}
+            samples, truth = flown({**settings, **condition}, seconds)
+            record(folder / f"{name}.mcap", samples)
+            if number < 2:  # the bound is that of whole flights, whatever became of them
+                flights.append(flown(settings, FLIGHT_S) if condition else (samples, truth))
+        if (family / VEHICLE).exists():
+            shutil.copy(family / VEHICLE, folder / VEHICLE)
+        if case.mode == "clean":
+            shutil.copy(family / "base.json", folder / "model.json")
+        else:
+            fits = [folder / "fit1.mcap", folder / "fit2.mcap"]
+            fit_body(fits, family / "motor.json", folder / "model.json", vehicle_of(folder))
+        truth_settings = msgspec.convert(affected, StandInSettings)
+        return Sealed(
+            case.name,
+            hidden,
+            present_effects(truth_settings),
+            significances(truth_settings, flights, _motor_covariance(family / "motor.json")),
+            case.condition,
+            affected,
+        )
+
+    def family(self, case: Case) -> Path:
+        """Bench, clean flights and base model of a seed and plant, made once.
+
+        Not for two threads at once.
+        """
+        mass = OTHER_MASS[case.number % 2] if case.condition == "other_mass" else 1.0
+        label = f"{case.plant}-{case.torque_noise:g}-{case.seed}-{mass:g}"
+        family = self._families / label
+        if (family / "base.json").exists():
+            return family
+        shutil.rmtree(family, ignore_errors=True)  # one that was not finished
+        family.mkdir(parents=True)
+        if mass != 1.0:
+            (family / VEHICLE).write_text(_profile(mass))
+        craft = _craft(case, family)
+        seed = 900_000_000 + 100 * case.seed
+        bench = {**craft, "program": "motor_bench", "gains": {}, "seed": seed}
+        record(family / "bench.mcap", flown(bench, BENCH_S)[0])
+        known = ["--with", "battery_reading_lag,supply_sag"] if case.plant == "faithful" else []
+        command(
+            *("fit", "motor", family / "bench.mcap", "-o", family / "motor.json"),
+            *("--vehicle", vehicle_of(family), *known),
+        )
+        paths = [family / f"clean{number}.mcap" for number in range(2)]
+        for number, path in enumerate(paths):
+            record(path, flown({**craft, "seed": seed + 1 + number}, FLIGHT_S)[0])
+        fit_body(paths, family / "motor.json", family / "base.json", vehicle_of(family))
+        return family
+
+    def _hidden(self, case: Case, craft: dict[str, Any]) -> Effects:
+        generator = np.random.default_rng(case.number)
+        hidden: Effects = {}
+        for name in case.names:
+            values = draw(name, generator)
+            if case.sigmas:
+                values = _of_size(case, craft, name, values)
+            alone = case.seed % 2 == 1 or len(case.names) > 1 or case.sigmas > 0
+            hidden.update(planted(name, values, alone))
+        return hidden
+
+
+def _of_size(
+    case: Case, craft: dict[str, Any], name: str, values: dict[str, float]
+) -> dict[str, float]:
+    """The drawn effect made so small that it is ``case.sigmas`` standard errors large."""
+    for _ in range(2):
+        trial = {**craft, "effects": planted(name, values, alone=True)}
+        flights = [flown({**trial, "seed": flight_seed(case, k)}, FLIGHT_S) for k in range(2)]
+        found = significances(msgspec.convert(trial, StandInSettings), flights)[name]
+        values = scaled(name, values, case.sigmas / found)
+    return values
+
+
+def flight_seed(case: Case, number: int) -> int:
+    """The stand-in's seed of a case's flight."""
+    return case.number % 100_000 * 10 + number
+
+
+def _craft(case: Case, family: Path) -> dict[str, Any]:
+    return {
+        "plant": case.plant,
+        "craft": vehicle_of(family),
+        "program": PROGRAMME,
+        "gains": CARRY,
+        "copies": 1,
+        "loss": {"good_loss": 0.0},
+        "torque_noise": case.torque_noise,
+        "sensor_noise": case.sensor_noise,
+    }
+
+
+def flown(settings: dict[str, Any], seconds: float) -> tuple[SampleBatch, NDArray[np.void]]:
+    """(samples as a ground station decodes them, truth) of one flight."""
+    craft = StandIn(msgspec.convert({"truth": True, **settings}, StandInSettings))
+    packets, heard_s = craft.advance(seconds)
+    host_ns = START_NS + np.rint(heard_s * 1e9).astype(np.int64)
+    samples, _ = decode_all(RawBatch(packets, host_ns))
+    return samples, craft.truth()
+
+
+def record(path: Path, samples: SampleBatch) -> None:
+    """Write samples as the daemon would, without the raw packets."""
+    out = RecordingFile(path, {"session": session_metadata("stand-in")})
+    out.samples(samples)
+    out.finish()
+
+
+def fit_body(recordings: list[Path], motor: Path, base: Path, vehicle: str) -> None:
+    command("fit", "body", *recordings, "--model", motor, "-o", base, "--vehicle", vehicle)
+
+
+def command(*arguments: object) -> str:
+    """Run the installed command; what it printed. Raises RuntimeError where it fails."""
+    done = subprocess.run(
+        [COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=600
+    )
+    if done.returncode != 0:
+        last = done.stderr.strip().splitlines()[-1:]
+        raise RuntimeError(f"groundstation {arguments[0]} {arguments[1]}: {last}")
+    return done.stdout
+
+
+def vehicle_of(folder: Path) -> str:
+    """What ``--vehicle`` gets for the recordings of a folder."""
+    profile = folder / VEHICLE
+    return str(profile) if profile.exists() else "crazyflie1"
+
+
+def _condition(case: Case) -> dict[str, Any]:
+    if case.condition == "loss":
+        return {"loss": {"good_loss": 0.02}}
+    if case.condition == "restart":
+        return {"charge": RESTART_CHARGE, "recharge_s": RESTART_S}
+    if case.condition == "low_battery":
+        return {"charge": LOW_CHARGE, "land_when_low": False}
+    return {}
+
+
+def _motor_covariance(motor: Path) -> NDArray[np.float64]:
+    """Covariance of a0, a1, a2 as the bench's fit states it, (3, 3)."""
+    estimates = json.loads(motor.read_text())["fit"]["motor"]["estimates"]
+    rows = [estimates["names"].index(name) for name in ("a0", "a1", "a2")]
+    return np.asarray(estimates["covariance"])[np.ix_(rows, rows)]
+
+
+def _profile(mass: float) -> str:
+    """The built-in profile with another mass, as TOML."""
+    fields = msgspec.to_builtins(BUILT_IN["crazyflie1"])
+    fields["name"], fields["mass_kg"] = "crazyflie1_loaded", mass * fields["mass_kg"]
+    tables = {key: fields.pop(key) for key in ("motor", "battery", "gains")}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in fields.items()]
+    for key, table in tables.items():
+        lines.append(f"[{key}]")
+        lines += [f'"{name}" = {json.dumps(value)}' for name, value in table.items()]
+    return "\n".join(lines) + "\n"

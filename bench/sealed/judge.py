@@ -1,0 +1,127 @@
+"""The seal is opened: what the report says against what was hidden."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from bench.sealed.cases import Case
+from bench.sealed.flights import Sealed
+from bench.sealed.hidden import CHANNELS, CONFUSABLE, LISTED, OUTSIDE, ROTOR_TORQUES
+
+VISIBLE = 5.0
+"""Standard errors from which a search is asked to find an effect."""
+INTERVAL = 1.96
+CLEAR = 1.2
+"""Gap over the floor from which a channel counts as touched by what was hidden."""
+LOUD = 2.0
+"""Gap over the floor from which an effect outside the list has to be called unexplained."""
+
+
+def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
+    """One line of results.
+
+    ``counted`` is False where a hidden effect is below five standard errors: by the bound, never
+    by what the search says. ``right``: every hidden effect named and nothing that is not there.
+    ``listed``: wrong by one confusable name whose alternatives list the right one.
+    """
+    found = [effect["name"] for effect in report["effects"]]
+    asked = _asked(case, sealed)
+    wanted = {name for name in asked if sealed.significance[name] >= VISIBLE}
+    false = [name for name in found if name not in sealed.present]
+    missed = sorted(wanted - set(found))
+    where = report["where"][0] if report["where"] else {}
+    return {
+        "case": case.name,
+        "group": case.group,
+        "hidden": sealed.hidden,
+        "condition": sealed.condition,
+        "significance": {k: round(v, 2) for k, v in sealed.significance.items()},
+        "counted": _counted(case, asked, wanted),
+        "verdict": report["verdict"],
+        "found": found,
+        "false": false,
+        "missed": missed,
+        "right": not false and not missed,
+        "listed": _listed(report["effects"], false, missed),
+        "parameters": _parameters(sealed, report["effects"]),
+        "explained": _explained(case, report),
+        "loudness": _loudness(report),
+        "where": [where.get("channel", ""), where.get("regime", "")],
+        "where_right": points_at(case, where.get("channel", "")),
+    }
+
+
+def points_at(case: Case, channel: str) -> bool:
+    """Whether the top row of ``where`` names a channel in which something hidden shows."""
+    plain = channel.replace("_", " ")
+    allowed = [name for hidden in case.names for name in CHANNELS[hidden]]
+    return any(plain == name or plain.split(" ")[0] == name for name in allowed)
+
+
+def _asked(case: Case, sealed: Sealed) -> set[str]:
+    """Names that the search should find, were they large enough."""
+    if case.plant == "faithful":
+        return set(sealed.present)
+    asked = {name for name in case.names if name in LISTED}
+    if asked & set(ROTOR_TORQUES):
+        asked |= set(ROTOR_TORQUES) & set(sealed.present)
+    return asked
+
+
+def _counted(case: Case, asked: set[str], wanted: set[str]) -> bool:
+    hidden = {name for name in case.names if name not in OUTSIDE}
+    if hidden & set(ROTOR_TORQUES) and len(case.names) == 1:
+        return bool(wanted & set(ROTOR_TORQUES))
+    return hidden <= wanted
+
+
+def _listed(effects: list[dict[str, Any]], false: list[str], missed: list[str]) -> bool:
+    if len(false) != 1 or len(missed) != 1 or {false[0], missed[0]} not in CONFUSABLE:
+        return False
+    (wrong,) = [effect for effect in effects if effect["name"] == false[0]]
+    return missed[0] in [other["name"] for other in wrong.get("alternatives", [])]
+
+
+def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every continuous parameter of a rightly named effect against the truth."""
+    out = []
+    for effect in effects:
+        truth = sealed.present.get(effect["name"], {})
+        for key, estimate in effect["parameters"].items():
+            if key not in truth or key == "rotor" or estimate["stderr"] is None:
+                continue
+            error, stderr = estimate["value"] - truth[key], estimate["stderr"]
+            out.append(
+                {
+                    "name": effect["name"],
+                    "parameter": key,
+                    "truth": truth[key],
+                    "value": estimate["value"],
+                    "stderr": stderr,
+                    "inside": abs(error) <= INTERVAL * stderr,
+                }
+            )
+    return out
+
+
+def _explained(case: Case, report: dict[str, Any]) -> float | None:
+    """(before^2 - after^2) / (before^2 - floor^2) over the channels that were off."""
+    gained = possible = 0.0
+    for channel, gap in report["gap"]["channels"].items():
+        before, after, floor = gap["before"], gap["after"], gap["noise_floor"]
+        if not points_at(case, channel) or not floor or before < CLEAR * floor:
+            continue
+        gained += (before**2 - after**2) / floor**2
+        possible += (before**2 - floor**2) / floor**2
+    return gained / possible if possible else None
+
+
+def _loudness(report: dict[str, Any]) -> float:
+    """The worst channel's gap over its floor before anything was added."""
+    ratios = [
+        gap["before"] / gap["noise_floor"]
+        for gap in report["gap"]["channels"].values()
+        if gap["noise_floor"] and math.isfinite(gap["before"])
+    ]
+    return max(ratios, default=0.0)

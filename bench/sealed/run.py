@@ -1,0 +1,182 @@
+"""Cases through the search: make, search in another process, open the seal, judge."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.sealed.cases import Case
+from bench.sealed.flights import (
+    FLIGHT_S,
+    Generator,
+    Sealed,
+    flight_seed,
+    flown,
+    record,
+    vehicle_of,
+)
+from bench.sealed.judge import judge
+
+PATIENCE_S = 600.0
+SETTLE = str(Path(__file__).with_name("settle.toml"))
+
+
+class Search:
+    """A process that searches, restarted where it hangs or dies. Not for two threads at once."""
+
+    def __init__(self, command: tuple[str, ...] = ()) -> None:
+        self._command = command or (sys.executable, "-m", "bench.sealed.worker")
+        self._process: subprocess.Popen[str] | None = None
+
+    def __call__(self, folder: Path) -> dict[str, Any]:
+        """``discrepancy`` on a case's folder: seconds, error, peak_mb."""
+        arguments = search_arguments(folder)
+        if self._process is None:
+            self._process = subprocess.Popen(
+                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        clock = threading.Timer(PATIENCE_S, process.kill)
+        clock.start()
+        try:
+            process.stdin.write(json.dumps(arguments) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        finally:
+            clock.cancel()
+        if line:
+            answer: dict[str, Any] = json.loads(line)
+            return answer
+        process.wait()
+        self._process = None
+        return {"seconds": PATIENCE_S, "error": f"died ({process.returncode})", "peak_mb": 0}
+
+    def close(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+            self._process.wait()
+
+
+def search_arguments(folder: Path) -> list[str]:
+    """What the installed command gets for a case's folder."""
+    recordings = [str(path) for path in sorted(folder.glob("fit*.mcap"))]
+    return [
+        *("discrepancy", *recordings, "--model", str(folder / "model.json")),
+        *("--validate", str(folder / "validate.mcap"), "--vehicle", vehicle_of(folder)),
+        *("-o", str(folder / "improved.json"), "--json", str(folder / "report.json")),
+    ]
+
+
+def run(
+    cases: Iterable[Case],
+    results: Path,
+    workers: int,
+    command: tuple[str, ...] = (),
+    keep: bool = False,
+) -> Iterator[dict[str, Any]]:
+    """Judge every case that ``results`` does not hold yet, and append it there.
+
+    results: a folder, with ``results.jsonl`` and the base models' families. keep: leave the
+    folders of wrong cases there.
+    """
+    results.mkdir(parents=True, exist_ok=True)
+    path = results / "results.jsonl"
+    done = {line["case"] for line in read_results(results)}
+    generator = Generator(results / "families")
+    lock, local = threading.Lock(), threading.local()
+    searches: list[Search] = []
+
+    def one(case: Case) -> dict[str, Any]:
+        if not hasattr(local, "search"):
+            local.search = Search(command)
+            searches.append(local.search)
+        with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
+            line = _judged(case, generator, local.search, Path(parent) / "case", lock)
+            if keep and not line["right"]:
+                kept = results / "wrong" / case.name.replace(":", "-")
+                shutil.rmtree(kept, ignore_errors=True)
+                shutil.copytree(Path(parent) / "case", kept)
+        with lock, path.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        return line
+
+    with ThreadPoolExecutor(workers) as pool:
+        yield from pool.map(one, [case for case in cases if case.name not in done])
+    for search in searches:
+        search.close()
+
+
+def read_results(results: Path) -> list[dict[str, Any]]:
+    """The lines written so far; the last one of a case counts."""
+    path = results / "results.jsonl"
+    if not path.exists():
+        return []
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    return list({line["case"]: line for line in lines}.values())
+
+
+def _judged(
+    case: Case, generator: Generator, search: Search, folder: Path, lock: threading.Lock
+) -> dict[str, Any]:
+    sealed: Sealed | None = None
+    try:
+        with lock:
+            generator.family(case)
+        sealed = generator.make(case, folder)
+        answer = search(folder)
+        if answer["error"]:
+            raise RuntimeError(answer["error"])
+    except RuntimeError as error:
+        line = {"case": case.name, "group": case.group, "counted": True, "right": False}
+        hidden = sealed.hidden if sealed else {}
+        return {**line, "hidden": hidden, "condition": case.condition, "error": str(error)}
+    line = judge(case, sealed, json.loads((folder / "report.json").read_text())) | answer
+    if line["listed"]:
+        line["right"] = line["settled"] = _settled(case, sealed, search, folder)
+    if case.group == "single" and line["right"]:
+        line["flown"] = _flown(case, sealed, folder)
+    return line
+
+
+def _settled(case: Case, sealed: Sealed, search: Search, folder: Path) -> bool:
+    """Whether the manoeuvre, flown next with a full and with an empty cell, names the right one."""
+    for number, charge in ((3, 1.0), (4, 0.35)):
+        settings = {**sealed.craft, "program": SETTLE, "charge": charge, "land_when_low": False}
+        samples, _ = flown({**settings, "seed": flight_seed(case, number)}, FLIGHT_S)
+        record(folder / f"fit{number}.mcap", samples)
+    for name in ("report.json", "improved.json"):
+        (folder / name).unlink()
+    if search(folder)["error"]:
+        return False
+    return bool(judge(case, sealed, json.loads((folder / "report.json").read_text()))["right"])
+
+
+def _flown(case: Case, sealed: Sealed, folder: Path) -> dict[str, float]:
+    """How far the stand-in that flies the base and the improved model strays from the hidden craft.
+
+    The same references, the same noise: RMS differences of the rates (deg/s) and angles (deg).
+    """
+    seed = {"seed": flight_seed(case, 2), "plant": "reduced"}
+    _, truth = flown({**sealed.craft, **seed}, FLIGHT_S)
+    out = {}
+    for label, model in (("base", "model.json"), ("improved", "improved.json")):
+        settings = {**sealed.craft, **seed, "effects": {}, "craft": str(folder / model)}
+        _, other = flown(settings, FLIGHT_S)
+        rows = min(len(truth), len(other))
+        rate = other["rate_rad_s"][:rows] - truth["rate_rad_s"][:rows]
+        out[f"{label}_dps"] = round(float(np.degrees(np.sqrt(np.mean(rate**2)))), 4)
+    return out
