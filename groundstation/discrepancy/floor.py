@@ -15,7 +15,7 @@ too low.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -27,10 +27,11 @@ from groundstation.discrepancy.gap import (
     ATTITUDE,
     GYRO,
     AheadErrors,
+    fresh_attitude,
     pooled_rms,
 )
 from groundstation.dynamics.mixer import Configuration
-from groundstation.dynamics.rotations import rates_matrix
+from groundstation.dynamics.rotations import euler_rates
 from groundstation.identification.noise_model import NoiseModel, estimate_noise
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ WEIGHT_ORDER = 10
 """Order of the spectrum that weights: the saturated fit takes some noise away where the signals
 are strong, at low frequency; a long autoregression would follow it there and in closed loop that
 is where the inputs mirror the disturbance."""
-NOISE_ROUNDS = 2
+ROUNDS = 4
 WORTH = 0.98
 """The autoregression is used where it leaves at most this share of the error."""
 LEAST_ROWS = 200
@@ -73,6 +74,15 @@ BlackBox = tuple[ChannelPredictor | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
+class Floor:
+    """What noise leaves of a run, SI, (n, 9) each: as ``AheadErrors`` has ``horizons`` and
+    ``step``."""
+
+    horizons: tuple[Array, ...]
+    step: Array
+
+
+@dataclass(frozen=True, slots=True)
 class _Prepared:
     """One run: one-step errors (n, 9) per channel step, signals, and the stretches they cover."""
 
@@ -83,7 +93,10 @@ class _Prepared:
 
 
 def learn(errors: Sequence[AheadErrors], configuration: Configuration) -> BlackBox:
-    """Fit the black box on runs. errors: of the base model on them."""
+    """Fit the black box on runs.
+
+    errors: of any model on them; their runs, flown rows and motions are used.
+    """
     prepared = [_prepare(one, configuration) for one in errors]
     found: list[ChannelPredictor | None] = []
     for channel in range(9):
@@ -95,37 +108,62 @@ def learn(errors: Sequence[AheadErrors], configuration: Configuration) -> BlackB
         if channel % 3 == 0 and pieces:
             bands = _bands(prepared, _kind(channel))
         found.append(_learn_channel(pieces, bands, channel % 3) if pieces else None)
-    without = tuple(found)
-    plain = _pooled([_left(one, without) for one in prepared])
-    tried = tuple(None if one is None else _with_past(one) for one in without)
-    better = _pooled([_left(one, tried) for one in prepared])
-    return tuple(
-        one if one is None or not better[k] < WORTH * plain[k] else tried[k]
-        for k, one in enumerate(without)
+    best = tuple(
+        None if one is None else replace(one, columns=one.columns[:0], weights=one.weights[:0])
+        for one in found
     )
+    # Never more than it knows without: a signal or a past that does not help there is left out.
+    for tried, worth in (
+        (tuple(found), 1.0),
+        (tuple(None if one is None else replace(one, use_past=True) for one in found), WORTH),
+    ):
+        before = _pooled([_left(one, best) for one in prepared])
+        after = _pooled([_left(one, tried) for one in prepared])
+        best = tuple(
+            tried[k] if after[k] <= worth * before[k] else one for k, one in enumerate(best)
+        )
+    return best
 
 
-def floor_errors(
-    black_box: BlackBox, errors: AheadErrors, configuration: Configuration
-) -> tuple[Array, ...]:
-    """What the black box leaves of a run, (n, 9) per horizon, in the rows of ``errors``."""
-    return _left(_prepare(errors, configuration), black_box)
+def floor_errors(black_box: BlackBox, errors: AheadErrors, configuration: Configuration) -> Floor:
+    """What the black box leaves of a run, in the rows of ``errors``."""
+    left = _left(_prepare(errors, configuration), black_box)
+    return Floor(left[1:], left[0])
 
 
 def _prepare(errors: AheadErrors, configuration: Configuration) -> _Prepared:
-    """One-step errors of rates and specific force; of angles, beyond what the gyro measured."""
-    run = errors.run
-    step = errors.step.copy()
-    # The angle's error holds the predicted rate's; with the measured rate it would not.
-    every = int(errors.step_rows[ATTITUDE][0])
-    rate = np.nan_to_num(errors.step[:, GYRO])
-    step[:, ATTITUDE] -= _turn(errors, _weighted(rate, _angle_weights(every)) * run.period_s)
-    flown = np.concatenate([[0], errors.motion.flown.astype(np.int8), [0]])
+    run, motion = errors.run, errors.motion
+    flown = np.concatenate([[0], motion.flown.astype(np.int8), [0]])
     edges = np.flatnonzero(np.diff(flown)).reshape(-1, 2)
     stretches = tuple(
-        slice(int(first) + 1, int(last)) for first, last in edges if last - first > LEAST_ROWS
+        slice(int(first) + 2, int(last)) for first, last in edges if last - first > LEAST_ROWS
     )
-    return _Prepared(errors, step, signals_of(run, errors.motion, configuration), stretches)
+    signals = signals_of(run, motion, configuration)
+    return _Prepared(errors, _one_step(errors), signals, stretches)
+
+
+def _one_step(errors: AheadErrors) -> Array:
+    """What one row adds beyond the base model: (n, 9), NaN outside flight.
+
+    Rates: the gyro's step less the modelled torque's. Specific force: less thrust. Angles: the
+    step from one fresh row to the next less what the measured rates make of it.
+    """
+    run, motion = errors.run, errors.motion
+    step = np.full((len(run), 9), np.nan)
+    step[1:, GYRO] = np.diff(run.gyro, axis=0) - motion.torque[1:] * run.period_s
+    step[:, ACCELEROMETER] = run.accelerometer
+    step[:, 5] -= motion.thrust
+    every = int(errors.step_rows[6])
+    weights = np.ones(every + 1)
+    weights[[0, -1]] = 0.5
+    middle = 0.5 * (run.attitude[every:] + run.attitude[:-every])
+    turned = _weighted(run.gyro, weights)[every:] * run.period_s
+    step[every:, ATTITUDE] = run.attitude[every:] - run.attitude[:-every] - _turn(middle, turned)
+    step[~motion.flown] = np.nan
+    if every > 1:
+        fresh, _ = fresh_attitude(run.attitude)
+        step[~fresh, ATTITUDE] = np.nan
+    return step
 
 
 def _rows(one: _Prepared, channel: int) -> list[NDArray[np.int64]]:
@@ -159,7 +197,7 @@ class _Bands:
         """R^T S^-1 R (p + 1, p + 1) of signals and one error, in units of the noise."""
         z = np.exp(-2j * np.pi * self.frequency)
         response = np.abs(np.polynomial.polynomial.polyval(z, noise.whitener)) ** 2
-        total = np.tensordot(response / noise.variance, self.gram, axes=1)
+        total: Array = np.tensordot(response / noise.variance, self.gram, axes=1)
         keep = [*range(len(self.scale)), len(self.scale) + axis]
         return np.asarray(total[np.ix_(keep, keep)])
 
@@ -197,18 +235,22 @@ def _bands(prepared: Sequence[_Prepared], kind: str) -> _Bands:
 def _learn_channel(
     pieces: Sequence[tuple[Array, Array]], bands: _Bands, axis: int
 ) -> ChannelPredictor:
-    """Saturated fit for the noise spectrum, then the signals that clearly show."""
-    noise = estimate_noise([error for error, _ in pieces], WEIGHT_ORDER)
-    every = np.arange(len(bands.scale))
-    for _ in range(NOISE_ROUNDS):
-        weights = _solve(bands.weighted(noise, axis), every) / bands.scale
-        noise = estimate_noise(
-            [error - signals @ weights for error, signals in pieces], WEIGHT_ORDER
-        )
-    gram = bands.weighted(noise, axis)
-    chosen = _select(gram)
-    weights = _solve(gram, chosen) / bands.scale[chosen]
-    left = [error - signals[:, chosen] @ weights for error, signals in pieces]
+    """The signals that clearly show, weighted by the spectrum of what they leave.
+
+    The first spectrum is that of a fit of all signals at once: one that still holds an effect
+    would hide it. That fit takes away some noise too, so that later rounds use the residual of
+    the chosen ones.
+    """
+    # From white noise: the spectrum of an error with an offset would forbid to see the offset.
+    noise = NoiseModel(np.ones(1), 1.0)
+    chosen = np.arange(len(bands.scale))
+    weights, left = np.zeros(0), [error for error, _ in pieces]
+    for turn in range(ROUNDS):
+        if turn > 0:
+            noise = estimate_noise(left, WEIGHT_ORDER)
+            chosen = _select(bands.weighted(noise, axis))
+        weights = _solve(bands.weighted(noise, axis), chosen) / bands.scale[chosen]
+        left = [error - signals[:, chosen] @ weights for error, signals in pieces]
     return ChannelPredictor(chosen, weights, estimate_noise(left, NOISE_ORDER))
 
 
@@ -238,20 +280,10 @@ def _select(gram: Array) -> NDArray[np.int64]:
     return np.array(chosen, np.int64)
 
 
-def _with_past(one: ChannelPredictor) -> ChannelPredictor:
-    return ChannelPredictor(one.columns, one.weights, one.noise, use_past=True)
-
-
 def _left(one: _Prepared, black_box: BlackBox) -> tuple[Array, ...]:
-    """Errors (n, 9) per horizon that the black box does not foresee."""
+    """Errors (n, 9) that the black box does not foresee: of the shortest horizon, and of each."""
     errors = one.errors
-    series: list[list[tuple[NDArray[np.int64], Array]]] = []
-    for channel, predictor in enumerate(black_box):
-        mine = []
-        for rows in _rows(one, channel) if predictor is not None else ():
-            signals = one.signals[_kind(channel)].values[rows][:, predictor.columns]
-            mine.append((rows, one.step[rows, channel] - signals @ predictor.weights))
-        series.append(mine)
+    series = [_series(one, channel, black_box) for channel in range(9)]
 
     def reached(channel: int, weights: Array) -> Array:
         total = np.zeros(len(one.step))
@@ -262,7 +294,8 @@ def _left(one: _Prepared, black_box: BlackBox) -> tuple[Array, ...]:
         return total
 
     found = []
-    for count, error in zip(errors.rows, errors.horizons, strict=True):
+    counts = (errors.step_rows, *errors.rows)
+    for count, error in zip(counts, (errors.step, *errors.horizons), strict=True):
         total = np.zeros_like(error)
         for channel in range(9):
             steps = int(count[channel] // errors.step_rows[channel])
@@ -271,10 +304,26 @@ def _left(one: _Prepared, black_box: BlackBox) -> tuple[Array, ...]:
                 weights[1:] = 0.0  # judged at the end only: nothing adds up
             total[:, channel] = reached(channel, weights)
         turned = [reached(axis, _angle_weights(int(count[6]))) for axis in range(3)]
-        total[:, ATTITUDE] += _turn(errors, np.column_stack(turned) * errors.run.period_s)
+        total[:, ATTITUDE] += _turn(
+            errors.run.attitude, np.column_stack(turned) * errors.run.period_s
+        )
         total[~np.isfinite(error)] = np.nan
         found.append(total)
     return tuple(found)
+
+
+def _series(
+    one: _Prepared, channel: int, black_box: BlackBox
+) -> list[tuple[NDArray[np.int64], Array]]:
+    """(rows, one-step errors less the share of the signals) of each stretch."""
+    predictor = black_box[channel]
+    if predictor is None:
+        return []
+    found = []
+    for rows in _rows(one, channel):
+        signals = one.signals[_kind(channel)].values[np.ix_(rows, predictor.columns)]
+        found.append((rows, one.step[rows, channel] - signals @ predictor.weights))
+    return found
 
 
 def _unforeseen(left: Array, weights: Array, predictor: ChannelPredictor) -> Array:
@@ -283,7 +332,8 @@ def _unforeseen(left: Array, weights: Array, predictor: ChannelPredictor) -> Arr
     whitener = predictor.noise.whitener
     if not predictor.use_past or len(whitener) < 2:
         return summed
-    ahead, total = -whitener[1:], np.zeros(len(whitener) - 1)
+    ahead: Array = -whitener[1:]
+    total = np.zeros(len(whitener) - 1)
     for weight in weights[::-1]:  # the first step after the start lies two after the last seen row
         ahead = np.append(ahead[1:], 0.0) - ahead[0] * whitener[1:]
         total += weight * ahead
@@ -301,15 +351,14 @@ def _weighted(values: Array, weights: Array) -> Array:
 def _angle_weights(count: int) -> Array:
     """What a rate error of each row of a horizon, last row first, adds to the angle at its end:
     it lasts from its row on, by the trapezoidal rule."""
-    return np.arange(count) + 0.5
+    return np.arange(count, dtype=np.float64) + 0.5
 
 
-def _turn(errors: AheadErrors, turned: Array) -> Array:
-    """Small body rotations (n, 3) as changes of roll, pitch, yaw."""
-    attitude = np.nan_to_num(errors.run.attitude)
-    return np.asarray(np.linalg.solve(rates_matrix(attitude), turned[:, :, None])[:, :, 0])
+def _turn(attitude: Array, turned: Array) -> Array:
+    """Small body rotations (n, 3) at attitudes (n, 3) as changes of roll, pitch, yaw."""
+    return euler_rates(np.nan_to_num(attitude), turned)
 
 
 def _pooled(left: Sequence[tuple[Array, ...]]) -> Array:
-    """RMS (9,) over runs and horizons; NaN for a channel without a row."""
-    return pooled_rms([error for one in left for error in one])
+    """RMS (9,) over runs and the judged horizons; NaN for a channel without a row."""
+    return pooled_rms([error for one in left for error in one[1:]])

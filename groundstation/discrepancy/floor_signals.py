@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.regimes import Motion
+from groundstation.discrepancy.regimes import Motion, velocity_of
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.runs import Run
@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)
 """Rows by which inputs may act later than the base model has it."""
 PAST_ROWS = 4
+MOTOR_S = 0.05
+"""A small motor with its propeller settles within about this time."""
+SLOW_S = 12.0
+"""A second leak beside the usual one: together they bend to the craft's own speed."""
 GROUND_S = (0.25, 0.7)
 AXES = ("roll", "pitch", "yaw")
 MIXED = (*AXES, "collective")
@@ -46,6 +50,8 @@ def signals_of(run: Run, motion: Motion, configuration: Configuration) -> dict[s
     common.add("rotor speed", MIXED, _mixed(speed, mixer))
     common.add("rotor acceleration", MIXED, _mixed(slope, mixer))
     common.add("rotors slowing down", MIXED, _mixed(np.minimum(slope, 0.0), mixer))
+    lost = speed * _leaky(np.minimum(slope, 0.0), MOTOR_S, run.period_s)
+    common.add("rotors that slowed down", MIXED, _mixed(lost, mixer))
     common.add("thrust by battery voltage", MIXED, _mixed(motion.squares.end * charge, mixer))
     common.add("motor voltage", MIXED, _mixed(armature_mv(run.duty, run.supply_v), mixer))
     past = _past_mean(run.gyro)
@@ -62,8 +68,10 @@ def signals_of(run: Run, motion: Motion, configuration: Configuration) -> dict[s
     common.add("tilt", AXES[:2], _late(attitude, 4))
     force = _past_mean(np.nan_to_num(run.accelerometer[:, :2]))
     common.add("specific force in the plane", ("forward", "left"), force)
-    velocity = _late(motion.velocity, 1)
     ways = ("forward", "left", "up")
+    slow = _late(velocity_of(run, SLOW_S), 1)
+    common.add("slow velocity", ways, slow)
+    velocity = _late(motion.velocity, 1)
     common.add("velocity", ways, velocity)
     common.add("velocity times its magnitude", ways, velocity * np.abs(velocity))
     ground = _ground(motion)
@@ -111,6 +119,14 @@ def _mixed(values: Array, mixer: Array) -> Array:
 def _late(values: Array, rows: int) -> Array:
     """Values of so many rows before, the first one held."""
     return np.vstack([np.repeat(values[:1], rows, axis=0), values[: len(values) - rows]])
+
+
+def _leaky(values: Array, fade_s: float, period_s: float) -> Array:
+    """Leaky integral over time."""
+    from scipy.signal import lfilter
+
+    keep = float(np.exp(-period_s / fade_s))
+    return np.asarray(lfilter([period_s], [1.0, -keep], values, axis=0))
 
 
 def _change(values: Array, period_s: float) -> Array:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.ahead import base_ahead
 from groundstation.discrepancy.findings import CHANNELS
+from groundstation.discrepancy.recordings import without_gaps
 from groundstation.discrepancy.regimes import Motion, motion_of
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
@@ -37,18 +38,17 @@ PER_SI = np.array([180 / np.pi] * 3 + [1 / STANDARD_GRAVITY] * 3 + [180 / np.pi]
 
 @dataclass(frozen=True, slots=True)
 class AheadErrors:
-    """Prediction errors of one model on one run.
+    """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
+    order of ``CHANNELS`` and in the row they are judged at.
 
-    measured: (n, 9) in the order of ``CHANNELS``, SI. step_rows: (9,) rows of the shortest
-    horizon of each channel: 1, but where the attitude is refreshed every second row only, 2.
-    step: (n, 9) errors at that horizon, horizons: one (n, 9) for each of ``HORIZONS_S``;
-    measured less predicted, in the row they are judged at, NaN where there is no prediction or
-    no fresh measurement.
+    run: lost rows filled in. step: at the shortest horizon, ``step_rows`` (9,): one row, but two
+    where the attitude is refreshed every second row only; NaN outside flight. horizons: one for
+    each of ``HORIZONS_S``, which are ``rows`` (9,) each; NaN where the first or last row is
+    outside flight or was not measured afresh.
     """
 
     run: Run
     motion: Motion
-    measured: Array
     step_rows: NDArray[np.int64]
     step: Array
     horizons: tuple[Array, ...]
@@ -56,36 +56,33 @@ class AheadErrors:
 
 
 def ahead_errors(run: Run, model: Model) -> AheadErrors:
-    """Errors of ``model`` on a run at the shortest horizon, 20 and 50 ms.
+    """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
-    Raises BadInputError where PWM, battery voltage or gyro are missing.
+    Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
-    motion = motion_of(run, model)
-    measured = np.hstack([run.gyro, run.accelerometer, run.attitude])
-    fresh, every = fresh_attitude(run.attitude)
-    usable = np.repeat(motion.flown[:, None], 9, axis=1)
-    usable[:, ATTITUDE] &= fresh[:, None]
+    whole = without_gaps(run)
+    motion = motion_of(whole, model)
+    fresh, every = fresh_attitude(whole.attitude)
+    flown = np.repeat(motion.flown[:, None], 9, axis=1)
+    flown[:, ATTITUDE] &= fresh[:, None]
+    known = flown & np.isfinite(_measured(run))
     step_rows = np.array([1] * 6 + [every] * 3)
-    made = [step_rows]
-    for horizon in HORIZONS_S:
-        count = max(round(horizon / run.period_s), every)
-        made.append(np.array([count] * 6 + [count - count % every] * 3))
-    cache: dict[int, Array] = {}
-    errors = []
-    for rows in made:
-        error = np.full((len(run), 9), np.nan)
+    horizons = [max(round(horizon / run.period_s), every) for horizon in HORIZONS_S]
+    rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
+    made: dict[int, Array] = {}
+
+    def errors(counts: NDArray[np.int64], usable: Mask) -> Array:
+        error = np.full(usable.shape, np.nan)
         for part in (slice(0, 6), ATTITUDE):
-            count = int(rows[part][0])
-            if count not in cache:
-                cache[count] = measured - base_ahead(run, motion, count)
-            start = np.zeros_like(usable[:, part])
-            start[count:] = usable[:-count, part]
-            valid = usable[:, part] & start
-            error[:, part] = np.where(valid, cache[count][:, part], np.nan)
-        errors.append(error)
-    return AheadErrors(
-        run, motion, measured, step_rows, errors[0], tuple(errors[1:]), tuple(made[1:])
-    )
+            count = int(counts[part][0])
+            if count not in made:
+                made[count] = _measured(whole) - base_ahead(whole, motion, count)
+            valid = usable[count:, part] & usable[:-count, part]
+            error[count:, part] = np.where(valid, made[count][count:, part], np.nan)
+        return error
+
+    at = tuple(errors(counts, known) for counts in rows)
+    return AheadErrors(whole, motion, step_rows, errors(step_rows, flown), at, rows)
 
 
 def fresh_attitude(attitude: Array) -> tuple[Mask, int]:
@@ -104,11 +101,21 @@ def fresh_attitude(attitude: Array) -> tuple[Mask, int]:
     return fresh, 2
 
 
-def pooled_rms(errors: Sequence[Array], rows: Mask | None = None) -> Array:
-    """RMS (9,) over all horizons of one run, in the given rows; NaN where there is nothing."""
+def pooled_rms(errors: Sequence[Array]) -> Array:
+    """RMS (9,) over runs and horizons (n, 9); NaN for a channel without a value."""
     squares, counts = np.zeros(9), np.zeros(9)
     for error in errors:
-        part = error if rows is None else error[rows]
-        squares += np.nansum(np.square(part), axis=0)
-        counts += np.isfinite(part).sum(axis=0)
+        squares += np.nansum(np.square(error), axis=0)
+        counts += np.isfinite(error).sum(axis=0)
     return np.sqrt(np.divide(squares, counts, out=np.full(9, np.nan), where=counts > 0))
+
+
+def overall(rms: Array, floor: Array) -> float:
+    """One number for all channels: root mean square of error over noise floor, both (9,)."""
+    ratio = np.divide(rms, floor, out=np.full(9, np.nan), where=floor > 0)
+    known = np.isfinite(ratio)
+    return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any() else float("nan")
+
+
+def _measured(run: Run) -> Array:
+    return np.hstack([run.gyro, run.accelerometer, run.attitude])

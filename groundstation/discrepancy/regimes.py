@@ -94,6 +94,7 @@ def regimes_of(run: Run, motion: Motion) -> dict[str, Mask]:
             & ~ground,
             "high roll or pitch rate": _strong(fast_tilt, flown, 0.4),
             "high yaw rate": _strong(np.abs(rate[:, 2]), flown, 0.3),
+            "turning about several axes": _strong(fast_tilt * np.abs(rate[:, 2]), flown, 0.2),
             "roll or pitch torque": _strong(torque_tilt, flown, 4.0),
             "after yaw commands": _after(_strong(np.abs(torque[:, 2]), flown, 0.5), run),
             "rotor acceleration": _strong(np.abs(spin_up), flown, 300.0),
@@ -112,8 +113,8 @@ def regimes_of(run: Run, motion: Motion) -> dict[str, Mask]:
     return {WHOLE: flown.copy()} | {name: mask & flown for name, mask in masks.items()}
 
 
-def velocity_of(run: Run) -> Array:
-    """Body velocity (n, 3) m/s from specific force and tilt by a leaky integral of 3 s.
+def velocity_of(run: Run, leak_s: float = LEAK_S) -> Array:
+    """Body velocity (n, 3) m/s from specific force and tilt by a leaky integral.
 
     Steady speed, and any offset of the sensors, is forgotten. Zero where the run lacks the
     accelerometer or the attitude.
@@ -125,7 +126,7 @@ def velocity_of(run: Run) -> Array:
     turned = rotation_matrix(run.attitude)
     acceleration = np.einsum("nij,nj->ni", turned, run.accelerometer)
     acceleration[:, 2] -= STANDARD_GRAVITY
-    keep = float(np.exp(-run.period_s / LEAK_S))
+    keep = float(np.exp(-run.period_s / leak_s))
     world = lfilter([run.period_s], [1.0, -keep], acceleration, axis=0)
     # What a constant offset would make of it: its steady state, taken out by the same leak.
     world -= lfilter([1.0 - keep], [1.0, -keep], world, axis=0)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.findings import CHANNELS
+from groundstation.discrepancy.floor import Floor
 from groundstation.discrepancy.gap import PER_SI, UNITS, AheadErrors
 from groundstation.discrepancy.regimes import WHOLE, regimes_of
 
@@ -62,7 +63,7 @@ class Spectrum:
 
 
 def where(
-    errors: Sequence[AheadErrors], floors: Sequence[tuple[Array, ...]], most: int | None = None
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], most: int | None = None
 ) -> list[Place]:
     """Every channel in every regime, the most significant excess first.
 
@@ -108,7 +109,7 @@ def where(
 
 def worst_stretch(
     errors: Sequence[AheadErrors],
-    floors: Sequence[tuple[Array, ...]],
+    floors: Sequence[Floor],
     channel: str,
     seconds: float = 2.0,
 ) -> Stretch | None:
@@ -127,9 +128,7 @@ def worst_stretch(
     return best
 
 
-def over_time(
-    errors: AheadErrors, floor: tuple[Array, ...], window_s: float = 1.0
-) -> tuple[Array, Array]:
+def over_time(errors: AheadErrors, floor: Floor, window_s: float = 1.0) -> tuple[Array, Array]:
     """(seconds (m,), error over noise (m, 9)) in consecutive windows; NaN where not flown.
 
     The noise is the channel's over the whole run: a window may be too quiet to tell its own.
@@ -144,12 +143,11 @@ def over_time(
 
 
 def spectrum_of(
-    errors: Sequence[AheadErrors], remaining: Sequence[Array], channel: str
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], channel: str
 ) -> Spectrum | None:
-    """Spectra of one channel's one-step errors and of what the black box leaves of them.
+    """Spectra of one channel's errors at its shortest horizon, and of what noise leaves of them.
 
-    remaining: (n, 9) one-step errors less the black box's share, per run. None where no stretch
-    is long enough.
+    None where no stretch is long enough.
     """
     from scipy.signal import welch
 
@@ -157,7 +155,7 @@ def spectrum_of(
     sums: list[Array] = []
     weight = 0.0
     frequency = np.zeros(0)
-    for one, left in zip(errors, remaining, strict=True):
+    for one, floor in zip(errors, floors, strict=True):
         step = int(one.step_rows[place])
         known = np.flatnonzero(np.isfinite(one.step[:, place]))
         if len(known) < SPECTRUM_ROWS:
@@ -166,7 +164,7 @@ def spectrum_of(
         for rows in np.split(known, breaks):
             if len(rows) < SPECTRUM_ROWS:
                 continue
-            pair = np.stack([one.step[rows, place], left[rows, place]]) * PER_SI[place]
+            pair = np.stack([one.step[rows, place], floor.step[rows, place]]) * PER_SI[place]
             frequency, power = welch(
                 pair, 1.0 / (step * one.run.period_s), nperseg=SPECTRUM_ROWS, detrend=False
             )
@@ -178,10 +176,10 @@ def spectrum_of(
     return Spectrum(channel, frequency, mean[0], mean[1])
 
 
-def _energies(errors: AheadErrors, floor: tuple[Array, ...]) -> tuple[Array, Array]:
+def _energies(errors: AheadErrors, floor: Floor) -> tuple[Array, Array]:
     """Squared errors (n, 9), mean over the horizons, of the model and of the black box."""
     mine = np.mean([np.square(one) for one in errors.horizons], axis=0)
-    noise = np.mean([np.square(one) for one in floor], axis=0)
+    noise = np.mean([np.square(one) for one in floor.horizons], axis=0)
     return mine, noise
 
 
