@@ -38,7 +38,8 @@ class Flight:
     run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
     airborne rows. attitude_rows: rows on which the attitude was new, evenly spaced, within the
     stretch; empty without attitude. height_m: (n,) above the take-off point where it can be
-    told, otherwise infinite. rests: whether the flight began (ended) at rest on the ground.
+    told, otherwise infinite. whole: the airborne rows, from rest and to rest where the flight
+    began or ended on the ground; rests says whether it did.
     rotor_measured: rotor speeds were recorded.
     """
 
@@ -48,6 +49,7 @@ class Flight:
     last: int
     attitude_rows: NDArray[np.int64]
     height_m: Array
+    whole: slice
     rests: tuple[bool, bool]
     has_accelerometer: bool
     has_attitude: bool
@@ -128,6 +130,7 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
                 last,
                 fresh,
                 height,
+                slice(start if rests[0] else first, stop if rests[1] else last),
                 rests,
                 has_accelerometer,
                 has_attitude,

@@ -79,13 +79,21 @@ def rotor_run(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def predict_rates(
-    gyro: Any, known: Any, acceleration: Any, period: float, gain: Any, first: int, out: Any
+    gyro: Any,
+    known: Any,
+    acceleration: Any,
+    period: float,
+    gain: Any,
+    first: int,
+    out: Any,
+    news: Any,
 ) -> Any:
     """Mean rate over the period that ends with each row, from rows before it alone.
 
     A steady-state Kalman filter per axis: acceleration (n, 3) is the model's mean over the
     period, gain (3,) how far a measured rate is believed. Rows that are not known are not
-    believed at all. Fills out (n, 3); returns the mean squared prediction error (3,).
+    believed at all. Fills out (n, 3) and news (n, 3), measured less predicted rate at each row;
+    returns the mean square of that (3,).
     """
     rows = gyro.shape[0]
     error = [0.0, 0.0, 0.0]
@@ -100,6 +108,7 @@ def predict_rates(
             rate += step
             if known[k]:
                 wrong = gyro[k, axis] - rate
+                news[k, axis] = wrong
                 total += wrong * wrong
                 rate += gain[axis] * wrong
         error[axis] = total / max(rows - first - 1, 1)
@@ -172,3 +181,23 @@ def height_of(vertical: Any, period: float, first: int, last: int, out: Any) -> 
         height += speed * period
         out[k] = height
         k += step
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mix_squares(end: Any, square: Any, strength: Any, mixer: Any, mean: Any, last: Any) -> None:
+    """u' and the sum of squares, (n, 4) each: as means over periods and at the rows.
+
+    end, square: (n, 4) as ``rotor_run`` fills them; strength: (4,) of each rotor; mixer: (3, 4).
+    """
+    for k in range(end.shape[0]):
+        for j in range(4):
+            mean[k, j] = 0.0
+            last[k, j] = 0.0
+        for i in range(4):
+            over = strength[i] * square[k, i]
+            at = strength[i] * end[k, i] * end[k, i]
+            for j in range(3):
+                mean[k, j] += mixer[j, i] * over
+                last[k, j] += mixer[j, i] * at
+            mean[k, 3] += over
+            last[k, 3] += at

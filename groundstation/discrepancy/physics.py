@@ -186,7 +186,8 @@ class _Evaluation:
         self.force = self.sensed_force @ self.mount.T
         self.height = self._ground_share(value(point, "ground_effect.height_m"))
         self.rotors = spin_rotors(flight, point, vehicle)
-        self.rates = np.zeros_like(run.gyro)
+        self._mixed: tuple[Array, Array, Array, Array] | None = None
+        self.rates, self.news = np.zeros_like(run.gyro), np.zeros_like(run.gyro)
         self.velocity = np.zeros_like(run.gyro)
         if flight.has_attitude and flight.has_accelerometer:
             self._find_velocity()
@@ -218,15 +219,19 @@ class _Evaluation:
         from groundstation.discrepancy.kernels import predict_rates
 
         acceleration, _ = self.body(self.rotors)
+        gain = np.array(self.frame.rate_gain)
         found: tuple[float, float, float] = predict_rates(
             self.gyro,
             self.flight.known,
             acceleration,
             self.period,
-            np.array(self.frame.rate_gain),
+            gain,
             max(self.flight.first - 1, 0),
             self.rates,
+            self.news,
         )
+        # The share of an innovation that is torque, not sensor noise, in a filter with this gain.
+        self.news *= gain**2 / self.period
         # Behind a lag of the gyro the true rate is ahead of it.
         self.rates += self.lag * acceleration
         return found
@@ -258,12 +263,18 @@ class _Evaluation:
 
     def torques(self, rotors: Rotors) -> tuple[Array, Array, Array, Array]:
         """Shifted by the delay: u' as mean (n, 3) and at the row (n, 3), sums of squares."""
+        if rotors is self.rotors and self._mixed is not None:
+            return self._mixed
+        from groundstation.discrepancy.kernels import mix_squares
+
         strength = 1.0 + np.array([value(self.point, f"rotor_mismatch.{i}") for i in (1, 2, 3, 4)])
-        square, end = rotors.square * strength, rotors.end**2 * strength
-        mean = np.column_stack([square @ self.mixer.T, square.sum(axis=1)])
-        last = np.column_stack([end @ self.mixer.T, end.sum(axis=1)])
+        mean, last = np.empty_like(rotors.square), np.empty_like(rotors.square)
+        mix_squares(rotors.end, rotors.square, strength, self.mixer, mean, last)
         mean, last = self.shift_mean(mean, last), self.shift_end(last)
-        return mean[:, :3], last[:, :3], mean[:, 3], last[:, 3]
+        mixed = mean[:, :3], last[:, :3], mean[:, 3], last[:, 3]
+        if rotors is self.rotors:
+            self._mixed = mixed
+        return mixed
 
     def body(self, rotors: Rotors) -> tuple[Array, Array]:
         """Modelled angular acceleration that the gyro shows (mean over the period before each
@@ -311,12 +322,17 @@ class _Evaluation:
                 force += arm * self.lever_column(axis)
 
     def lever_column(self, axis: int) -> Array:
-        """Specific force (n, 3) per metre of lever arm along an axis."""
+        """Specific force (n, 3) per metre of lever arm along an axis.
+
+        The accelerometer has no part in the gyro's noise, so what the present row says of a
+        disturbance may be used here.
+        """
+        alpha = self.alpha + self.news
         rate = self.rates + 0.5 * self.period * self.alpha
         unit = np.zeros(3)
         unit[axis] = 1.0
         square = (rate**2).sum(axis=1)
-        column: Array = np.cross(self.alpha, unit) + rate * rate[:, axis : axis + 1]
+        column: Array = np.cross(alpha, unit) + rate * rate[:, axis : axis + 1]
         column[:, axis] -= square
         return column
 
@@ -379,8 +395,8 @@ class _Evaluation:
             columns[key] = column
         vertical = None
         if flight.has_accelerometer and flight.has_attitude:
-            up = rotation_matrix(run.attitude[flight.rows])[:, 2]
-            mean = float(np.einsum("ni,ni->n", up, self.sensed_force[flight.rows]).mean())
+            up = rotation_matrix(run.attitude[flight.whole])[:, 2]
+            mean = float(np.einsum("ni,ni->n", up, self.sensed_force[flight.whole]).mean())
             slopes = dict(
                 zip((f"accelerometer_bias.{a}_g" for a in AXES), up.mean(axis=0), strict=True)
             )
@@ -393,7 +409,7 @@ class _Evaluation:
     def _put_gyro(self, out: Columns, values: Array) -> None:
         part = self.gaps.spread(values[self.flight.rows])
         for axis in range(3):
-            if part[:, axis].any():
+            if part[:1000, axis].any() or part[:, axis].any():
                 out[GYRO + axis] = part[:, axis]
 
     def _put_force(self, out: Columns, values: Array) -> None:
@@ -487,7 +503,7 @@ class _Evaluation:
         column = _low_pass(angular, lag + step, self.period, start) - self.gyro_model
         self._put_gyro(out, column / step)
         if len(self.flight.attitude_rows):
-            self._put_attitude(out, self._over_stride(self.gyro_model @ self.mount))
+            self._put_attitude(out, self.lag_rate)
 
     def _thrust_column(self, effect: str, parameter: str, out: Columns) -> None:
         mean, last, mean_sum, last_sum = self.torques(self.rotors)
@@ -571,7 +587,11 @@ class _Evaluation:
             felt = smooth[self.ends]
             length = np.linalg.norm(felt, axis=1, keepdims=True)
             self.lean = MAHONY_GAIN * np.cross(felt / np.maximum(length, 1e-9), up)
-        self.lag_rate = self._over_stride(self.gyro_model @ self.mount)
+        # Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured slope:
+        # the model's lacks what disturbances do, which the controller answers, and the noise of
+        # a difference is not in the mean of the same rows.
+        before = self.sensed_gyro[self.ends - stride]
+        self.lag_rate = (now - before) / (stride * self.period)
         total = over + value(self.point, TIMING) * self.timing
         total = total + self.lag * self.lag_rate
         total = total + value(self.point, "attitude_filter_lean.strength") * self.lean

@@ -1,0 +1,227 @@
+"""The least-squares problem of a search: flights, prior knowledge, noise, and joint fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.physics import ATTITUDE, Frame, Series, evaluate, value
+from groundstation.discrepancy.spectra import (
+    Noise,
+    Quadratic,
+    Spectrum,
+    Vertical,
+    leverage,
+    quadratic,
+    transform,
+    whiten_by_own,
+)
+from groundstation.discrepancy.unknowns import BODY_KEYS, LOW_PASS, MOTOR_KEYS, TIMING, Point
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.identification.estimate import inverse
+
+Array = NDArray[np.float64]
+
+BASE_KEYS = (*BODY_KEYS, *MOTOR_KEYS, TIMING)
+MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
+"""Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""
+TIMING_DOUBT = 0.5
+END_SPEED_M_S = 0.3
+"""Vertical speed that a flight may end with when it does not end at rest."""
+NOISE_ROUNDS = 3
+STEPS, SETTLED = 6, 0.05
+"""Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
+BOUNDS: dict[str, tuple[float, float]] = {
+    "dead_time.delay_s": (0.0, 0.045),
+    LOW_PASS: (0.0, 0.05),
+    "motor_dead_voltage.voltage_mv": (-300.0, 1200.0),
+    "motor_braking_asymmetry.factor": (0.05, 3.0),
+    "supply_sag.resistance_ohm": (-0.3, 1.5),
+    "battery_reading_lag.time_constant_s": (0.0, 2.0),
+    "ground_effect.height_m": (0.01, 0.4),
+    TIMING: (-1.0, 2.0),
+}
+RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Residuals and columns of all flights at a point, in the frequency domain."""
+
+    point: Point
+    keys: tuple[str, ...]
+    spectra: list[Spectrum]
+    verticals: list[Vertical]
+
+    def place(self, keys: Sequence[str]) -> list[int]:
+        return [self.keys.index(key) for key in keys]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A joint fit: where it ended, -2 log L there with the prior's part, covariance (p, p)."""
+
+    point: Point
+    keys: tuple[str, ...]
+    cost: float
+    covariance: Array
+
+    def stderr(self) -> dict[str, float]:
+        return dict(zip(self.keys, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+class Problem:
+    """Flights and what was known before them; noise spectra are set by ``learn_noise``."""
+
+    def __init__(self, flights: Sequence[Flight], model: Model, start: Point) -> None:
+        self.flights = list(flights)
+        self.frame = Frame(model_vehicle(model))
+        self.start = start
+        self.prior, self.known_motor = _prior(model, start)
+        self.noise: dict[int, Noise] = {}
+
+    def settle_filters(self) -> None:
+        """Choose how far measured rates are believed: what predicts the next one best."""
+        errors = []
+        for gain in RATE_GAINS:
+            frame = replace(self.frame, rate_gain=(gain,) * 3)
+            errors.append(
+                np.mean([evaluate(f, frame, self.start, ()).rate_error for f in self.flights], 0)
+            )
+        best = np.argmin(np.array(errors), axis=0)
+        gains = tuple(RATE_GAINS[i] for i in best)
+        self.frame = replace(self.frame, rate_gain=(gains[0], gains[1], gains[2]))
+
+    def linear(self, point: Point, keys: Sequence[str], flights: Sequence[Flight]) -> Linear:
+        """Evaluate flights at a point with the columns of ``keys``."""
+        spectra: list[Spectrum] = []
+        verticals: list[Vertical] = []
+        for number, flight in enumerate(flights):
+            series = evaluate(flight, self.frame, point, keys)
+            spectra += transform(number, series, keys, flight.period_s, _strides(flight))
+            verticals += _vertical(number, series, keys, flight)
+        return Linear(dict(point), tuple(keys), spectra, verticals)
+
+    def learn_noise(self, linear: Linear) -> None:
+        """Noise spectra from what a fit of every column at once leaves."""
+        values = [s.residual for s in linear.spectra]
+        used = [np.zeros(len(s.hz)) for s in linear.spectra]
+        for _ in range(NOISE_ROUNDS):
+            noise = whiten_by_own(linear.spectra, values, used)
+            total = self.with_prior(linear, noise)
+            covariance = inverse(total.normal)
+            change = covariance @ total.gradient
+            values = [s.residual - change[s.place] @ s.columns for s in linear.spectra]
+            used = [leverage(s, noise[s.channel], covariance) for s in linear.spectra]
+        self.noise = whiten_by_own(linear.spectra, values, used)
+
+    def with_prior(self, linear: Linear, noise: Mapping[int, Noise] | None = None) -> Quadratic:
+        """-2 log L around a linearisation, the prior included."""
+        found = quadratic(
+            linear.spectra,
+            self.noise if noise is None else noise,
+            linear.verticals,
+            len(linear.keys),
+        )
+        normal, gradient, cost = found.normal.copy(), found.gradient.copy(), found.value
+        for keys, centre, weight in self.prior:
+            inside = [key for key in keys if key in linear.keys]
+            away = np.array([centre[key] - linear.point[key] for key in keys])
+            cost += float(away @ weight @ away)
+            if len(inside) == len(keys):
+                at = linear.place(keys)
+                normal[np.ix_(at, at)] += weight
+                gradient[at] += weight @ away
+        return Quadratic(normal, gradient, cost, found.parts)
+
+    def fit(self, point: Point, keys: Sequence[str], steps: int = STEPS) -> Fit:
+        """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help."""
+        keys = tuple(keys)
+        linear = self.linear(point, keys, self.flights)
+        now = self.with_prior(linear)
+        for _ in range(steps):
+            change = inverse(now.normal) @ now.gradient
+            share, moved, better = 1.0, point, now
+            expected = 0.0
+            for _ in range(4):
+                moved = bounded(point, keys, share * change)
+                step = np.array([moved[key] - point[key] for key in keys])
+                expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
+                if expected < SETTLED:
+                    break
+                trial = self.linear(moved, keys, self.flights)
+                better = self.with_prior(trial)
+                if better.value < now.value:
+                    break
+                share *= 0.3
+            if expected < SETTLED or better.value >= now.value:
+                break
+            gained = now.value - better.value
+            point, now = moved, better
+            if gained < SETTLED:
+                break
+        return Fit(dict(point), keys, now.value, inverse(now.normal))
+
+    def cost(
+        self, point: Point, flights: Sequence[Flight]
+    ) -> tuple[float, dict[int, float], dict[int, float]]:
+        """-2 log L of flights at a point: whole, and by channel with its degrees of freedom."""
+        linear = self.linear(point, (), flights)
+        found = quadratic(linear.spectra, self.noise, linear.verticals, 0)
+        value_of: dict[int, float] = {}
+        freedom: dict[int, float] = {}
+        for (_, channel), (_, _, own, count) in found.parts.items():
+            value_of[channel] = value_of.get(channel, 0.0) + own
+            freedom[channel] = freedom.get(channel, 0.0) + count
+        return found.value, value_of, freedom
+
+
+def bounded(point: Point, keys: Sequence[str], change: Array) -> Point:
+    """The point moved by ``change``, kept where the physics can be evaluated."""
+    moved = dict(point)
+    for key, step in zip(keys, change.tolist(), strict=True):
+        low, high = BOUNDS.get(key, (-np.inf, np.inf))
+        if key in BODY_KEYS or key in ("a0", "a1"):
+            low = 0.2 * point[key]
+        moved[key] = float(np.clip(value(point, key) + step, low, high))
+    return moved
+
+
+def _strides(flight: Flight) -> dict[int, int]:
+    rows = flight.attitude_rows
+    stride = int(rows[1] - rows[0]) if len(rows) > 1 else 1
+    return {ATTITUDE + i: stride for i in range(3)}
+
+
+def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) -> list[Vertical]:
+    if series.vertical is None:
+        return []
+    residual, slopes = series.vertical
+    seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
+    free = sum(not rest for rest in flight.rests)
+    sigma = max(END_SPEED_M_S * np.sqrt(free), 0.05) / seconds
+    row = np.array([slopes.get(key, 0.0) for key in keys])
+    return [Vertical(number, residual, row, float(sigma))]
+
+
+Prior = tuple[tuple[str, ...], dict[str, float], Array]
+
+
+def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:
+    """The bench's a0, a1, a2 with their covariance, and the attitude filter's timing."""
+    centre = {key: start[key] for key in MOTOR_KEYS}
+    values = np.array([start[key] for key in MOTOR_KEYS])
+    covariance, known = np.diag((MOTOR_DOUBT * values) ** 2), False
+    account = model.fit.get("motor", {}).get("estimates")
+    if account and set(MOTOR_KEYS) <= set(account.get("names", ())):
+        at = [account["names"].index(key) for key in MOTOR_KEYS]
+        given = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
+        if np.isfinite(given).all():
+            covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
+    weight = np.asarray(np.linalg.inv(covariance))
+    timing = ((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
+    return [(MOTOR_KEYS, centre, weight), timing], known

@@ -1,0 +1,319 @@
+"""The search: screen every effect, refit the few best, accept one, drop what became needless.
+
+Starts from the base model, fitted again to the flights. In each round all columns are evaluated
+once and every effect is scored from one Gram matrix; the best few are fitted jointly with the
+base and what was accepted before; the best one that passes every test of ``judge`` joins. Then
+whatever the newcomer made superfluous leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.judge import Evidence, judge, plausible, refusal
+from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem
+from groundstation.discrepancy.spectra import Quadratic
+from groundstation.discrepancy.unknowns import (
+    ABSENT,
+    EFFECT_KEYS,
+    TIMING,
+    VARIANTS,
+    Point,
+    Variant,
+)
+from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.identification.estimate import inverse
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+WORTH = 16.0
+"""Drop of -2 log L in the screening from which an effect is worth a joint fit."""
+SHARE = 0.35
+"""An effect that explains less than this share of what the best one does is not fitted."""
+FITTED = 4
+"""Joint fits in a round, at most, and effects easily confused with the best one."""
+PENALTY = 8.0
+"""For each parameter, in -2 log L."""
+KEEP = 14.0
+"""An accepted effect whose removal costs less than this leaves."""
+MOST_ROUNDS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """What the screening says of a variant: drop of -2 log L, and estimates with errors."""
+
+    variant: Variant
+    drop: float
+    values: Array
+    errors: Array
+
+    @property
+    def t(self) -> float:
+        return float(np.max(np.abs(self.values) / np.maximum(self.errors, 1e-300)))
+
+
+@dataclass(slots=True)
+class Accepted:
+    variant: Variant
+    evidence: Evidence
+    rivals: list[tuple[str, float]]
+    fit: Fit
+    gap: tuple[float, float]
+
+
+@dataclass(slots=True)
+class Outcome:
+    """base, final: fits without and with the accepted effects. first: the screening before
+    anything joined. reasons: variant label -> why it was refused. linear: at the final point."""
+
+    base: Fit
+    final: Fit
+    accepted: list[Accepted]
+    first: list[Scored]
+    scores: list[Scored]
+    held_out: dict[str, float]
+    reasons: dict[str, str]
+    linear: Linear
+    quadratic: Quadratic
+    first_linear: Linear
+    first_quadratic: Quadratic
+    trials: list[Fit] = field(default_factory=list)
+
+
+def search(
+    problem: Problem,
+    validation: Sequence[Flight],
+    known: Sequence[Variant],
+    candidates: Sequence[Variant],
+    progress: Progress,
+) -> Outcome:
+    """Find the effects among ``candidates`` that the flights show. known: effects of the model,
+    fitted along and never dropped."""
+    every = (*BASE_KEYS, *EFFECT_KEYS)
+    base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
+    progress("fitting the base model", 0.05)
+    linear = problem.linear(problem.start, every, problem.flights)
+    problem.learn_noise(linear)
+    base = problem.fit(problem.start, base_keys)
+    accepted: list[Accepted] = []
+    reasons: dict[str, str] = {}
+    held_out: dict[str, float] = {}
+    first: list[Scored] = []
+    first_linear, first_quadratic = linear, None
+    tried: set[frozenset[str]] = set()
+    now = base
+    for number in range(MOST_ROUNDS):
+        progress(
+            "screening" if not accepted else f"screening after {len(accepted)} effects",
+            min(0.9, 0.1 + 0.2 * number),
+        )
+        linear = problem.linear(now.point, every, problem.flights)
+        problem.learn_noise(linear)
+        total = problem.with_prior(linear)
+        dropped = _needless(linear, total, now.keys, accepted)
+        if dropped is not None:
+            accepted.remove(dropped)
+            reasons[dropped.variant.label] = "superfluous once another effect had joined"
+            now = problem.fit(_without(now.point, dropped.variant), _keys(base_keys, accepted))
+            continue
+        joined = {one.variant.effect for one in accepted} | {one.effect for one in known}
+        scores = screen(linear, total, now.keys, [v for v in candidates if v.effect not in joined])
+        if first_quadratic is None:
+            first, first_linear, first_quadratic = scores, linear, total
+        newcomer = _round(
+            problem,
+            validation,
+            now,
+            scores,
+            accepted,
+            reasons,
+            held_out,
+            tried,
+            base_keys,
+            progress,
+        )
+        if newcomer is None:
+            break
+        accepted.append(newcomer)
+        reasons.pop(newcomer.variant.label, None)
+        tried.add(frozenset(one.variant.label for one in accepted))
+        now = newcomer.fit
+    assert first_quadratic is not None
+    return Outcome(
+        base,
+        now,
+        accepted,
+        first,
+        scores,
+        held_out,
+        reasons,
+        linear,
+        total,
+        first_linear,
+        first_quadratic,
+    )
+
+
+def screen(
+    linear: Linear, total: Quadratic, base_keys: Sequence[str], variants: Sequence[Variant]
+) -> list[Scored]:
+    """Every variant's drop of -2 log L when it joins ``base_keys``, best first."""
+    at = linear.place(base_keys)
+    base = inverse(total.normal[np.ix_(at, at)])
+    settled = base @ total.gradient[at]
+    scored = []
+    for variant in variants:
+        keys = [key for key in variant.keys if key != "ground_effect.height_m"]
+        own = linear.place(keys)
+        cross = total.normal[np.ix_(own, at)]
+        normal = total.normal[np.ix_(own, own)]
+        left = normal - cross @ base @ cross.T
+        gradient = total.gradient[own] - cross @ settled
+        alive = np.diag(left) > 1e-9 * np.maximum(np.diag(normal), 1e-300)
+        values, errors, drop = np.zeros(len(keys)), np.full(len(keys), np.inf), 0.0
+        if alive.any():
+            inside = np.ix_(alive, alive)
+            covariance = inverse(left[inside])
+            values[alive] = covariance @ gradient[alive]
+            errors[alive] = np.sqrt(np.diag(covariance))
+            drop = float(gradient[alive] @ values[alive])
+        scored.append(Scored(variant, drop, values, errors))
+    return sorted(scored, key=lambda one: one.drop - PENALTY * len(one.variant.keys), reverse=True)
+
+
+def _round(
+    problem: Problem,
+    validation: Sequence[Flight],
+    now: Fit,
+    scores: list[Scored],
+    accepted: list[Accepted],
+    reasons: dict[str, str],
+    held_out: dict[str, float],
+    tried: set[frozenset[str]],
+    base_keys: tuple[str, ...],
+    progress: Progress,
+) -> Accepted | None:
+    """Fit the best candidates and return the one to accept."""
+    before = problem.fit(now.point, now.keys, steps=2)
+    fits: list[tuple[float, Scored, Fit]] = []
+    for one in _shortlist(scores, reasons):
+        progress(f"fitting {one.variant.effect}", -1.0)
+        keys = (*now.keys, *one.variant.keys)
+        fit = problem.fit(_started(before.point, one), keys)
+        fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
+    fits.sort(key=lambda item: item[0], reverse=True)
+    if not fits:
+        return None
+    best = fits[0][0]
+    for gain, one, fit in fits:
+        label = one.variant.label
+        if gain < SHARE * best:
+            reasons.setdefault(label, f"explains less than {fits[0][1].variant.effect}")
+            continue
+        names = frozenset([label, *(other.variant.label for other in accepted)])
+        evidence = judge(problem, validation, before, fit, one.variant)
+        held_out[label] = evidence.held_out
+        why = refusal(one.variant, fit, evidence) or ("tried before" if names in tried else "")
+        if why:
+            reasons[label] = why
+            continue
+        rivals = [
+            (other.variant.effect, gain - margin)
+            for margin, other, rival in fits
+            if other.variant.effect != one.variant.effect
+            and margin > gain - 12.0
+            and plausible(other.variant, rival.point)
+        ]
+        return Accepted(one.variant, evidence, rivals, fit, evidence.gap)
+    return None
+
+
+def _shortlist(scores: list[Scored], reasons: dict[str, str]) -> list[Scored]:
+    """The best few with a plausible sign, and what the best one is easily confused with."""
+    able = []
+    for one in scores:
+        if one.drop < WORTH + PENALTY * (len(one.variant.keys) - 1):
+            reasons.setdefault(one.variant.label, "no significant improvement")
+        elif not _sign_possible(one):
+            reasons[one.variant.label] = "fits only with a sign that physics does not allow"
+        else:
+            able.append(one)
+    if not able:
+        return []
+    close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
+    rivals = {c.other for one in close[:1] for c in EFFECTS[one.variant.effect].confused_with}
+    more = [one for one in able if one.variant.effect in rivals and one not in close]
+    return close + more[:2]
+
+
+def _sign_possible(one: Scored) -> bool:
+    """Whether a one-sided parameter does not clearly point to the wrong side."""
+    if len(one.variant.keys) > 1 and one.variant.effect != "ground_effect":
+        return True
+    key = one.variant.keys[0]
+    low, high = range_of(key)
+    value = one.values[0] + ABSENT[key]
+    return bool(low < 0 or value > 0) and (key != "motor_braking_asymmetry.factor" or high > 0)
+
+
+def range_of(key: str) -> tuple[float, float]:
+    """Plausible range of an unknown, in the search's own units."""
+    effect, _, name = key.partition(".")
+    if effect == "rotor_mismatch":
+        name = "excess"
+    if effect == "gyro_low_pass":
+        parameter = EFFECTS[effect].parameters[0]
+        return tuple(sorted(1 / (2 * np.pi * f) for f in (parameter.low, parameter.high)))  # type: ignore[return-value]
+    parameter = EFFECTS[effect].parameter(name)
+    return parameter.low, parameter.high
+
+
+def _started(point: Point, one: Scored) -> Point:
+    start = dict(point)
+    variant = one.variant
+    if variant.start:
+        start.update(zip(variant.keys, variant.start[len(variant.start) // 2], strict=True))
+        return start
+    for key, size in zip(variant.keys, one.values.tolist(), strict=False):
+        low, high = range_of(key)
+        start[key] = float(np.clip(ABSENT[key] + size, min(low, ABSENT[key]), high))
+    if variant.effect == "ground_effect":
+        start["ground_effect.height_m"] = ABSENT["ground_effect.height_m"]
+    return start
+
+
+def _keys(base_keys: tuple[str, ...], accepted: Sequence[Accepted]) -> tuple[str, ...]:
+    return (*base_keys, *(key for one in accepted for key in one.variant.keys))
+
+
+def _without(point: Point, variant: Variant) -> Point:
+    return {key: number for key, number in point.items() if key not in variant.keys}
+
+
+def _needless(
+    linear: Linear, total: Quadratic, keys: Sequence[str], accepted: list[Accepted]
+) -> Accepted | None:
+    """The accepted effect that the others do best without, if there is one."""
+    if len(accepted) < 2:
+        return None
+    at = linear.place(keys)
+    covariance = inverse(total.normal[np.ix_(at, at)])
+    costs = []
+    for one in accepted:
+        own = [list(keys).index(key) for key in one.variant.keys if key != "ground_effect.height_m"]
+        values = np.array([linear.point[keys[i]] - ABSENT[keys[i]] for i in own])
+        costs.append(float(values @ inverse(covariance[np.ix_(own, own)]) @ values))
+        if not plausible(one.variant, linear.point):
+            costs[-1] = min(costs[-1], 0.0)
+    worst = int(np.argmin(costs))
+    return accepted[worst] if costs[worst] < KEEP else None
+
+
+__all__ = ["TIMING", "VARIANTS", "Accepted", "Outcome", "Scored", "range_of", "screen", "search"]
