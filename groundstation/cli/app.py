@@ -7,8 +7,10 @@ import typer
 from groundstation import __version__
 from groundstation.cli import (
     attitude,
+    compare,
     control,
     devices,
+    discrepancy,
     export,
     files,
     fit,
@@ -45,5 +47,17 @@ def _options(
     pass
 
 
-for module in (run, control, files, devices, export, fit, simulate, attitude, install):
+for module in (
+    run,
+    control,
+    files,
+    devices,
+    export,
+    fit,
+    simulate,
+    compare,
+    discrepancy,
+    attitude,
+    install,
+):
     module.add_commands(app)

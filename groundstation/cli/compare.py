@@ -1,0 +1,94 @@
+"""``compare``: where a model and recordings disagree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for
+from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.progress import shown
+
+if TYPE_CHECKING:
+    from groundstation.discrepancy.report_json import Gap, WhereRow
+
+RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")
+ROWS = 8
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("compare")(compare)
+
+
+def compare(
+    recordings: list[Path] = RECORDINGS,
+    model: str = MODEL,
+    vehicle: str | None = VEHICLE,
+    html: Path | None = HTML,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Where simulation and measurement disagree: by channel, by regime, by horizon.
+
+    The model predicts rates, attitude and specific force 20 and 50 ms ahead of every row; its
+    errors stand beside what noise alone would leave.
+
+    Example: [bold]groundstation compare flight.mcap --model body.json --html where.html[/bold]
+    """
+    import msgspec
+
+    from groundstation.discrepancy.comparison import compare as judge
+    from groundstation.discrepancy.report_json import CompareReport, gap_of, where_rows
+
+    if html is not None:
+        require_new(html)
+    loaded = model_for(model, vehicle)
+    with shown("reading") as progress:
+        flights = [run for part in flights_from(recordings, loaded, vehicle) for run in part]
+        progress(0.3, "predicting 20 and 50 ms ahead")
+        found = judge(flights, loaded)
+        names = [path.name for path in recordings]
+        report = CompareReport(where_rows(found), gap_of(found), names, model)
+        if html is not None:
+            from groundstation.discrepancy.report_html import compare_page
+
+            progress(0.8, "drawing the report")
+            compare_page(found, report).write(html)
+    if as_json:
+        text = msgspec.json.format(msgspec.json.encode(report), indent=2)
+        typer.echo(text.decode())
+        return
+    say_gap(report.gap)
+    say_where(report.where)
+
+
+def say_gap(gap: Gap) -> None:
+    """The gap of each channel, in words for a terminal."""
+    level = gap.validation
+    after = "" if level.after is None else f", after {level.after:.2f}"
+    typer.echo(f"gap over all channels: {level.before:.2f}{after} (1.00: noise alone)")
+    head = "before" if level.after is not None else "gap"
+    typer.echo(f"  {'channel':<16}{head:>8}{'' if level.after is None else '   after'}   error")
+    for name, channel in gap.channels.items():
+        own = channel.own_unit
+        later = "" if channel.after is None else f"{channel.after:8.2f}"
+        error = own.before if own.after is None else own.after
+        typer.echo(
+            f"  {name:<16}{channel.before:8.2f}{later}   {error:.3g} {own.unit},"
+            f" noise {own.noise_floor:.3g}"
+        )
+
+
+def say_where(rows: list[WhereRow], most: int = ROWS) -> None:
+    """The places that are clearly worse than noise."""
+    clear = [row for row in rows if row.significance >= 3.0][:most]
+    if not clear:
+        typer.echo("nowhere clearly worse than noise")
+        return
+    typer.echo("worst, most significant first:")
+    for row in clear:
+        typer.echo(
+            f"  {row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit},"
+            f" noise {row.expected_rms:.3g}"
+        )

@@ -1,0 +1,194 @@
+"""``discrepancy``: find, name and add what a model is missing, and prove it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from groundstation.cli.compare import RECORDINGS, say_gap, say_where
+from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for
+from groundstation.cli.model_files import require_new
+from groundstation.cli.progress import shown
+
+if TYPE_CHECKING:
+    from groundstation.discrepancy.findings import Findings
+    from groundstation.discrepancy.proof import Proof
+    from groundstation.discrepancy.report_json import DiscrepancyReport
+    from groundstation.dynamics.model import Model
+
+VALIDATE = typer.Option(
+    None, "--validate", help="Recordings that no fit sees (default: the last third of each REC)."
+)
+OUTPUT = typer.Option(None, "-o", "--output", help="Write the improved model to this new file.")
+JSON = typer.Option(None, "--json", help="Write the report for programs to this new file.")
+RERUN = typer.Option(
+    None, "--rerun", help="Write measured beside simulated, before and after, to this new .rrd."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Outputs:
+    model: Path | None
+    json: Path | None
+    html: Path | None
+    rerun: Path | None
+
+    def require_new(self) -> None:
+        for path in (self.model, self.json, self.html, self.rerun):
+            if path is not None:
+                require_new(path)
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("discrepancy")(discrepancy)
+
+
+def discrepancy(
+    recordings: list[Path] = RECORDINGS,
+    model: str = MODEL,
+    validate: list[Path] | None = VALIDATE,
+    vehicle: str | None = VEHICLE,
+    seed: int = typer.Option(0, min=0, help="Of whatever the search draws."),
+    output: Path | None = OUTPUT,
+    json: Path | None = JSON,
+    html: Path | None = HTML,
+    rerun: Path | None = RERUN,
+) -> None:
+    """Find which physical effects a model is missing, add them, and prove it on held-out flights.
+
+    Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
+    --validate flight3.mcap -o improved.json --html report.html[/bold]
+    """
+    from groundstation.discrepancy.engine import find_effects
+    from groundstation.discrepancy.proof import divide, prove
+
+    files = _Outputs(output, json, html, rerun)
+    files.require_new()
+    loaded = model_for(model, vehicle)
+    with shown("reading") as progress:
+        flights = flights_from(recordings, loaded, vehicle)
+        held = flights_from(validate or [], loaded, vehicle)
+        fit_on, judge_on = divide(flights, held)
+        findings = find_effects(
+            fit_on,
+            loaded,
+            judge_on,
+            seed=seed,
+            progress=lambda what, share: progress(0.05 + 0.75 * max(share, 0.0), what),
+        )
+        progress(0.8, "proving it on held-out rows")
+        proof = prove(findings, loaded, fit_on, judge_on)
+        report = _report(findings, proof, model, recordings, validate, seed)
+        _write(files, findings, proof, report)
+    _say(report)
+    for path in (files.model, files.json, files.html, files.rerun):
+        if path is not None:
+            typer.echo(f"written: {path}")
+
+
+def _report(
+    findings: Findings,
+    proof: Proof,
+    model: str,
+    recordings: list[Path],
+    validate: list[Path] | None,
+    seed: int,
+) -> DiscrepancyReport:
+    from groundstation import __version__
+    from groundstation.discrepancy.report_json import findings_report
+
+    return findings_report(
+        findings,
+        proof,
+        recordings=[path.name for path in recordings],
+        validation=[path.name for path in validate] if validate else "last third",
+        model=model,
+        seed=seed,
+        created_by=f"groundstation {__version__}",
+    )
+
+
+def _write(files: _Outputs, findings: Findings, proof: Proof, report: DiscrepancyReport) -> None:
+    import msgspec
+
+    from groundstation.errors import BadInputError
+
+    if files.model is not None:
+        from groundstation.dynamics.model import save_model
+
+        save_model(_improved(findings.model, report), files.model)
+    if files.json is not None:
+        text = msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n"
+        try:
+            with files.json.open("xb") as file:
+                file.write(text)
+        except OSError as error:
+            raise BadInputError(f"{files.json}: cannot be written: {error.strerror}") from error
+    if files.html is not None:
+        from groundstation.discrepancy.report_html import discrepancy_page
+
+        discrepancy_page(findings, proof, report).write(files.html)
+    if files.rerun is not None:
+        from groundstation.discrepancy.rerun_overlay import write_overlay
+
+        write_overlay(proof, files.rerun)
+
+
+def _improved(model: Model, report: DiscrepancyReport) -> Model:
+    """The model that was found, with the account of how."""
+    import msgspec
+
+    account = {
+        "what": "discrepancy",
+        "recordings": report.recordings,
+        "held_out": report.validation,
+        "verdict": report.verdict,
+        "effects": [effect.name for effect in report.effects],
+        "gap": msgspec.to_builtins(report.gap.validation),
+    }
+    return msgspec.structs.replace(
+        model,
+        fit={**model.fit, "discrepancy": account},
+        created_by=report.created_by,
+    )
+
+
+def _say(report: DiscrepancyReport) -> None:
+    """The outcome in plain words."""
+    count = len(report.effects)
+    verdict = {
+        "effects_found": f"{count} effect{'s' if count != 1 else ''} found",
+        "no_discrepancy": "no discrepancy: the model explains what these recordings show",
+        "unexplained": "unexplained: something acts that no effect in the list describes",
+    }[report.verdict]
+    typer.echo(verdict)
+    for effect in report.effects:
+        typer.echo(f"{effect.order}. {effect.name}: {effect.adds}")
+        for name, estimate in effect.parameters.items():
+            spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
+            typer.echo(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip())
+        typer.echo(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
+        for other in effect.alternatives:
+            typer.echo(f"     could also be {other.name}; to tell: {other.manoeuvre}")
+    left = report.residual_detail
+    if report.residual == "structured":
+        where = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
+        typer.echo(
+            f"left over: structure in {left.channel}"
+            + (f" at {where} Hz" if where else "")
+            + (f", like {left.signal}" if left.signal else "")
+        )
+    say_gap(report.gap)
+    say_where(report.where)
+    if report.not_shown:
+        names = ", ".join(sorted({one.name for one in report.not_shown}))
+        typer.echo(f"these recordings cannot show: {names}")
+        for manoeuvre in sorted({one.manoeuvre for one in report.not_shown if one.manoeuvre}):
+            typer.echo(f"     fly {manoeuvre}")
+    for name, channel in report.lost.items():
+        typer.echo(f"cannot be found without {channel}: {name}")
+    for line in report.warnings:
+        typer.echo(f"warning: {line}")

@@ -1,0 +1,65 @@
+"""Flights and the model they are held against, for ``compare`` and ``discrepancy``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from groundstation.cli.model_files import open_one
+from groundstation.errors import BadInputError
+
+if TYPE_CHECKING:
+    from groundstation.dynamics.model import Model
+    from groundstation.identification.runs import Run
+
+MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
+VEHICLE = typer.Option(
+    None, "--vehicle", help="Vehicle profile of the recordings (default: the model's)."
+)
+HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
+
+
+def model_for(source: str, vehicle: str | None) -> Model:
+    """The model, made sure to be one of this vehicle. Raises BadInputError otherwise."""
+    import msgspec
+
+    from groundstation.dynamics.model import load_model
+    from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
+
+    model = load_model(source)
+    if vehicle is None:
+        return model
+    profile = load_vehicle(vehicle)
+    if profile.name != model.vehicle:
+        raise _other_vehicle(f"--vehicle {vehicle}", profile.name, model)
+    if vehicle in BUILT_IN:
+        return model
+    return msgspec.structs.replace(model, vehicle_profile=profile)
+
+
+def flights_from(paths: Sequence[Path], model: Model, vehicle: str | None) -> list[list[Run]]:
+    """The flights of each recording, lost rows as NaN.
+
+    Raises BadInputError where a recording says that it is of another vehicle than the model's,
+    unless ``vehicle`` says the contrary, and where nothing lasts 5 s.
+    """
+    from groundstation.discrepancy.recordings import flights_of
+
+    found = []
+    for path in paths:
+        recording = open_one(path)
+        recorded = recording.metadata.get("vehicle", {}).get("profile", model.vehicle)
+        if vehicle is None and recorded != model.vehicle:
+            raise _other_vehicle(path.name, recorded, model)
+        found.append(flights_of(recording.samples, path.name))
+    return found
+
+
+def _other_vehicle(what: str, recorded: str, model: Model) -> BadInputError:
+    return BadInputError(
+        f"{what}: the vehicle is {recorded!r}, the model is for {model.vehicle!r}; fit a model to"
+        f" this vehicle, or, if the recording's label is wrong, say --vehicle {model.vehicle}"
+    )

@@ -1,0 +1,112 @@
+"""A model against recordings: its prediction errors beside the noise floor of the same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.floor import BlackBox, Floor, floor_errors, learn
+from groundstation.discrepancy.gap import AheadErrors, ahead_errors, overall, pooled_rms
+from groundstation.discrepancy.where import Place, where
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.errors import BadInputError
+from groundstation.identification.runs import Run
+
+Array = NDArray[np.float64]
+
+LEAST_FLIGHT_S = 3.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One model on some runs.
+
+    errors, floors: one of each per run. black_box: what the floors come from.
+    """
+
+    model: Model
+    errors: tuple[AheadErrors, ...]
+    floors: tuple[Floor, ...]
+    black_box: BlackBox
+
+    @cached_property
+    def rms(self) -> Array:
+        """Of the errors 20 and 50 ms ahead, (9,), SI."""
+        return pooled_rms([error for one in self.errors for error in one.horizons])
+
+    @cached_property
+    def noise_floor(self) -> Array:
+        """The same of what noise leaves, (9,), SI."""
+        return pooled_rms([error for one in self.floors for error in one.horizons])
+
+    @property
+    def gap(self) -> float:
+        """All channels in one number; 1.0 says that nothing is left to explain."""
+        return overall(self.rms, self.noise_floor)
+
+    def beside(self, other: Comparison) -> float:
+        """The gap in units of another comparison's noise floor."""
+        return overall(self.rms, other.noise_floor)
+
+    @cached_property
+    def places(self) -> list[Place]:
+        """Channel by regime, the most significant excess first."""
+        return where(self.errors, self.floors)
+
+    def at_horizon(self, number: int) -> tuple[Array, Array]:
+        """(error, noise floor), (9,) each, SI, at one of ``HORIZONS_S``."""
+        error = pooled_rms([one.horizons[number] for one in self.errors])
+        return error, pooled_rms([one.horizons[number] for one in self.floors])
+
+    def with_model(self, model: Model) -> Comparison:
+        """Another model on the same runs, beside the same floor."""
+        errors = tuple(ahead_errors(one.run, model) for one in self.errors)
+        return Comparison(model, errors, self.floors, self.black_box)
+
+
+def compare(runs: Sequence[Run], model: Model, black_box: BlackBox | None = None) -> Comparison:
+    """Judge a model on runs (``recordings.flights_of``).
+
+    black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
+
+    Raises BadInputError where the model has no body, where channels that every prediction needs
+    are missing, and where nothing flies.
+    """
+    require_channels(runs)
+    if model.body is None:
+        raise BadInputError(
+            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
+            " fit a body ('groundstation fit body')"
+        )
+    configuration = model_vehicle(model).configuration
+    errors = tuple(ahead_errors(run, model) for run in runs)
+    flown = sum(float(one.motion.flown.sum()) * one.run.period_s for one in errors)
+    if flown < LEAST_FLIGHT_S:
+        names = ", ".join(sorted({run.name for run in runs}))
+        raise BadInputError(
+            f"{names}: {flown:.1f} s in the air, at least {LEAST_FLIGHT_S:.0f} s are needed;"
+            " record a flight"
+        )
+    learnt = black_box if black_box is not None else learn(errors, configuration)
+    floors = tuple(floor_errors(learnt, one, configuration) for one in errors)
+    return Comparison(model, errors, floors, learnt)
+
+
+def require_channels(runs: Sequence[Run]) -> None:
+    """Raises BadInputError where a channel that nothing works without is missing throughout."""
+    needed = {
+        "gyro": "the gyro",
+        "duty": "the motors' PWM",
+        "supply_v": "the battery voltage",
+    }
+    for run in runs:
+        for name, what in needed.items():
+            if not np.isfinite(getattr(run, name)).any(axis=0).all():
+                raise BadInputError(
+                    f"{run.name}: {what} is not in the recording; where a model and a flight"
+                    " disagree cannot be told without it: record it"
+                )

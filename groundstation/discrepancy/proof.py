@@ -1,0 +1,57 @@
+"""The proof of a finding: gaps before and after on rows that no fit has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from groundstation.discrepancy.comparison import Comparison, compare
+from groundstation.discrepancy.findings import Findings
+from groundstation.dynamics.model import Model
+from groundstation.identification.runs import Run, hold_out
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """The given and the improved model, on the rows they were fitted to and on others.
+
+    steps: (what joined, the gap on held-out rows with it): the given model, its constants
+    fitted again, then each effect in order.
+    """
+
+    train_before: Comparison
+    train_after: Comparison
+    before: Comparison
+    after: Comparison
+    steps: tuple[tuple[str, float], ...]
+
+
+def divide(
+    flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]]
+) -> tuple[list[Run], list[Run]]:
+    """(to fit on, to judge on): what is held, or else the last third of each recording."""
+    if held:
+        return [run for part in flights for run in part], [run for part in held for run in part]
+    pairs = [hold_out(part) for part in flights]
+    return [run for fit, _ in pairs for run in fit], [run for _, rest in pairs for run in rest]
+
+
+def prove(
+    findings: Findings, model: Model, fit_on: Sequence[Run], judge_on: Sequence[Run]
+) -> Proof:
+    """Judge the model given, and each step to the improved one.
+
+    The noise floor is learnt on ``fit_on`` from the model given, and is the same before and
+    after.
+    """
+    train = compare(fit_on, model)
+    before = compare(judge_on, model, train.black_box)
+    after = before.with_model(findings.model)
+    steps = [("given model", before.gap)]
+    refitted = before.with_model(findings.base)
+    steps.append(("constants fitted again", refitted.beside(before)))
+    for number, found in enumerate(findings.effects, 1):
+        last = number == len(findings.effects)
+        joined = after if last else before.with_model(found.model)
+        steps.append((found.name, joined.beside(before)))
+    return Proof(train, train.with_model(findings.model), before, after, tuple(steps))

@@ -1,0 +1,271 @@
+"""The reports as data: what ``discrepancy --json`` and ``compare --json`` write."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.comparison import Comparison
+from groundstation.discrepancy.findings import CHANNELS, Findings
+from groundstation.discrepancy.floor import SOURCE
+from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.discrepancy.proof import Proof
+from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.dynamics.model import Estimate
+
+Array = NDArray[np.float64]
+
+WORST = 10
+UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"
+
+
+class Level(msgspec.Struct, frozen=True):
+    """An error before and after the effects were added (null where none were looked for), and
+    what noise alone leaves."""
+
+    before: float
+    after: float | None
+    noise_floor: float
+
+
+class OwnUnit(msgspec.Struct, frozen=True):
+    """A channel's ``Level`` in its own unit: both horizons together, and each by itself."""
+
+    unit: str
+    before: float
+    after: float | None
+    noise_floor: float
+    horizons: dict[str, Level]
+
+
+class ChannelGap(msgspec.Struct, frozen=True):
+    """A channel's gap in units of its noise floor, and in its own."""
+
+    before: float
+    after: float | None
+    noise_floor: float
+    own_unit: OwnUnit
+
+
+class Gap(msgspec.Struct, frozen=True):
+    """How far the models are from the recordings; ``channels`` are those of ``validation``."""
+
+    unit: str
+    floor_source: str
+    validation: Level
+    train: Level | None
+    channels: dict[str, ChannelGap]
+
+
+class WhereRow(msgspec.Struct, frozen=True):
+    """One channel in one regime, see ``where.Place``."""
+
+    channel: str
+    regime: str
+    rms: float
+    expected_rms: float
+    unit: str
+    significance: float
+    seconds: float
+
+
+class AlternativeName(msgspec.Struct, frozen=True):
+    """Another name for what was found."""
+
+    name: str
+    margin: float
+    manoeuvre: str
+
+
+class Step(msgspec.Struct, frozen=True):
+    """The gap on held-out rows, all channels, before and after an effect joined."""
+
+    before: float
+    after: float
+
+
+class EffectFound(msgspec.Struct, frozen=True):
+    """One accepted effect."""
+
+    name: str
+    order: int
+    adds: str
+    parameters: dict[str, Estimate]
+    evidence: dict[str, float]
+    alternatives: list[AlternativeName]
+    gap: Step
+    channels: list[str]
+
+
+class CandidateTried(msgspec.Struct, frozen=True):
+    """What came of one name."""
+
+    name: str
+    score: float
+    t: float
+    held_out: float
+    accepted: bool
+    reason: str
+
+
+class CannotShow(msgspec.Struct, frozen=True):
+    """A name that these recordings cannot show."""
+
+    name: str
+    parameter: str
+    stderr: float
+    plausible: float
+    unit: str
+    manoeuvre: str
+
+
+class ResidualDetail(msgspec.Struct, frozen=True):
+    """What is left after the last accepted effect."""
+
+    channel: str
+    frequencies_hz: list[float]
+    signal: str
+    excess: float
+
+
+class CompareReport(msgspec.Struct, frozen=True):
+    """``compare --json``."""
+
+    where: list[WhereRow]
+    gap: Gap
+    recordings: list[str]
+    model: str
+
+
+class DiscrepancyReport(msgspec.Struct, frozen=True):
+    """``discrepancy --json``."""
+
+    verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
+    effects: list[EffectFound]
+    where: list[WhereRow]
+    where_after: list[WhereRow]
+    gap: Gap
+    residual: Literal["white", "structured"]
+    residual_detail: ResidualDetail
+    candidates: list[CandidateTried]
+    not_shown: list[CannotShow]
+    lost: dict[str, str]
+    warnings: list[str]
+    recordings: list[str]
+    validation: list[str] | str
+    model: str
+    seed: int
+    created_by: str
+
+
+def where_rows(comparison: Comparison, most: int | None = None) -> list[WhereRow]:
+    """The places of a comparison."""
+    return [
+        WhereRow(*(getattr(place, name) for name in WhereRow.__struct_fields__))
+        for place in comparison.places[:most]
+    ]
+
+
+def gap_of(
+    before: Comparison,
+    after: Comparison | None = None,
+    train: tuple[Comparison, Comparison] | None = None,
+) -> Gap:
+    """The ``gap`` part: before and after on the rows that no fit saw, and on those it did."""
+    channels = {}
+    for number, name in enumerate(CHANNELS):
+        floor, error = before.noise_floor[number], before.rms[number]
+        if not (np.isfinite(floor) and np.isfinite(error) and floor > 0):
+            continue
+        later = None if after is None else float(after.rms[number])
+        unit = float(PER_SI[number])
+        own = OwnUnit(
+            UNITS[name],
+            float(error) * unit,
+            None if later is None else later * unit,
+            float(floor) * unit,
+            {
+                f"{horizon * 1e3:.0f}ms": _at(before, after, k, number)
+                for k, horizon in enumerate(HORIZONS_S)
+            },
+        )
+        channels[name] = ChannelGap(
+            float(error / floor), None if later is None else later / float(floor), 1.0, own
+        )
+    return Gap(
+        UNIT,
+        SOURCE,
+        level(before, after),
+        None if train is None else level(*train),
+        channels,
+    )
+
+
+def level(before: Comparison, after: Comparison | None) -> Level:
+    """All channels in one number; the floor is 1 by definition."""
+    later = None if after is None else after.beside(before)
+    return Level(before.gap, later, 1.0)
+
+
+def _at(before: Comparison, after: Comparison | None, horizon: int, channel: int) -> Level:
+    unit = float(PER_SI[channel])
+    error, floor = before.at_horizon(horizon)
+    later = None if after is None else float(after.at_horizon(horizon)[0][channel]) * unit
+    return Level(float(error[channel]) * unit, later, float(floor[channel]) * unit)
+
+
+def findings_report(
+    findings: Findings,
+    proof: Proof,
+    *,
+    recordings: list[str],
+    validation: list[str] | str,
+    model: str,
+    seed: int,
+    created_by: str,
+) -> DiscrepancyReport:
+    """The whole report on a search. validation: files, or how rows were held out."""
+    left = findings.residual
+    gaps = [gap for _, gap in proof.steps[1:]]
+    return DiscrepancyReport(
+        verdict=findings.verdict.value,
+        effects=[
+            EffectFound(
+                found.name,
+                found.order,
+                EFFECTS[found.name].adds if found.name in EFFECTS else "",
+                found.parameters,
+                found.evidence,
+                [AlternativeName(a.name, a.margin, a.manoeuvre) for a in found.alternatives],
+                Step(*step),
+                list(found.channels),
+            )
+            for found, step in zip(findings.effects, pairwise(gaps), strict=True)
+        ],
+        where=where_rows(proof.before),
+        where_after=where_rows(proof.after, WORST),
+        gap=gap_of(proof.before, proof.after, (proof.train_before, proof.train_after)),
+        residual="white" if left.verdict == "white" else "structured",
+        residual_detail=ResidualDetail(
+            left.channel, list(left.frequencies_hz), left.signal, left.excess
+        ),
+        candidates=[
+            CandidateTried(c.name, c.score, c.t, c.held_out, c.accepted, c.reason)
+            for c in findings.candidates
+        ],
+        not_shown=[
+            CannotShow(n.name, n.parameter, n.stderr, n.plausible, n.unit, n.manoeuvre)
+            for n in findings.not_shown
+        ],
+        lost=dict(findings.lost),
+        warnings=list(findings.warnings),
+        recordings=recordings,
+        validation=validation,
+        model=model,
+        seed=seed,
+        created_by=created_by,
+    )
