@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import json
 import time
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.service.client import ask
+from groundstation.cli import config, recordings
+from groundstation.service.client import Client, ask
 from groundstation.service.config import socket_path
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
 JSON_OPTION = typer.Option(False, "--json", help="Print JSON for programs.")
+WATCH_S = 0.5
 
 record = typer.Typer(
     help=(
-        "Start or stop a recording of the running daemon."
+        "Start, stop or mark a recording of the running daemon."
         "\n\nExample: [bold]groundstation record stop[/bold]"
     ),
     no_args_is_help=True,
@@ -25,32 +31,71 @@ record = typer.Typer(
 def add_commands(app: typer.Typer) -> None:
     app.command("status")(status)
     app.command("events")(events)
+    app.command("link")(link)
     app.add_typer(record, name="record")
+    recordings.add_commands(app)
+    config.add_commands(app)
 
 
-def status(as_json: bool = JSON_OPTION) -> None:
+def status(
+    as_json: bool = JSON_OPTION,
+    watch: bool = typer.Option(False, "--watch", help="Keep showing it, until Ctrl-C."),
+) -> None:
     """What the running daemon is doing.
 
-    Example: [bold]groundstation status --json[/bold]
+    Example: [bold]groundstation status --watch[/bold]
     """
+    if watch:
+        _watch(as_json)
+        return
     answer = ask(socket_path(), "GET", "/status")
     if as_json:
         typer.echo(json.dumps(answer, indent=2))
         return
-    link, recording, viewer = answer["link"], answer["recording"], answer["viewer"]
-    command = answer["command"]
-    latency = "" if link["latency_ms"] is None else f", {link['latency_ms']:.1f} ms late"
-    rows = [
-        ("link", f"{link['name']}  {link['state']}"),
-        ("", f"{link['rate_hz']:.1f} samples/s, {link['lost']} lost{latency}"),
-        ("recording", _recording_line(recording)),
-        ("viewer", f"{viewer['state']}, {viewer['dropped']} dropped"),
-        *(("", url) for url in viewer["urls"]),
-        ("command", "off" if command is None else f"{command['uri']}  {command['state']}"),
-        ("up", f"{answer['uptime_s']:.0f} s"),
-    ]
-    for name, text in rows:
+    for name, text in status_rows(answer):
         typer.echo(f"{name:<11}{text}")
+
+
+def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """A status in words: what it is about, and one line each."""
+    link, recording, viewer = answer["link"], answer["recording"], answer["viewer"]
+    command, stream, health = answer["command"], answer["stream"], answer["health"]
+    statistics = answer["statistics"]
+    latency = "" if link["latency_ms"] is None else f", {link['latency_ms']:.1f} ms late"
+    yield "link", f"{link['name']}  {link['state']}"
+    yield "", f"{link['rate_hz']:.1f} samples/s, {link['lost']} lost{latency}"
+    if statistics is not None:
+        copies = statistics["copies"]
+        yield (
+            "",
+            f"{statistics['packets_hz']:.0f} packets/s, {statistics['loss_pct']:.2f} % lost lately"
+            + ("" if copies is None else f", {copies:.1f} copies"),
+        )
+    yield "recording", _recording_line(recording)
+    if recording["rotations"] or recording["resumed"] or recording["deleted"]:
+        yield (
+            "",
+            f"{recording['rotations']} rotations, resumed {recording['resumed']} times, "
+            f"{recording['deleted']} old files deleted",
+        )
+    free = recording["free_mb"]
+    if free is not None:
+        yield "disk", f"{free / 1e3:.1f} GB free"
+    yield "viewer", f"{viewer['state']}, {viewer['dropped']} dropped"
+    yield from (("", url) for url in viewer["urls"])
+    if command is None:
+        yield "command", "off"
+    else:
+        holder = f", {command['client']} commands" if command["client"] else ""
+        yield "command", f"{command['uri']}  {command['state']}{holder}"
+    yield "stream", f"{stream['clients']} clients, {stream['dropped']} dropped"
+    yield (
+        "daemon",
+        f"up {_duration(answer['uptime_s'])}, {health['memory_mb']:.0f} MB, "
+        f"{health['descriptors']} descriptors, {health['threads']} threads, "
+        f"{answer['faults']} faults",
+    )
+    yield "health", "good" if health["healthy"] else "; ".join(health["problems"])
 
 
 def events(as_json: bool = JSON_OPTION) -> None:
@@ -65,6 +110,23 @@ def events(as_json: bool = JSON_OPTION) -> None:
     for event in answer:
         moment = time.strftime("%H:%M:%S", time.localtime(event["time_ns"] * 1e-9))
         typer.echo(f"{moment}  {event['link']:<24} {event['kind']:<11}{event['text']}")
+
+
+def link(
+    name: str = typer.Argument(
+        help="stand-in, usb, serial:PORT, or replay:FILE with a file of the recordings folder."
+    ),
+    as_json: bool = JSON_OPTION,
+) -> None:
+    """Let the running daemon receive from another link; the recording goes on.
+
+    Example: [bold]groundstation link usb[/bold]
+    """
+    answer = ask(socket_path(), "POST", "/link", {"name": name})
+    if as_json:
+        typer.echo(json.dumps(answer, indent=2))
+        return
+    typer.echo(f"{answer['link']['name']}  {answer['link']['state']}")
 
 
 @record.command("start")
@@ -85,6 +147,45 @@ def record_stop(as_json: bool = JSON_OPTION) -> None:
     _report(ask(socket_path(), "POST", "/record/stop"), as_json)
 
 
+@record.command("mark")
+def record_mark(text: str = typer.Argument(help="The note."), as_json: bool = JSON_OPTION) -> None:
+    """Put a note into the recording, at this moment.
+
+    Example: [bold]groundstation record mark "new propellers"[/bold]
+    """
+    answer = ask(socket_path(), "POST", "/record/mark", {"text": text})
+    typer.echo(json.dumps(answer) if as_json else "marked")
+
+
+def _watch(as_json: bool) -> None:
+    """Show the status until Ctrl-C or the end of the daemon; as JSON one line each time."""
+    from rich.live import Live
+
+    with Client(socket_path()) as client:
+        if as_json:
+            while True:
+                typer.echo(json.dumps(client.ask("GET", "/status")))
+                time.sleep(WATCH_S)
+        with Live(_screen(client.ask("GET", "/status")), auto_refresh=False) as screen:
+            while True:
+                time.sleep(WATCH_S)
+                screen.update(_screen(client.ask("GET", "/status")), refresh=True)
+
+
+def _screen(answer: dict[str, Any]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, title=f"groundstation  {time.strftime('%H:%M:%S')}")
+    table.add_column(style="bold")
+    table.add_column()
+    healthy = answer["health"]["healthy"]
+    for name, text in status_rows(answer):
+        style = ("green" if healthy else "bold red") if name == "health" else ""
+        table.add_row(name, Text(text, style=style))
+    return table
+
+
 def _report(recording: dict[str, Any], as_json: bool) -> None:
     typer.echo(json.dumps(recording, indent=2) if as_json else _recording_line(recording))
 
@@ -95,4 +196,15 @@ def _recording_line(recording: dict[str, Any]) -> str:
     return (
         f"{recording['state']}  {recording['file']}  {recording['bytes'] / 1e6:.1f} MB, "
         f"{recording['samples']} samples"
+    )
+
+
+def _duration(seconds: float) -> str:
+    minutes, second = divmod(round(seconds), 60)
+    hours, minute = divmod(minutes, 60)
+    days, hour = divmod(hours, 24)
+    return (
+        f"{days} d {hour:02d}:{minute:02d}:{second:02d}"
+        if days
+        else (f"{hour}:{minute:02d}:{second:02d}" if hour else f"{minute}:{second:02d} min")
     )

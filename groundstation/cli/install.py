@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.install_service import service
 from groundstation.errors import GroundStationError
 
 RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
@@ -14,6 +15,7 @@ RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
 def add_commands(app: typer.Typer) -> None:
     group = typer.Typer(no_args_is_help=True, help="Set this machine up for the hardware.")
     group.command("udev")(udev)
+    group.command("service")(service)
     app.add_typer(group, name="install")
 
 

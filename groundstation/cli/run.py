@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.config import assignments
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import Log, say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
-    from groundstation.service.config import Config
+    from groundstation.service.config import Config, ConfigSource
+    from groundstation.service.control_socket import ControlPort
     from groundstation.service.station import Station
 
 DISPLAY_S = 0.5
@@ -47,37 +49,52 @@ def run(
     speed: str | None = typer.Option(
         None, help="Of a stand-in or replay: 1 is real time, 'max' as fast as possible."
     ),
+    assign: list[str] = typer.Option(
+        [], "--set", metavar="KEY=VALUE", help="Any key of 'groundstation config --show'."
+    ),
 ) -> None:
     """Receive telemetry, record it and show it live, until Ctrl-C.
 
     Example: [bold]groundstation run --link stand-in --viewer serve[/bold]
     """
-    from groundstation.service.config import load_config
+    from groundstation.service.config import ConfigSource
 
-    settings = _override(
-        load_config(config),
-        {
-            "link": {"name": _link(link), "speed": _speed(speed)},
-            "recording": {"folder": None if recordings is None else str(recordings),
-                          "enabled": record},
-            "viewer": {"mode": viewer and viewer.value, "port": viewer_port, "web_port": web_port},
-            "command": command,
-        },
-    )  # fmt: skip
-    asyncio.run(_serve(settings, duration_s))
+    options = {
+        "link.name": _link(link),
+        "link.speed": _speed(speed),
+        "recording.folder": None if recordings is None else str(recordings),
+        "recording.enabled": record,
+        "viewer.mode": viewer and viewer.value,
+        "viewer.port": viewer_port,
+        "viewer.web_port": web_port,
+        "command": command,
+        **assignments(assign),
+    }
+    changes = {key: value for key, value in options.items() if value is not None}
+    source = ConfigSource(config, changes)
+    asyncio.run(_serve(source.load(), source, duration_s))
 
 
-async def _serve(config: Config, duration_s: float | None) -> None:
+async def _serve(config: Config, source: ConfigSource, duration_s: float | None) -> None:
     from groundstation.service.config import socket_path
-    from groundstation.service.control import ControlServer, ControlSocket
+    from groundstation.service.control import ControlServer
+    from groundstation.service.control_socket import ControlPort, ControlSocket
     from groundstation.service.station import Station
+    from groundstation.service.systemd import notify, pat_watchdog
 
     live = sys.stdout.isatty()
-    _configure_log(live)
-    station = Station(config)
+    _configure_log(live, as_json=config.log.format == "json")
+    station = Station(config, source)
     control = ControlSocket(socket_path(config.control.socket))
-    server = ControlServer(station, control)
+    port = None
+    if config.control.tcp_port:
+        port = ControlPort(config.control.tcp_port, control.path.with_suffix(".token"))
+    server = ControlServer(station, control, port)
     tasks: list[asyncio.Task[None]] = []
+
+    def ready() -> None:
+        _introduce(station, control.path, port)
+        notify("READY=1")
 
     def last_resort() -> None:
         station.sessions.wait()
@@ -86,28 +103,34 @@ async def _serve(config: Config, duration_s: float | None) -> None:
     with stopped_by_signals(station.stop, last_resort):
         try:
             await server.start()
+            tasks.append(asyncio.create_task(pat_watchdog(), name="watchdog"))
             if duration_s is not None:
                 tasks.append(asyncio.create_task(_stop_after(station, duration_s), name="timer"))
             if live:
                 tasks.append(asyncio.create_task(_display(station), name="display"))
-            await station.run(announce=lambda: _introduce(station, control.path))
+            await station.run(announce=ready)
         finally:
+            notify("STOPPING=1")
             for task in tasks:
                 task.cancel()
             if live:
                 say("\r\033[K", end="")
             await server.stop()
+            if port is not None:
+                port.close()
             control.close()
     _conclude(station)
 
 
-def _introduce(station: Station, socket: Path) -> None:
+def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None:
     config = station.config
     lines = [("link", station.link.name)]
     folder = config.recording.folder if config.recording.enabled else "off"
     lines.append(("recordings", folder))
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
     lines.append(("control", str(socket)))
+    if port is not None:
+        lines.append(("", f"http://127.0.0.1:{port.port}, token in {port.token_path}"))
     for name, text in lines:
         say(f"  {name:<11}{text}")
     say("  Ctrl-C stops and finishes the recording.")
@@ -158,9 +181,20 @@ async def _display(station: Station) -> None:
         )
 
 
-def _configure_log(live: bool) -> None:
-    """One event a line on stderr: time, source, kind, text."""
+def _configure_log(live: bool, *, as_json: bool) -> None:
+    """One event a line on stderr: time, source, kind, text; as text, or as a JSON object."""
     import structlog
+
+    if as_json:
+        structlog.configure(
+            processors=[
+                structlog.processors.add_log_level,
+                structlog.processors.TimeStamper(fmt="iso", utc=True),
+                structlog.processors.JSONRenderer(),
+            ],
+            logger_factory=lambda *names: Log(),
+        )
+        return
 
     def render(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
         clear = "\r\033[K" if live else ""
@@ -172,22 +206,6 @@ def _configure_log(live: bool) -> None:
         return f"{clear}{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
 
     structlog.configure(processors=[render], logger_factory=lambda *names: Log())
-
-
-def _override(config: Config, changes: dict[str, Any]) -> Config:
-    """The configuration with what the command line says instead."""
-    import msgspec
-
-    tables: dict[str, Any] = msgspec.to_builtins(config)
-    for name, value in changes.items():
-        if isinstance(value, dict):
-            tables[name].update({key: item for key, item in value.items() if item is not None})
-        elif value is not None:
-            tables[name] = value
-    try:
-        return msgspec.convert(tables, type(config))
-    except msgspec.ValidationError as error:
-        raise BadInputError(f"command line: {error}") from error
 
 
 def _speed(text: str | None) -> float | str | None:

@@ -18,6 +18,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from groundstation.errors import RecordingError
+from groundstation.recording.catalogue import TOTALS
 from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
@@ -114,7 +115,7 @@ class McapRecorder:
         self._dropped = {RawBatch: 0, SampleBatch: 0, _Entry: 0}
         self._reported_drops = 0
         self._report_due_s = 0.0
-        self._samples = self._packets = 0
+        self._samples = self._packets = self._marks = 0
         self._state: RecorderState = "recording"
         self._text = ""
         if self._space_is_low():
@@ -139,7 +140,8 @@ class McapRecorder:
         self._entry(COMMAND_TOPIC, entry)
 
     def event(self, entry: dict[str, Any]) -> None:
-        """Record a change of a link, or a fault."""
+        """Record a change of a link, a fault, or an operator's mark."""
+        self._marks += entry.get("kind") == "mark"
         self._entry(EVENTS_TOPIC, entry)
 
     def statistics(self, entry: dict[str, Any]) -> None:
@@ -208,6 +210,8 @@ class McapRecorder:
 
     def _finish_file(self) -> None:
         self._syncer.close()
+        totals = {"samples": self._samples, "raw_packets": self._packets, "marks": self._marks}
+        self._out.file.add_metadata(TOTALS, {key: str(value) for key, value in totals.items()})
         self._out.file.finish()
 
     def _record(self) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+from groundstation.errors import BadInputError
+from groundstation.links.factory import split_name
 from groundstation.service import requests
+from groundstation.service.config import settings
 from groundstation.service.station import Station
 
 Work = Callable[[Any], Awaitable[Any]]
@@ -14,7 +19,8 @@ Work = Callable[[Any], Awaitable[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """One thing that can be asked. body: type of the request's JSON, None for no body."""
+    """One thing that can be asked. body: type of the request's JSON, None for no body. limited:
+    whether it counts against the rate of all requests."""
 
     method: str
     path: str
@@ -22,6 +28,7 @@ class Operation:
     work: Work
     body: type | None = None
     answer: Any = dict[str, Any]
+    limited: bool = True
 
 
 def operations(station: Station) -> list[Operation]:
@@ -44,6 +51,19 @@ def operations(station: Station) -> list[Operation]:
     async def record_mark(body: requests.Mark) -> Any:
         station.mark(body.text, body.details)
         return requests.Done()
+
+    async def recordings(_: None) -> Any:
+        return await asyncio.to_thread(station.recordings.entries)
+
+    async def switch(body: requests.LinkName) -> Any:
+        await station.switch_link(permitted_link(body.name, station.sessions.folder))
+        return station.status()
+
+    async def configuration(_: None) -> Any:
+        return {each.name: each.value for each in settings(station.config)}
+
+    async def reload(_: None) -> Any:
+        return station.reload()
 
     async def acquire(body: requests.Acquire) -> Any:
         return commander.acquire(body.client)
@@ -80,6 +100,13 @@ def operations(station: Station) -> list[Operation]:
         Operation("POST", "/record/stop", "Finish the recording", record_stop),
         Operation("POST", "/record/mark", "Put a note into the recording", record_mark,
                   requests.Mark, requests.Done),
+        Operation("GET", "/recordings", "The folder's recordings by name", recordings,
+                  answer=list[dict[str, Any]]),
+        Operation("POST", "/link", "Receive from another link, recording on", switch,
+                  requests.LinkName),
+        Operation("GET", "/config", "Every key of the configuration in force", configuration),
+        Operation("POST", "/config/reload", "Read the configuration again", reload,
+                  answer=requests.Reloaded),
         Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
                   requests.Acquire, requests.Lease),
         Operation("POST", "/command/release", "Stop the motors and give the lease back", release,
@@ -87,9 +114,28 @@ def operations(station: Station) -> list[Operation]:
         Operation("POST", "/command/keep", "Keep the lease while nothing is sent", keep,
                   requests.Holder, requests.Done),
         Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
-                  requests.Setpoint, requests.Sent),
+                  requests.Setpoint, requests.Sent, limited=False),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,
                   answer=requests.Values),
         Operation("POST", "/command/parameters", "Write parameters and read them back",
                   write_parameters, requests.Parameters, requests.Values),
     ]  # fmt: skip
+
+
+def permitted_link(name: str, folder: Path) -> str:
+    """A link as a request may name it: no path leaves the recordings folder, no port is outside
+    /dev. Raises BadInputError for another."""
+    kind, argument = split_name(name)
+    if "\0" in argument:
+        raise BadInputError("a path cannot hold a zero byte")
+    if kind == "replay":
+        path = (folder / argument).resolve()
+        if not path.is_relative_to(folder.resolve()):
+            raise BadInputError(
+                f"{argument} is not in the recordings folder {folder}; for a file elsewhere start "
+                "a daemon with --link replay:FILE"
+            )
+        return f"replay:{path}"
+    if kind == "serial" and not Path(argument).resolve().is_relative_to("/dev"):
+        raise BadInputError(f"{argument} is not a device in /dev")
+    return name

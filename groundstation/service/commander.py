@@ -183,19 +183,28 @@ class Commander:
     # -- the daemon's part -----------------------------------------------------------------
 
     async def keep_connected(self) -> None:
-        """Connect the command link whenever telemetry streams and it is not."""
-        link = self.link
+        """Connect the command link whenever there is a craft behind the telemetry and it is not."""
+        link, told = self.link, ""
         while link is not None:
             # a stand-in answers only once its link is open
-            streaming = self._telemetry()[0] is LinkState.STREAMING
-            if streaming and link.state in (CommandState.CLOSED, CommandState.LOST):
+            state, reason = self._telemetry()
+            is_open = link.state not in (CommandState.CLOSED, CommandState.LOST)
+            if state is LinkState.STREAMING and not reason and not is_open:
                 try:
                     await link.close()
                     await link.open()
+                    told = ""
                 except LinkError as error:
-                    self._note("waiting", str(error))
+                    if str(error) != told:
+                        told = str(error)
+                        self._note("waiting", told)
                     await asyncio.sleep(RECONNECT_FAILED_S)
             await asyncio.sleep(RECONNECT_S)
+
+    async def disconnect(self) -> None:
+        """The craft has been taken away: ``keep_connected`` looks for the next one."""
+        if self.link is not None and self.link.uri.startswith("udp://"):
+            await self.link.close()
 
     async def watch(self) -> None:
         """The dead man: runs as long as the daemon."""

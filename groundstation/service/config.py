@@ -1,11 +1,13 @@
-"""The daemon's configuration: one TOML file, typed; the command line overrides it."""
+"""The daemon's configuration: one TOML file, typed; environment and command line override it."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -13,79 +15,152 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 
 MEBIBYTE = 1 << 20
-Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
-Text = Annotated[str, msgspec.Meta(min_length=1)]
+ENVIRONMENT = "GROUNDSTATION_"
+"""``recording.folder`` is ``GROUNDSTATION_RECORDING_FOLDER`` in the environment."""
+
+
+def _key(text: str, **limits: Any) -> Any:
+    return msgspec.Meta(description=text, **limits)
 
 
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """name: ``stand-in``, ``usb``, ``serial:PORT`` or ``replay:FILE``.
+    """Where telemetry comes from."""
 
-    speed: of stand-in and replay, or "max".
-    """
-
-    name: Text = "stand-in"
-    speed: float | Literal["max"] = 1.0
+    name: Annotated[str, _key("stand-in, usb, serial:PORT or replay:FILE", min_length=1)] = (
+        "stand-in"
+    )
+    speed: Annotated[
+        float | Literal["max"], _key('of stand-in and replay: 1 is real time, or "max"')
+    ] = 1.0
 
 
 class UsbConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """device: VID:PID of the bridge, hexadecimal. serial: its serial number, empty for any."""
+    """The bridge on USB."""
 
-    device: str = "0483:5741"
-    serial: str = ""
+    device: Annotated[str, _key("VID:PID, hexadecimal")] = "0483:5741"
+    serial: Annotated[str, _key("serial number, empty for any")] = ""
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """folder: where recordings go. enabled: record from the start. low_space_mb: a recording is
-    finished cleanly when less than this is free."""
+    """What is kept, and where."""
 
-    folder: Text = "sessions"
-    enabled: bool = True
-    low_space_mb: Annotated[float, msgspec.Meta(ge=0, le=1e9)] = 64.0
+    folder: Annotated[str, _key("where recordings go", min_length=1)] = "sessions"
+    enabled: Annotated[bool, _key("record from the start")] = True
+    low_space_mb: Annotated[
+        float,
+        _key("finish the recording when less is free, MiB; resume at twice that", ge=0, le=1e9),
+    ] = 64.0
+    rotate_mb: Annotated[
+        float, _key("begin a new file at this size, MiB; 0: never", ge=0, le=1e9)
+    ] = 1024.0
+    rotate_minutes: Annotated[
+        float, _key("begin a new file after this time; 0: never", ge=0, le=1e6)
+    ] = 60.0
+    keep_mb: Annotated[
+        float,
+        _key("delete the oldest recordings beyond this, MiB; 0: never delete", ge=0, le=1e9),
+    ] = 0.0
 
 
 class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """mode: off, serve or spawn. port: rerun's own. web_port: the browser's."""
+    """The live view."""
 
-    mode: Literal["off", "serve", "spawn"] = "off"
-    port: Port = 9876
-    web_port: Port = 9090
+    mode: Annotated[
+        Literal["off", "serve", "spawn"], _key("off, serve (browser) or spawn (window)")
+    ] = "off"
+    port: Annotated[int, _key("rerun's own TCP port, on loopback", ge=1, le=65535)] = 9876
+    web_port: Annotated[int, _key("the browser's TCP port, on loopback", ge=1, le=65535)] = 9090
 
 
 class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """socket: path of the control socket; empty for the user's runtime folder."""
+    """How other programs reach the daemon."""
 
-    socket: str = ""
+    socket: Annotated[
+        str, _key("path of the control socket; empty: in the user's runtime folder")
+    ] = ""
+    tcp_port: Annotated[
+        int, _key("also serve on this port of 127.0.0.1, with a token; 0: no", ge=0, le=65535)
+    ] = 0
+
+
+class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is written to stderr."""
+
+    format: Annotated[Literal["text", "json"], _key("text, or json: one object a line")] = "text"
 
 
 class DeadManConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What happens when a client that commands falls silent, in seconds.
+    """What happens when a client that commands falls silent."""
 
-    level_s: without a setpoint while motors run: level attitude. stop_s: motors off and the
-    lease is over. lease_s: without any request while motors stand: the lease is over.
-    """
-
-    level_s: Annotated[float, msgspec.Meta(ge=0.05, le=0.5)] = 0.2
-    stop_s: Annotated[float, msgspec.Meta(ge=0.1, le=2.0)] = 0.6
-    lease_s: Annotated[float, msgspec.Meta(ge=1.0, le=60.0)] = 5.0
+    level_s: Annotated[
+        float, _key("without a setpoint while motors run: level attitude, s", ge=0.05, le=0.5)
+    ] = 0.2
+    stop_s: Annotated[
+        float, _key("without a setpoint: motors off, the lease is over, s", ge=0.1, le=2.0)
+    ] = 0.6
+    lease_s: Annotated[
+        float, _key("without any request, motors off: the lease is over, s", ge=1.0, le=60.0)
+    ] = 5.0
 
 
 class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Everything the daemon can be told.
+    """Everything the daemon can be told."""
 
-    command: URI of the command link (``udp://HOST:PORT`` for a stand-in, ``radio://...`` for a
-    craft), empty for none. vehicle: profile named in the recording. stand_in: settings of the
-    software craft.
-    """
-
+    command: Annotated[
+        str, _key("command link: udp://HOST:PORT (stand-in), radio://... (craft), empty: none")
+    ] = ""
+    vehicle: Annotated[str, _key("profile named in recordings", min_length=1)] = "crazyflie1"
     link: LinkConfig = LinkConfig()
     usb: UsbConfig = UsbConfig()
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
     control: ControlConfig = ControlConfig()
+    log: LogConfig = LogConfig()
     dead_man: DeadManConfig = DeadManConfig()
-    command: str = ""
-    vehicle: Text = "crazyflie1"
-    stand_in: dict[str, Any] = {}
+    stand_in: Annotated[
+        dict[str, Any], _key("settings of the software craft, see docs/stand_in.md")
+    ] = {}
+
+
+RELOADABLE = ("recording.", "dead_man.", "log.")
+"""Keys that a running daemon takes over; a new recording folder from the next file on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One key: ``table.key``, or ``key`` at the top."""
+
+    name: str
+    value: Any
+    default: Any
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigSource:
+    """Where a configuration comes from; what comes later wins.
+
+    path: TOML file, None for none. changes: ``table.key`` -> value, of the command line.
+    """
+
+    path: Path | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+
+    def load(self) -> Config:
+        """Raises BadInputError that names the place and the key of what is wrong."""
+        config = load_config(self.path)
+        for name, value in self._from_environment():
+            config = _changed(config, {name: value}, ENVIRONMENT + _variable(name), strict=False)
+        config = _changed(config, self.changes, "command line", strict=True)
+        require_sense(config)
+        return config
+
+    def _from_environment(self) -> Iterator[tuple[str, str]]:
+        for setting in settings(Config()):
+            value = self.environment.get(ENVIRONMENT + _variable(setting.name))
+            if value is not None and setting.name != "stand_in":
+                yield setting.name, value
 
 
 def load_config(path: Path | None) -> Config:
@@ -98,6 +173,26 @@ def load_config(path: Path | None) -> Config:
         raise BadInputError(f"configuration {path}: {error.strerror or error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"configuration {path}: {error}") from error
+
+
+def settings(config: Config) -> list[Setting]:
+    """Every key in order, with its value, default and explanation."""
+    return list(_settings(config, Config(), ""))
+
+
+def changed_keys(before: Config, after: Config) -> list[str]:
+    """Keys whose values differ."""
+    pairs = zip(settings(before), settings(after), strict=True)
+    return [old.name for old, new in pairs if old.value != new.value]
+
+
+def with_reloaded(running: Config, fresh: Config) -> Config:
+    """The running configuration with what can be taken over from ``fresh``."""
+    values = {each.name: each.value for each in settings(fresh)}
+    changes = {
+        name: values[name] for name in changed_keys(running, fresh) if name.startswith(RELOADABLE)
+    }
+    return _changed(running, changes, "reload", strict=True)
 
 
 def require_sense(config: Config) -> None:
@@ -134,3 +229,28 @@ def socket_path(configured: str = "") -> Path:
 def shared_folder() -> Path:
     """Where the socket is on a system without runtime folders: in reach of every user."""
     return Path(tempfile.gettempdir()) / f"groundstation-{os.getuid()}"
+
+
+def _settings(value: Any, default: Any, prefix: str) -> Iterator[Setting]:
+    for name, hint in get_type_hints(type(value), include_extras=True).items():
+        mine, usual = getattr(value, name), getattr(default, name)
+        if isinstance(mine, msgspec.Struct):
+            yield from _settings(mine, usual, f"{prefix}{name}.")
+            continue
+        text = get_args(hint)[1].description if get_origin(hint) is Annotated else ""
+        yield Setting(prefix + name, mine, usual, text)
+
+
+def _changed(config: Config, changes: Mapping[str, Any], where: str, *, strict: bool) -> Config:
+    tables: dict[str, Any] = msgspec.to_builtins(config)
+    for name, value in changes.items():
+        table, _, key = name.rpartition(".")
+        (tables[table] if table else tables)[key] = value
+    try:
+        return msgspec.convert(tables, Config, strict=strict)
+    except msgspec.ValidationError as error:
+        raise BadInputError(f"{where}: {error}") from error
+
+
+def _variable(name: str) -> str:
+    return name.replace(".", "_").upper()

@@ -1,25 +1,24 @@
-"""The control API: HTTP on a Unix socket that only its owner can reach."""
+"""The control API as a server: HTTP with limits on size, number, rate and patience."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
+import hmac
 import json
-import os
-import socket
-import stat
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import h11
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from groundstation.errors import (
     BadInputError,
@@ -28,72 +27,49 @@ from groundstation.errors import (
     TakenError,
 )
 from groundstation.service.api import Operation, operations
-from groundstation.service.config import shared_folder
+from groundstation.service.control_socket import ControlPort, ControlSocket
+from groundstation.service.limits import RateLimit
+from groundstation.service.metrics import CONTENT_TYPE, metrics
+from groundstation.service.openapi import openapi
 from groundstation.service.station import Station
 from groundstation.text import printable
 
-BACKLOG = 16
 BODY_MOST = 1 << 16
-PATH_MOST = 107
-"""Bytes a Unix socket's address can hold."""
+HEAD_MOST = 1 << 14
+CONNECTIONS_MOST = 64
+REQUESTS_HZ, REQUESTS_BURST = 200.0, 400.0
+"""Of all clients together; setpoints have a limit of their own, so that nobody's curiosity can
+keep them from the craft."""
+REQUEST_S = 10.0
+"""A request must have arrived after so long."""
+STALL_S = 20.0
+"""A client that takes nothing of an answer for so long is cut off."""
+
+_FULL = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
-class ControlSocket:
-    """The listening socket, held by a lock so that one daemon at a time has it."""
+class ControlServer:
+    """Serves a station's control API on a Unix socket and, where there is one, a port."""
 
-    def __init__(self, path: Path) -> None:
-        if len(os.fsencode(path)) > PATH_MOST:
-            raise GroundStationError(
-                f"control socket {path}: longer than {PATH_MOST} bytes; set a shorter one with "
-                "[control] socket or GROUNDSTATION_SOCKET"
-            )
-        self.path = path
-        try:
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if path.parent == shared_folder():
-                _require_private(path.parent)
-            self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o600)
-        except OSError as error:
-            raise GroundStationError(f"control socket {path}: {error.strerror}") from error
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            owner = os.read(self._lock, 32).decode(errors="replace").strip()
-            os.close(self._lock)
-            raise TakenError(
-                f"control socket {path} is taken by another groundstation (process {owner}); stop "
-                "it, or give this one its own with GROUNDSTATION_SOCKET or [control] socket"
-            ) from error
-        os.ftruncate(self._lock, 0)
-        os.pwrite(self._lock, str(os.getpid()).encode(), 0)
-        if path.exists() and not path.is_socket():
-            os.close(self._lock)
-            raise GroundStationError(f"control socket {path}: is not a socket; choose another path")
-        path.unlink(missing_ok=True)  # left by a daemon that was killed: nobody holds the lock
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        before = os.umask(0o177)
-        try:
-            self.socket.bind(str(path))
-        finally:
-            os.umask(before)
-        self.socket.listen(BACKLOG)
-        self.socket.setblocking(False)
+    def __init__(
+        self, station: Station, control: ControlSocket, port: ControlPort | None = None
+    ) -> None:
+        app = control_app(station)
+        self._servers = [(_server(app), control.socket)]
+        if port is not None:
+            self._servers.append((_server(_Guarded(app, port.token)), port.socket))
+        self._tasks: list[asyncio.Task[None]] = []
 
-    def close(self) -> None:
-        """Remove the socket and release the lock."""
-        self.socket.close()
-        self.path.unlink(missing_ok=True)
-        os.close(self._lock)
+    async def start(self) -> None:
+        self._tasks = [
+            asyncio.create_task(server.serve(sockets=[listening]), name="control")
+            for server, listening in self._servers
+        ]
 
-
-def _require_private(folder: Path) -> None:
-    """In a folder where anyone can write, someone else may have been there first."""
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise GroundStationError(
-            f"control socket: {folder} is not a folder of yours alone (owner {found.st_uid}, mode "
-            f"{stat.S_IMODE(found.st_mode):04o}); remove it, or set GROUNDSTATION_SOCKET"
-        )
+    async def stop(self) -> None:
+        for server, _ in self._servers:
+            server.should_exit = True
+        await asyncio.gather(*self._tasks)
 
 
 class _Server(uvicorn.Server):
@@ -107,46 +83,74 @@ class _Server(uvicorn.Server):
         self.should_exit = True
 
 
-class ControlServer:
-    """Serves a station's control API on ``control``."""
+class _Protocol(H11Protocol):
+    """HTTP without endless patience: for a place, for a request, or for a reader."""
 
-    def __init__(self, station: Station, control: ControlSocket) -> None:
-        self._control = control
-        self._server = _Server(
-            uvicorn.Config(
-                control_app(station),
-                log_config=None,
-                access_log=False,
-                lifespan="off",
-                ws="none",
-                timeout_graceful_shutdown=1,
-            )
-        )
-        self._task: asyncio.Task[None] | None = None
+    _arriving: asyncio.TimerHandle | None = None
+    _stalled: asyncio.TimerHandle | None = None
 
-    async def start(self) -> None:
-        self._task = asyncio.create_task(
-            self._server.serve(sockets=[self._control.socket]), name="control"
-        )
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > CONNECTIONS_MOST:
+            transport.write(_FULL)
+            transport.close()
+        else:
+            self._arriving = self.loop.call_later(REQUEST_S, transport.abort)
 
-    async def stop(self) -> None:
-        self._server.should_exit = True
-        if self._task is not None:
-            await self._task
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+            _cancel(self._arriving)
+            self._arriving = None
+        elif self._arriving is None:
+            self._arriving = self.loop.call_later(REQUEST_S, self.transport.abort)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        _cancel(self._stalled)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        _cancel(self._arriving)
+        _cancel(self._stalled)
+        super().connection_lost(exc)
+
+
+class _Guarded:
+    """Lets in who shows the token."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._expected = b"Bearer " + token.encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        shown = dict(scope.get("headers", ())).get(b"authorization", b"")
+        if hmac.compare_digest(shown, self._expected):
+            await self._app(scope, receive, send)
+        else:
+            text = "this port needs the header 'Authorization: Bearer TOKEN'"
+            await _refusal(401, text)(scope, receive, send)
 
 
 def control_app(station: Station) -> Starlette:
     """The routes; every answer is JSON, errors as ``{"error": text}``: status 400 for what the
     station refuses, 403 for a token that is not in force, 409 for what another client holds,
     413 and 429 beyond the limits, 500 for a fault of its own, which is an event too."""
+    table = operations(station)
+    schema = openapi(table)
+    rate = RateLimit(REQUESTS_HZ, REQUESTS_BURST)
 
-    def answering(operation: Operation) -> Callable[[Request], Awaitable[Response]]:
-        where = f"{operation.method} {operation.path}"
-
+    def guarded(
+        where: str, work: Callable[[Request], Awaitable[Response]], *, limited: bool = True
+    ) -> Callable[[Request], Awaitable[Response]]:
         async def answer(request: Request) -> Response:
             try:
-                body = await _body(request, operation.body)
-                return _Json(await operation.work(body))
+                if limited and not rate.allows():
+                    return _refusal(429, f"more than {REQUESTS_HZ:g} requests a second")
+                return await work(request)
             except _TooLargeError as error:
                 return _refusal(413, error)
             except NotAuthorisedError as error:
@@ -163,11 +167,30 @@ def control_app(station: Station) -> Starlette:
 
         return answer
 
+    def route(operation: Operation) -> Route:
+        async def work(request: Request) -> Response:
+            body = await _body(request, operation.body)
+            return _Json(await operation.work(body))
+
+        where = f"{operation.method} {operation.path}"
+        return Route(
+            operation.path,
+            guarded(where, work, limited=operation.limited),
+            methods=[operation.method],
+        )
+
+    async def health(request: Request) -> Response:
+        found = station.health.status(station)
+        return _Json(found, status_code=200 if found["healthy"] else 503)
+
+    async def scrape(request: Request) -> Response:
+        return Response(metrics(station), media_type=CONTENT_TYPE)
+
+    async def schema_of_all(request: Request) -> Response:
+        return _Json(schema)
+
     async def stream(request: Request) -> Response:
-        try:
-            subscriber = station.stream.subscribe()
-        except TakenError as error:
-            return _refusal(409, error)
+        subscriber = station.stream.subscribe()
 
         async def messages() -> AsyncIterator[bytes]:
             try:
@@ -178,13 +201,12 @@ def control_app(station: Station) -> Starlette:
 
         return StreamingResponse(messages(), media_type="text/event-stream")
 
+    others = {"/health": health, "/metrics": scrape, "/openapi.json": schema_of_all,
+              "/stream": stream}  # fmt: skip
     return Starlette(
         routes=[
-            *(
-                Route(each.path, answering(each), methods=[each.method])
-                for each in operations(station)
-            ),
-            Route("/stream", stream),
+            *(route(operation) for operation in table),
+            *(Route(path, guarded(f"GET {path}", work)) for path, work in others.items()),
         ]
     )
 
@@ -193,18 +215,38 @@ class _TooLargeError(GroundStationError):
     pass
 
 
+def _server(app: ASGIApp) -> _Server:
+    return _Server(
+        uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            http=_Protocol,
+            ws="none",
+            h11_max_incomplete_event_size=HEAD_MOST,
+            timeout_graceful_shutdown=1,
+        )
+    )
+
+
+def _cancel(timer: asyncio.TimerHandle | None) -> None:
+    if timer is not None:
+        timer.cancel()
+
+
 async def _body(request: Request, kind: type | None) -> Any:
     """The request's JSON as ``kind``. Raises BadInputError with the path of what is wrong."""
-    if kind is None:
-        return None
-    content = b""
+    content = bytearray()
     async for piece in request.stream():
         content += piece
         if len(content) > BODY_MOST:
             raise _TooLargeError(f"the request is longer than {BODY_MOST} bytes")
+    if kind is None:
+        return None
     try:
         return msgspec.json.decode(content, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadInputError(f"the request's body: {error}") from error
 
 

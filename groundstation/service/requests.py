@@ -11,6 +11,20 @@ Token = Annotated[str, msgspec.Meta(max_length=128)]
 Line = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 
 
+class LinkName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A telemetry link: stand-in, usb, serial:PORT or replay:FILE, the file in the recordings
+    folder."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=512)]
+
+
+class Reloaded(msgspec.Struct, frozen=True, kw_only=True):
+    """Keys that were taken over, and keys that need a new start of the daemon."""
+
+    applied: list[str]
+    restart_needed: list[str]
+
+
 class Acquire(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Wants to command. client: a name for people, shown in the status and recorded."""
 

@@ -1,7 +1,8 @@
-"""One recording after another: names, metadata, start and stop."""
+"""One recording after another: names, metadata, start, stop, and the next part."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -9,21 +10,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from groundstation.errors import BadInputError, GroundStationError
+from groundstation.clock import HostClock, steady_clock
+from groundstation.errors import BadInputError
 from groundstation.links.base import LinkEvent
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+
+OUR_NAME = re.compile(r"\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d-\d{3}Z_[a-z-]+\.mcap")
+"""What ``Sessions`` calls its files: they sort by time, also where the clock was set back."""
 
 
 class Sessions:
     """The recorder of the moment, if any; everything is handed to it without blocking.
 
     ``finish`` waits for the disk and may be called from another thread than the rest, with what
-    ``detach`` gave: a new recording can begin meanwhile.
+    ``detach`` gave: a new recording can begin meanwhile. So may ``create``.
 
     folder: where files go; created when needed.
     metadata: text for the file's ``vehicle`` and ``configuration`` records.
+    clock: names files.
     """
 
     def __init__(
@@ -33,30 +39,52 @@ class Sessions:
         *,
         low_space_bytes: int,
         on_fault: Callable[[str], None],
+        clock: HostClock | None = None,
     ) -> None:
         self.folder = folder
+        self.low_space_bytes = low_space_bytes
         self._metadata = metadata
-        self._low_space_bytes = low_space_bytes
         self._on_fault = on_fault
+        self._clock = clock or steady_clock()
         self._recorder: McapRecorder | None = None
         self._ended: McapRecorder | None = None  # the last one
         self._last: RecorderStatus | None = None
+        self._session = ""
+        self._part = 0
         self.faults: dict[Path, str] = {}
         """What kept a recording from being complete, by file."""
 
     def start(self, link: str) -> Path:
         """Begin a new file named after the time and the link."""
-        if self._recorder is not None and self._recorder.status().state == "recording":
-            raise BadInputError(f"already recording to {self._recorder.status().file}")
+        self.require_idle()
         self.detach()  # one that has failed ends by itself: nothing to wait for
+        return self.install(self.create(link))
+
+    def create(self, link: str, *, continues: bool = False) -> McapRecorder:
+        """A recorder for a new file: of a new session, or the next part of the present one."""
         path = self._free_name(link)
-        self._recorder = McapRecorder(
+        session, part = (self._session, self._part + 1) if continues else (path.stem, 1)
+        recorder = McapRecorder(
             path,
-            {"session": session_metadata(link), **self._metadata},
-            low_space_bytes=self._low_space_bytes,
+            {
+                "session": {**session_metadata(link), "session": session, "part": str(part)},
+                **self._metadata,
+            },
+            low_space_bytes=self.low_space_bytes,
             on_fault=partial(self._fault, path),
         )
-        return path
+        self._session, self._part = session, part
+        return recorder
+
+    def install(self, recorder: McapRecorder) -> Path:
+        """From now on everything goes into ``recorder``; where it goes."""
+        self._recorder = recorder
+        return recorder.status().file
+
+    def require_idle(self) -> None:
+        """Raises BadInputError while a file is being written."""
+        if self._recorder is not None and self._recorder.status().state == "recording":
+            raise BadInputError(f"already recording to {self._recorder.status().file}")
 
     @property
     def fault(self) -> str:
@@ -70,6 +98,10 @@ class Sessions:
                 "nothing is being recorded; 'groundstation record start' begins a recording"
             )
 
+    def present(self) -> list[Path]:
+        """Files that are being written or finished."""
+        return [each.status().file for each in (self._recorder, self._ended) if each is not None]
+
     def detach(self) -> McapRecorder | None:
         """Record no more; the recorder that is to be finished, None when there was none."""
         recorder, self._recorder = self._recorder, None
@@ -78,14 +110,14 @@ class Sessions:
         return recorder
 
     def finish(self, recorder: McapRecorder) -> RecorderStatus:
-        """Finish the file of a detached recorder. Blocks until the disk has it."""
+        """Write what ``recorder`` still has and sync it; its last status."""
         status = recorder.finish()
         if recorder is self._ended:
             self._last = status
         return status
 
     def stop(self) -> RecorderStatus | None:
-        """``detach`` and ``finish``; None when nothing was being recorded."""
+        """Finish the present file; its final status, None when there was none."""
         recorder = self.detach()
         return None if recorder is None else self.finish(recorder)
 
@@ -136,11 +168,11 @@ class Sessions:
         self._on_fault(text)
 
     def _free_name(self, link: str) -> Path:
-        stamp = time.strftime("%Y-%m-%dT%H-%M-%SZ", time.gmtime())
         kind = link.split(":", 1)[0]
-        for attempt in range(1, 1000):
-            suffix = "" if attempt == 1 else f"-{attempt}"
-            path = self.folder / f"{stamp}_{kind}{suffix}.mcap"
+        time_ms = self._clock() // 1_000_000
+        while True:
+            stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
+            path = self.folder / f"{stamp}-{time_ms % 1000:03d}Z_{kind}.mcap"
             if not path.exists():
                 return path
-        raise GroundStationError(f"{self.folder}: a thousand recordings in one second; wait")
+            time_ms += 1

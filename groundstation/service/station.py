@@ -7,9 +7,8 @@ import contextlib
 import json
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,32 +16,35 @@ import msgspec
 import numpy as np
 import structlog
 
-from groundstation.background import in_background
 from groundstation.clock import steady_clock
-from groundstation.errors import (
-    GroundStationError,
-    LinkEndedError,
-    LinkError,
-    LinkLostError,
-)
+from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkEvent, LinkState
 from groundstation.links.factory import make_command_link, make_link
 from groundstation.service.commander import Commander
-from groundstation.service.config import MEBIBYTE, Config, link_speed, require_sense
+from groundstation.service.config import (
+    MEBIBYTE,
+    Config,
+    ConfigSource,
+    changed_keys,
+    link_speed,
+    require_sense,
+    with_reloaded,
+)
+from groundstation.service.health import Health
+from groundstation.service.receiver import Receiver
+from groundstation.service.recording_manager import RecordingManager
 from groundstation.service.requests import Telemetry
 from groundstation.service.sessions import Sessions
 from groundstation.service.stream import Stream
-from groundstation.telemetry.decoder import Decoded, Decoder, compile_kernel
+from groundstation.service.supervisor import Supervisor
+from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
+from groundstation.telemetry.statistics import LinkStatistics
 from groundstation.text import printable
 from groundstation.viewer.viewer import Viewer, ViewerMode
 
 EVENTS_KEPT = 1000
 STATISTICS_S = 1.0
-ANNOUNCE_S = 2.0
-"""Preparing takes longer than this where something has to be compiled."""
-RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 
 
 class Station:
@@ -51,10 +53,12 @@ class Station:
     ``run`` returns when ``stop`` was called or, without a viewer, when a finite link has ended.
     Statistics are stamped on the time base of the link's packets: that of the recording.
 
+    source: where the configuration came from, for a reload; None where there is none.
+
     Raises BadInputError for settings that cannot work.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, source: ConfigSource | None = None) -> None:
         require_sense(config)
         self.config = config
         self.clock = steady_clock()
@@ -64,15 +68,7 @@ class Station:
         """Whether the source had parts that could not be read."""
         self.faults = 0
         """Faults of the program itself, each survived and told as an event."""
-        self.link: Link = make_link(
-            config.link.name,
-            speed=link_speed(config.link.speed),
-            stand_in=config.stand_in,
-            command=config.command,
-            usb=msgspec.to_builtins(config.usb),
-            clock=self.clock,
-        )
-        self.link.on_event = self.take_event
+        self._source = source
         command = None
         if config.command:
             command = make_command_link(config.command, clock=self.clock)
@@ -92,6 +88,14 @@ class Station:
             },
             low_space_bytes=round(config.recording.low_space_mb * MEBIBYTE),
             on_fault=self._recorder_fault,
+            clock=self.clock,
+        )
+        self.recordings = RecordingManager(
+            self.sessions,
+            config.recording,
+            link=lambda: self.link.name,
+            settle=self._settle,
+            note=lambda kind, text: self.note(kind, text, source="recorder"),
         )
         self.viewer = Viewer(
             ViewerMode(config.viewer.mode),
@@ -101,21 +105,40 @@ class Station:
         )
         if command is not None:
             command.on_entry = self.sessions.command
+        self.receiver = Receiver(
+            self._make_link(config.link.name),
+            self,
+            on_raw=self._take_raw,
+            on_samples=self._take_samples,
+            fast=config.link.speed == "max",
+        )
+        self.supervisor = Supervisor(lambda text, name: self.fault(text, source=name))
+        self.health = Health()
         self._log = structlog.get_logger("groundstation")
         self._started_s = time.monotonic()
-        self._decoder = Decoder()
-        self._meter = LinkMeter(self.clock())
-        self._newest_ns = 0  # the latest host stamp
         self._newest: SampleBatch | None = None
-        self._ready_made = 0  # samples of a source that needs no decoder
-        self._retry_s = RETRY_FIRST_S
-        self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
-        self._missing = ""  # why it cannot be opened now
-        self._recording = asyncio.Lock()  # held while a recording is begun or finished
+        self._switching = False
+        self._recording_ended = False  # with a replay, not by an operator
         self._stopping = asyncio.Event()
-        self.tried = asyncio.Event()
-        """Set when the link has been opened, or has turned out not to be there yet."""
         self._loop: asyncio.AbstractEventLoop | None = None
+
+    @property
+    def link(self) -> Link:
+        """The telemetry link of the moment."""
+        return self.receiver.link
+
+    @link.setter
+    def link(self, link: Link) -> None:
+        self.receiver.link = link
+
+    @property
+    def tried(self) -> asyncio.Event:
+        """Set when the link has been opened, or has turned out not to be there yet."""
+        return self.receiver.tried
+
+    @property
+    def _decoder(self) -> Decoder:
+        return self.receiver.decoder
 
     def stop(self) -> None:
         """Ask ``run`` to finish."""
@@ -132,22 +155,27 @@ class Station:
             closing.push_async_callback(self.viewer.stop)
             await self.viewer.start()
             announce()
-            closing.push_async_callback(self._finish_recording)
+            closing.push_async_callback(self.recordings.close)
             closing.callback(self._close_window)
-            closing.callback(self._drain)
-            closing.push_async_callback(self.link.close)
+            closing.push_async_callback(self.receiver.close)
             closing.push_async_callback(self.commander.close)
-            receiving = asyncio.create_task(self._receive(), name="link")
+            closing.push_async_callback(self.supervisor.close)
+            for name, work in (
+                ("command", self.commander.keep_connected),
+                ("dead man", self.commander.watch),
+                ("statistics", self._close_windows),
+                ("recordings", self.recordings.keep),
+                ("health", self.health.watch),
+            ):
+                self.supervisor.start(name, work)
+            receiving = asyncio.create_task(
+                self.receiver.run(opened=self._link_opened, ended=self._linger), name="receiver"
+            )
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
-            others = [
-                asyncio.create_task(self._supervise("command", self.commander.keep_connected)),
-                asyncio.create_task(self._supervise("dead man", self.commander.watch)),
-                asyncio.create_task(self._supervise("statistics", self._close_windows)),
-            ]
             await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
-            for task in (receiving, stopping, *others):
+            for task in (receiving, stopping):
                 task.cancel()
-            await asyncio.gather(receiving, stopping, *others, return_exceptions=True)
+            await asyncio.gather(receiving, stopping, return_exceptions=True)
             if not receiving.cancelled():
                 receiving.result()
 
@@ -155,29 +183,50 @@ class Station:
 
     async def start_recording(self) -> Path:
         """Begin a new file. Raises BadInputError when one is being written."""
-        async with self._recording:
-            path = self.sessions.start(self.link.name)
-            self.note("recording", f"recording to {path}", source="recorder")
-            return path
+        return await self.recordings.start()
 
     async def stop_recording(self) -> dict[str, Any]:
         """Finish the file; its final status. Raises BadInputError when there is none."""
-        async with self._recording:
-            self.sessions.require_started()
-            # the samples of the packets in this file, not in the next one
-            self._take(self._decoder.idle(self._now_ns()))
-            self.note("recording", "recording stopped", source="recorder")
-            await self._finish_detached()
-            return self.sessions.status()
+        return await self.recordings.stop()
 
-    async def _finish_recording(self) -> None:
-        async with self._recording:
-            await self._finish_detached()
+    def mark(self, text: str, details: dict[str, Any]) -> None:
+        """A note of an operator or a client, in the recording and among the events."""
+        self.recordings.mark()
+        self.take_event(LinkEvent(self.clock(), "operator", "mark", text, details))
 
-    async def _finish_detached(self) -> None:
-        recorder = self.sessions.detach()
-        if recorder is not None:
-            await asyncio.to_thread(self.sessions.finish, recorder)
+    async def switch_link(self, name: str) -> None:
+        """Receive from another link, the recording going on. Where it cannot be opened the
+        present one stays: LinkError or BadInputError; TakenError while a client commands."""
+        if self.commander.client is not None:
+            raise TakenError(f"{self.commander.client} is commanding; it must release first")
+        if self._switching:
+            raise TakenError("the link is being switched already")
+        self._switching = True
+        try:
+            link, before = self._make_link(name), self.link
+            await self.receiver.switch(link)
+            if before.name == "stand-in":  # the craft that took commands is gone
+                await self.commander.disconnect()
+            if self._recording_ended:
+                self._recording_ended = False
+                await self.start_recording()
+        finally:
+            self._switching = False
+
+    def reload(self) -> dict[str, list[str]]:
+        """Take over what can be from the configuration: the keys that were, and those that need
+        a new start. Raises BadInputError, changing nothing, for a configuration that is wrong."""
+        if self._source is None:
+            raise BadInputError("this daemon was started without a configuration to reload")
+        fresh = self._source.load()
+        config = with_reloaded(self.config, fresh)
+        applied = changed_keys(self.config, config)
+        self.config = config
+        self.recordings.configure(config.recording)
+        self.commander.limits = config.dead_man
+        if applied:
+            self.note("reload", f"new values of {', '.join(applied)}", source="configuration")
+        return {"applied": applied, "restart_needed": changed_keys(config, fresh)}
 
     def status(self) -> dict[str, Any]:
         """The keys of the design's ``status --json``, and more."""
@@ -190,30 +239,24 @@ class Station:
                 "lost": statistics.lost if statistics else 0,
                 "latency_ms": statistics.latency_ms if statistics else None,
             },
-            "recording": self.sessions.status(),
+            "recording": self.recordings.status(),
             "viewer": self.viewer.status(),
             "command": self.commander.status(),
             "stream": {"clients": len(self.stream), "dropped": self.stream.dropped},
+            "tasks": self.supervisor.status(),
+            "health": self.health.status(self),
             "faults": self.faults,
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
 
-    def mark(self, text: str, details: dict[str, Any]) -> None:
-        """A note of an operator or a client, in the recording and among the events."""
-        self.take_event(LinkEvent(self.clock(), "operator", "mark", text, details))
-
     def link_state(self) -> LinkState:
         """Of the telemetry link: lost until a lost device is back."""
-        return self._away or self.link.state
+        return self.receiver.state
 
     def newest(self) -> Telemetry | None:
         """The newest sample, None before the first."""
-        return None if self._newest is None else _telemetry(self._newest, self._now_ns())
-
-    def _no_craft(self) -> str:
-        """Why nothing that could be commanded is behind the telemetry, or empty."""
-        return f"{self.link.name} is a recording" if self.link.finite else ""
+        return None if self._newest is None else _telemetry(self._newest, self.receiver.now_ns())
 
     # -- events ----------------------------------------------------------------------------
 
@@ -229,7 +272,7 @@ class Station:
     def take_event(self, event: LinkEvent) -> None:
         """Keep, log, record and show an event."""
         event = replace(event, link=printable(event.link), text=printable(event.text))
-        if self._missing and event.link == self.link.name and event.kind in _ATTEMPT:
+        if self.receiver.is_repetition(event.link, event.kind):
             return  # while a device is waited for, another attempt is no news
         self.events.append(event)
         self.damaged |= event.kind == "damage"
@@ -241,129 +284,52 @@ class Station:
 
     def _recorder_fault(self, text: str) -> None:
         # called from the recorder's thread
-        if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(lambda: self.note("fault", text, source="recorder"))
+        def tell() -> None:
+            self.note("fault", text, source="recorder")
+            self.recordings.wake()
 
-    async def _supervise(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
-        """Begin anew what fails by a fault of the program."""
-        while True:
-            try:
-                return await work()
-            except Exception as error:
-                self.fault(f"{name}: {error!r}", source=name)
-                await asyncio.sleep(RETRY_MOST_S)
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(tell)
 
     # -- the stream ------------------------------------------------------------------------
 
-    async def _receive(self) -> None:
-        """Open, read, and open again: after a loss, a fault, or when it is not there yet."""
-        compiled = await self._prepare()
-        opened = False
-        while True:
-            try:
-                try:
-                    await self.link.open()
-                finally:
-                    self.tried.set()
-                if not opened:
-                    opened = True
-                    self._decoder = Decoder(self.link.start_ticks, compiled=compiled)
-                    self._meter = LinkMeter(self._now_ns())
-                    if self.config.recording.enabled:
-                        # not before: a mistyped link leaves no empty file behind
-                        await self.start_recording()
-                self._retry_s, self._missing = RETRY_FIRST_S, ""
-                await self._read()
-            except LinkEndedError:
-                await self._linger()
-                return
-            except LinkLostError:
-                self._lose()
-            except LinkError as error:
-                if self.link.state is not LinkState.CLOSED:
-                    self._lose()  # it was open: reading failed
-                self._away = self._away or LinkState.OPENING
-                if str(error) != self._missing:
-                    self._missing = str(error)
-                    self.note("waiting", self._missing, source=self.link.name)
-            except GroundStationError:
-                raise
-            except Exception as error:
-                if self.link.finite:
-                    raise  # opened again it would begin anew
-                self.fault(f"receiving failed: {error!r}", source=self.link.name)
-                self._lose()
-            try:
-                await self.link.close()
-            except Exception as error:
-                self.fault(f"closing failed: {error!r}", source=self.link.name)
-            await asyncio.sleep(self._retry_s)
-            self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+    def _make_link(self, name: str) -> Link:
+        config = self.config
+        link = make_link(
+            name,
+            speed=link_speed(config.link.speed),
+            stand_in=config.stand_in,
+            command=config.command,
+            usb=msgspec.to_builtins(config.usb),
+            clock=self.clock,
+        )
+        link.on_event = self.take_event
+        return link
 
-    async def _prepare(self) -> bool:
-        """Whether to decode compiled: only what comes faster than any craft sends needs it."""
-        if self.config.link.speed != "max":
-            return False
-        announcement = asyncio.get_running_loop().call_later(
-            ANNOUNCE_S,
-            partial(self.note, "preparing", "preparing the decoder: compiled once per machine",
-                    source="decoder"),
-        )  # fmt: skip
-        try:
-            await in_background(compile_kernel)
-        finally:
-            announcement.cancel()
-        return True
-
-    def _lose(self) -> None:
-        """What follows is a new segment, after whatever went wrong."""
-        self._away = LinkState.LOST
-        try:
-            self._take(self._decoder.reconnected())
-        except Exception as error:
-            self.fault(f"the decoder starts anew: {error!r}", source="decoder")
-            self._decoder = Decoder()
+    async def _link_opened(self) -> None:
+        if self.config.recording.enabled:
+            await self.start_recording()
 
     async def _linger(self) -> None:
         """The end of a replay: what there is to see stays on view until the operator stops."""
         if self.viewer.mode is ViewerMode.OFF:
             return
-        self._drain()
+        self.receiver.drain()
         self._close_window()
-        await self._finish_recording()
+        self._recording_ended = self.sessions.status()["state"] == "recording"
+        await self.recordings.close()
         self.note(
             "ended", "all has been shown; the viewer stays open until Ctrl-C", source="viewer"
         )
         await self._stopping.wait()
 
-    async def _read(self) -> None:
-        while True:
-            batch = await self.link.read()
-            self._away = None
-            if batch is None:
-                self._take(self._decoder.idle(self.link.now_ns()))
-                continue
-            if len(batch):
-                self._newest_ns = max(self._newest_ns, int(batch.host_time_ns[-1]))
-            if not isinstance(batch, RawBatch):
-                self._give(batch)
-                self._meter.add_samples(batch)
-                self._ready_made += len(batch)
-            else:
-                self.sessions.raw(batch)
-                self._take(self._decoder.decode(batch))
+    def _settle(self) -> None:
+        self.receiver.settle()
 
-    def _drain(self) -> None:
-        """Nothing more will come: give out what is held."""
-        self._take(self._decoder.finish())
+    def _take_raw(self, batch: RawBatch) -> None:
+        self.sessions.raw(batch)
 
-    def _take(self, decoded: Decoded) -> None:
-        self._meter.add(decoded)
-        self._give(decoded.samples)
-
-    def _give(self, samples: SampleBatch) -> None:
-        if len(samples) == 0:
-            return
+    def _take_samples(self, samples: SampleBatch) -> None:
         self._newest = samples
         self.sessions.samples(samples)
         self.viewer.show_samples(samples)
@@ -375,27 +341,23 @@ class Station:
             await asyncio.sleep(STATISTICS_S)
             self._close_window()
 
-    def _now_ns(self) -> int:
-        """The present on the time base of the packets: a fast replay's stamps run ahead of any
-        clock."""
-        return max(self.link.now_ns(), self._newest_ns)
-
     def _close_window(self) -> None:
-        counts = self._decoder.counts()
-        counts = replace(counts, samples=counts.samples + self._ready_made)
-        statistics = self._meter.close_window(self._now_ns(), counts)
-        if statistics.restarts > (self.statistics.restarts if self.statistics else 0):
-            self.note("restart", "the device restarted: a new segment", source=self.link.name)
+        statistics = self.receiver.close_window(self.statistics)
         self.statistics = statistics
         entry = statistics.as_dict()
         self.sessions.statistics(entry)
         self.stream.statistics(entry)
         self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
 
+    def _no_craft(self) -> str:
+        """Why nothing that could be commanded is behind the telemetry, or empty."""
+        if self._switching:
+            return "the link is being switched"
+        return f"{self.link.name} is a recording" if self.link.finite else ""
 
-_ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
+
 _WARNINGS = frozenset(
-    {"fault", "lost", "loss", "silent", "waiting", "restart", "damage", "dead man"}
+    {"fault", "lost", "loss", "silent", "waiting", "restart", "damage", "dead man", "deleted"}
 )
 
 

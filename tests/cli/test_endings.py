@@ -130,8 +130,7 @@ def test_a_failed_recording_and_the_good_one_after_it_are_told_apart(tmp_path):
         daemon.recording(samples=100)
         bad = daemon.only_file()
         bad.unlink()
-        daemon.status_when(lambda status: status["recording"]["state"] == "failed", "a failure")
-        daemon.ask("POST", "/record/start")
+        daemon.status_when(lambda status: status["recording"]["resumed"], "a new file")
         daemon.recording(samples=100)
         assert daemon.stop() == 1
         assert f"{bad.name}: recording stopped: the file was removed" in daemon.last_line

@@ -81,7 +81,8 @@ def test_everything_given_comes_back(path):
     assert recording.events == events
     assert recording.commands == commands
     assert recording.statistics == [{"time_ns": START_NS + 9, "lost": 3, "rate": 2.0}]
-    assert recording.metadata == METADATA
+    totals = {"samples": str(ROWS), "raw_packets": str(len(raw)), "marks": "0"}
+    assert recording.metadata == METADATA | {"totals": totals}
     assert recording.link == "stand-in"
     assert recording.damage == []
 

@@ -11,7 +11,8 @@ import pytest
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from groundstation.service.control import ControlServer, ControlSocket
+from groundstation.service.control import ControlServer
+from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 
 

@@ -11,10 +11,12 @@ from flights import COPIES, flight
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
 from groundstation.recording.open_recording import open_recording
+from groundstation.service import receiver as receiver_module
 from groundstation.service import station as station_module
 from groundstation.service.client import TIMEOUT_S, ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
-from groundstation.service.control import ControlServer, ControlSocket
+from groundstation.service.control import ControlServer
+from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
@@ -55,7 +57,7 @@ async def until(condition):
 @pytest.fixture
 def live(tmp_path, monkeypatch):
     """Runs a conversation with a recording station on a fed link; the station."""
-    monkeypatch.setattr(station_module, "RETRY_FIRST_S", 0.001)
+    monkeypatch.setattr(receiver_module, "RETRY_FIRST_S", 0.001)
 
     def living(conversation, *, end=True):
         async def session():

@@ -1,0 +1,113 @@
+"""``groundstation config``: what can be set, what is set, and taking it over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from groundstation.service.client import ask
+from groundstation.service.config import ConfigSource, settings, socket_path
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("config")(config)
+
+
+def config(
+    file: Path | None = typer.Option(None, "--config", help="TOML configuration file."),
+    show: bool = typer.Option(False, "--show", help="Print every key, its value and its default."),
+    reload: bool = typer.Option(
+        False, "--reload", help="Let the running daemon read its configuration again."
+    ),
+    assign: list[str] = typer.Option(
+        [], "--set", metavar="KEY=VALUE", help="Any key, as on the command line of 'run'."
+    ),
+    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+) -> None:
+    """Show or reload the configuration. A file is overridden by the environment
+    (GROUNDSTATION_RECORDING_FOLDER for recording.folder), and that by the command line.
+
+    Example: [bold]groundstation config --config station.toml --show[/bold]
+    """
+    if show == reload:
+        raise typer.BadParameter("give one of --show and --reload")
+    if reload:
+        answer = ask(socket_path(), "POST", "/config/reload")
+        typer.echo(json.dumps(answer, indent=2) if as_json else _told(answer))
+        return
+    found = settings(ConfigSource(file, assignments(assign)).load())
+    if as_json:
+        keys = {each.name: {"value": each.value, "default": each.default, "text": each.text}
+                for each in found}  # fmt: skip
+        typer.echo(json.dumps(keys, indent=2))
+        return
+    table = ""
+    for each in found:
+        if isinstance(each.value, dict):
+            typer.echo(f"\n# {each.text}\n[{each.name}]")
+            for line in _assigned(each.value):
+                typer.echo(line)
+            continue
+        place, _, key = each.name.rpartition(".")
+        if place != table:
+            table = place
+            typer.echo(f"\n[{table}]")
+        usual = "" if each.value == each.default else f" (default {_toml(each.default)})"
+        typer.echo(f"{key + ' = ' + _toml(each.value):<32}  # {each.text}{usual}")
+
+
+def assignments(given: list[str]) -> dict[str, Any]:
+    """``KEY=VALUE`` of the command line as key -> value. Raises a usage error for another form."""
+    from groundstation.service.config import Config
+
+    known = {each.name for each in settings(Config())} - {"stand_in"}
+    values: dict[str, Any] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or key not in known:
+            raise typer.BadParameter(
+                f"{text!r}: give KEY=VALUE with a KEY of 'groundstation config --show'",
+                param_hint="'--set'",
+            )
+        values[key] = _value(value)
+    return values
+
+
+def _value(text: str) -> Any:
+    """A TOML value where it is one, otherwise the text itself."""
+    import msgspec
+
+    try:
+        return msgspec.toml.decode(f"value = {text}")["value"]
+    except msgspec.DecodeError:
+        return text
+
+
+def _told(answer: dict[str, list[str]]) -> str:
+    lines = [f"taken over: {', '.join(answer['applied']) or 'nothing has changed'}"]
+    if answer["restart_needed"]:
+        lines.append(f"only after a new start: {', '.join(answer['restart_needed'])}")
+    return "\n".join(lines)
+
+
+def _assigned(table: dict[str, Any]) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{_name(key)} = {_toml(value)}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(_assigned(value)) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _name(key: str) -> str:
+    return key if key.replace("_", "a").isalnum() and key.isascii() else json.dumps(key)

@@ -1,0 +1,82 @@
+"""Whether the daemon does what it is there for, measured, with reasons where it does not."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from groundstation.links.base import LinkState
+
+if TYPE_CHECKING:
+    from groundstation.service.station import Station
+
+PERIOD_S = 0.5
+WINDOW_S = 60.0
+LAG_MOST_S = 1.0
+"""An event loop that was held up for so long lately is not healthy."""
+
+
+class Health:
+    """Watches the event loop; judges the rest when asked."""
+
+    def __init__(self) -> None:
+        self._lags_s: deque[float] = deque(maxlen=round(WINDOW_S / PERIOD_S))
+
+    async def watch(self) -> None:
+        """Measure by how much the event loop is late, for as long as the daemon runs."""
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = loop.time() + PERIOD_S
+            await asyncio.sleep(PERIOD_S)
+            self._lags_s.append(loop.time() - due_s)
+
+    @property
+    def lag_s(self) -> float:
+        """The worst delay of the event loop in the last minute."""
+        return max(self._lags_s, default=0.0)
+
+    def status(self, station: Station) -> dict[str, Any]:
+        """healthy, and why not; what the process uses."""
+        problems = list(self._problems(station))
+        return {
+            "healthy": not problems,
+            "problems": problems,
+            "loop_lag_ms": round(1e3 * self.lag_s, 1),
+            **usage(),
+        }
+
+    def _problems(self, station: Station) -> list[str]:
+        problems = []
+        state = station.link_state()
+        if state not in (LinkState.STREAMING, LinkState.ENDED):
+            problems.append(f"link {station.link.name}: {state.value}")
+        recording = station.recordings.status()
+        if recording["wanted"] and recording["state"] != "recording":
+            problems.append(f"recording: {recording['state']}; {recording.get('text', '')}")
+        if recording["state"] == "recording" and recording["dropped"]:
+            problems.append(f"recording: {recording['dropped']} dropped; the disk is too slow")
+        viewer = station.viewer.status()["state"]
+        if viewer in ("restarting", "failed"):
+            problems.append(f"viewer: {viewer}")
+        command = station.commander.link
+        if command is not None and command.state.value not in ("connected", "connecting"):
+            problems.append(f"command link {command.uri}: {command.state.value}")
+        problems += [f"task {name} is dead" for name in station.supervisor.dead()]
+        if self.lag_s > LAG_MOST_S:
+            problems.append(f"the event loop was held up for {self.lag_s:.1f} s")
+        return problems
+
+
+def usage() -> dict[str, Any]:
+    """What this process uses: processor seconds, resident memory, descriptors, threads."""
+    times = os.times()
+    with open("/proc/self/statm") as file:
+        pages = int(file.read().split()[1])
+    return {
+        "cpu_s": round(times.user + times.system, 2),
+        "memory_mb": round(pages * os.sysconf("SC_PAGE_SIZE") / 1e6, 1),
+        "descriptors": len(os.listdir("/proc/self/fd")),
+        "threads": len(os.listdir("/proc/self/task")),
+    }

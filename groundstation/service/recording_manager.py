@@ -1,0 +1,235 @@
+"""What an operator wants recorded, kept true: rotation, resuming, retention."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.recording.catalogue import catalogue
+from groundstation.recording.mcap_writer import McapRecorder
+from groundstation.service.config import MEBIBYTE, RecordingConfig
+from groundstation.service.sessions import OUR_NAME, Sessions
+
+CHECK_S = 1.0
+RESUME_FIRST_S, RESUME_MOST_S = 0.5, 30.0
+RESUME_LEAST_BYTES = 16 * MEBIBYTE
+"""A recording is not resumed on a disk with less room than this, whatever the low-space mark."""
+RETAIN_S = 60.0
+
+Note = Callable[[str, str], None]
+
+
+class RecordingManager:
+    """Starts and stops recordings, goes on in a new file when one is long enough or has failed,
+    and deletes the oldest where the configuration says so.
+
+    sessions: what is written to. link: name of the telemetry link of the moment. settle: gives
+    out what the decoder still holds. note: told (kind, text).
+    """
+
+    def __init__(
+        self,
+        sessions: Sessions,
+        config: RecordingConfig,
+        *,
+        link: Callable[[], str],
+        settle: Callable[[], None],
+        note: Note,
+    ) -> None:
+        self.sessions = sessions
+        self.rotations = self.resumed = self.deleted = 0
+        self._config = config
+        self._link, self._settle, self._note = link, settle, note
+        self._wanted = False
+        self._began_s = 0.0
+        self._retry_s, self._retry_at_s, self._told = RESUME_FIRST_S, 0.0, ""
+        self._retain_at_s = 0.0
+        self._lock = asyncio.Lock()  # held while a recording is begun or finished
+        self._finishing: set[asyncio.Task[Any]] = set()
+        self._look = asyncio.Event()
+        self._free: int | None = None
+
+    def configure(self, config: RecordingConfig) -> None:
+        """Settings for what follows: limits at once, the folder from the next file on."""
+        self._config = config
+        self.sessions.folder = Path(config.folder)
+        self.sessions.low_space_bytes = round(config.low_space_mb * MEBIBYTE)
+
+    async def start(self) -> Path:
+        """Begin a new session. Raises BadInputError when one is being recorded."""
+        async with self._lock:
+            self.sessions.require_idle()
+            self.sessions.detach()  # one that has failed ends by itself: nothing to wait for
+            path = self._begin(await asyncio.to_thread(self.sessions.create, self._link()))
+            self._wanted = True
+            self._note("recording", f"recording to {path}")
+            return path
+
+    async def stop(self) -> dict[str, Any]:
+        """Finish the file; its final status. Raises BadInputError when there is none."""
+        async with self._lock:
+            self.sessions.require_started()
+            # the samples of the packets in this file, not in the next one
+            self._settle()
+            self._wanted = False
+            self._note("recording", "recording stopped")
+            await self._finish(self.sessions.detach())
+            return self.sessions.status()
+
+    async def close(self) -> None:
+        """Finish what is being recorded, if anything."""
+        async with self._lock:
+            self._wanted = False
+            await self._finish(self.sessions.detach())
+            await asyncio.gather(*self._finishing, return_exceptions=True)
+
+    def mark(self) -> None:
+        """Raises BadInputError where a mark would not be recorded."""
+        if self.sessions.status()["state"] != "recording":
+            raise BadInputError(
+                "nothing is being recorded; 'groundstation record start' begins a recording"
+            )
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The folder's recordings. Reads files: not for the event loop."""
+        status = self.sessions.status()
+        writing = Path(status["file"]) if status["state"] == "recording" else None
+        return [entry.as_dict() for entry in catalogue(self.sessions.folder, recording=writing)]
+
+    def status(self) -> dict[str, Any]:
+        return {
+            **self.sessions.status(),
+            "wanted": self._wanted,
+            "rotations": self.rotations,
+            "resumed": self.resumed,
+            "deleted": self.deleted,
+            "free_mb": None if self._free is None else round(self._free / 1e6, 1),
+        }
+
+    def wake(self) -> None:
+        """Something happened to the file: look now."""
+        self._look.set()
+
+    async def keep(self) -> None:
+        """Look after the recording for as long as the daemon runs."""
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(CHECK_S):
+                    await self._look.wait()
+            self._look.clear()
+            self._free = await asyncio.to_thread(_free_bytes, self.sessions.folder)
+            async with self._lock:
+                if self._wanted:
+                    await self._look_after()
+            if time.monotonic() >= self._retain_at_s:
+                await self._retain()
+
+    async def _look_after(self) -> None:
+        status = self.sessions.status()
+        if status["state"] != "recording":
+            await self._resume(status["state"])
+        elif self._is_due(status["bytes"]):
+            recorder = await self._next("recording cannot go on in a new file")
+            if recorder is None:
+                return
+            ended = self.sessions.detach()  # nothing may come between this
+            path = self._begin(recorder)  # and this
+            self.rotations += 1
+            self._note("recording", f"recording continues in {path}")
+            self._retain_at_s = 0.0
+            task = asyncio.create_task(self._finish(ended), name="finish recording")
+            self._finishing.add(task)
+            task.add_done_callback(self._finishing.discard)
+
+    async def _next(self, otherwise: str) -> McapRecorder | None:
+        """A recorder for the next part; None, with growing pauses, where there can be none."""
+        now_s = time.monotonic()
+        if now_s < self._retry_at_s:
+            return None
+        self._retry_at_s = now_s + self._retry_s
+        self._retry_s = min(2 * self._retry_s, RESUME_MOST_S)
+        try:
+            return await asyncio.to_thread(
+                lambda: self.sessions.create(self._link(), continues=True)
+            )
+        except (GroundStationError, OSError) as error:
+            if str(error) != self._told:
+                self._told = str(error)
+                self._note("fault", f"{otherwise}: {error}")
+            return None
+
+    def _begin(self, recorder: McapRecorder) -> Path:
+        self._began_s = time.monotonic()
+        self._retry_s, self._retry_at_s, self._told = RESUME_FIRST_S, 0.0, ""
+        return self.sessions.install(recorder)
+
+    def _is_due(self, size: int) -> bool:
+        config = self._config
+        by_size = 0 < config.rotate_mb * MEBIBYTE <= size
+        age_s = time.monotonic() - self._began_s
+        return by_size or 0 < config.rotate_minutes * 60.0 <= age_s
+
+    async def _resume(self, state: str) -> None:
+        """Go on after a fault, once it can work."""
+        low_bytes = self.sessions.low_space_bytes
+        needed = max(2 * low_bytes, low_bytes + RESUME_LEAST_BYTES)
+        if self._free is not None and self._free < needed:
+            return
+        recorder = await self._next("recording cannot be resumed")
+        if recorder is None:
+            return
+        self.sessions.detach()
+        path = self._begin(recorder)
+        self.resumed += 1
+        self._note("recording", f"recording resumed after '{state}': {path}")
+
+    async def _finish(self, recorder: McapRecorder | None) -> None:
+        if recorder is not None:
+            await asyncio.to_thread(self.sessions.finish, recorder)
+
+    async def _retain(self) -> None:
+        self._retain_at_s = time.monotonic() + RETAIN_S
+        keep = round(self._config.keep_mb * MEBIBYTE)
+        if keep <= 0:
+            return
+        present = {path.name for path in self.sessions.present()}
+        deleted = await asyncio.to_thread(delete_oldest, self.sessions.folder, keep, present)
+        self.deleted += len(deleted)
+        for name in deleted:
+            self._note("deleted", f"{name}: the recordings need more than {keep / 1e6:.0f} MB")
+
+
+def delete_oldest(folder: Path, keep_bytes: int, present: set[str]) -> list[str]:
+    """Delete recordings of ours, oldest first, until the rest needs at most ``keep_bytes``; their
+    names. Never a present one, and nothing that has another name than we give."""
+    with os.scandir(folder) as entries:
+        found = [
+            (entry.name, entry.stat(follow_symlinks=False).st_size)
+            for entry in entries
+            if OUR_NAME.fullmatch(entry.name) and entry.is_file(follow_symlinks=False)
+        ]
+    total = sum(size for _, size in found)
+    deleted = []
+    for name, size in sorted(found):
+        if total <= keep_bytes:
+            break
+        if name not in present:
+            (folder / name).unlink(missing_ok=True)
+            total -= size
+            deleted.append(name)
+    return deleted
+
+
+def _free_bytes(folder: Path) -> int | None:
+    """What is free where ``folder`` is or will be; None where that cannot be told."""
+    for place in (folder, *folder.absolute().parents):
+        with contextlib.suppress(OSError):
+            space = os.statvfs(place)
+            return space.f_bavail * space.f_frsize
+    return None
