@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.discrepancy.attitude_rows import AttitudeRows, Gaps, attitude_rows
 from groundstation.discrepancy.recordings import filled
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.errors import BadInputError
@@ -36,24 +37,26 @@ class Flight:
     """One uninterrupted airborne stretch with everything around it.
 
     run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
-    airborne rows. attitude_rows: rows on which the attitude was new, evenly spaced, within the
-    stretch; empty without attitude. height_m: (n,) above the take-off point where it can be
+    airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,) above the take-off point where it can be
     told, otherwise infinite. whole: the airborne rows, from rest and to rest where the flight
     began or ended on the ground; rests says whether it did.
-    rotor_measured: rotor speeds were recorded.
+    rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
+    mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
+    None without accelerometer or attitude.
     """
 
     run: Run
     known: Flags
     first: int
     last: int
-    attitude_rows: NDArray[np.int64]
+    attitude: AttitudeRows | None
     height_m: Array
     whole: slice
     rests: tuple[bool, bool]
     has_accelerometer: bool
-    has_attitude: bool
     rotor_measured: bool
+    gaps: Gaps
+    up: tuple[Array, float] | None
 
     @property
     def period_s(self) -> float:
@@ -121,23 +124,30 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         first, last = _airborne(run, start, stop, rests, height)
         if (last - first) * period < least_s:
             continue
-        fresh = _fresh_rows(run, known, first, last) if has_attitude else np.empty(0, np.int64)
+        attitude = attitude_rows(run, known, first, last) if has_attitude else None
+        whole = slice(start if rests[0] else first, stop if rests[1] else last)
         flights.append(
             Flight(
                 run,
                 known,
                 first,
                 last,
-                fresh,
+                attitude,
                 height,
-                slice(start if rests[0] else first, stop if rests[1] else last),
+                whole,
                 rests,
                 has_accelerometer,
-                has_attitude,
                 measured,
+                Gaps(~known[first:last]),
+                _mean_up(run, whole) if has_accelerometer and attitude is not None else None,
             )
         )
     return flights
+
+
+def _mean_up(run: Run, rows: slice) -> tuple[Array, float]:
+    up = rotation_matrix(run.attitude[rows])[:, 2]
+    return up.mean(axis=0), float(np.einsum("ni,ni->n", up, run.accelerometer[rows]).mean())
 
 
 def _low_height(run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array) -> None:
@@ -183,14 +193,3 @@ def _airborne(
         later = near[near > round(2 * CONTACT_S / period)]
         last = first + int(later[0]) if len(later) else stop - round(CONTACT_S / period)
     return first, last
-
-
-def _fresh_rows(run: Run, known: Flags, first: int, last: int) -> NDArray[np.int64]:
-    """Rows with a new attitude: an even comb, its stride and phase as most changes have them."""
-    changed = np.flatnonzero((np.diff(run.attitude[first:last], axis=0) != 0).any(axis=1)) + 1
-    changed = changed[known[first + changed] & known[first + changed - 1]]
-    if len(changed) < 100:
-        return np.empty(0, np.int64)
-    stride = int(np.clip(np.rint(np.median(np.diff(changed))), 1, 20))
-    phase = int(np.bincount(changed % stride, minlength=stride).argmax())
-    return first + np.arange(phase, last - first, stride, dtype=np.int64)

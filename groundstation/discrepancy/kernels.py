@@ -201,3 +201,13 @@ def mix_squares(end: Any, square: Any, strength: Any, mixer: Any, mean: Any, las
                 last[k, j] += mixer[j, i] * at
             mean[k, 3] += over
             last[k, 3] += at
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def first_order(values: Any, keep: float, out: Any) -> None:
+    """y_k = keep y_(k-1) + (1 - keep) x_k along the rows of (n, m), settled at the first."""
+    for j in range(values.shape[1]):
+        state = values[0, j]
+        for k in range(values.shape[0]):
+            state += (1.0 - keep) * (values[k, j] - state)
+            out[k, j] = state

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.discrepancy.attitude_rows import AttitudeRows
 from groundstation.discrepancy.flight import Flight
 from groundstation.discrepancy.unknowns import ABSENT, LOW_PASS, MOTOR_KEYS, TIMING
 from groundstation.dynamics.mixer import MIXERS
@@ -35,10 +36,6 @@ SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 SUBSTEPS = 2
 LEAK_S = 4.0
 """Velocity is known over times shorter than this."""
-MAHONY_GAIN = 0.4
-"""Half of the firmware's twoKp, which acts on a vector product of half-gravity."""
-ACCELEROMETER_SHARE, FIRMWARE_PERIOD_S = 0.125, 0.002
-"""The fusion's own filter of the accelerometer: 32/256 each 2 ms."""
 VOLTAGE_KEYS = (
     "motor_dead_voltage.voltage_mv",
     "motor_braking_asymmetry.factor",
@@ -99,6 +96,14 @@ def evaluate(
     return _Evaluation(flight, frame, point).series(keys)
 
 
+def rate_errors(
+    flight: Flight, frame: Frame, point: Mapping[str, float], gains: Sequence[float]
+) -> Array:
+    """Mean squared one-step prediction errors (gains, 3) of the rates, (rad/s)^2."""
+    evaluation = _Evaluation(flight, frame, point)
+    return np.array([evaluation.find_rates((gain, gain, gain)) for gain in gains])
+
+
 def spin_rotors(flight: Flight, point: Mapping[str, float], vehicle: Vehicle) -> Rotors:
     """Rotor speeds of a flight: measured, or simulated with the point's motor effects."""
     run = flight.run
@@ -149,11 +154,11 @@ def _lost_by_lag(
 
 
 def _lagged(signals: Array, lag_s: float, period_s: float) -> Array:
-    from scipy.signal import lfilter
+    from groundstation.discrepancy.kernels import first_order
 
-    keep = float(np.exp(-period_s / lag_s))
-    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], signals, axis=0, zi=keep * signals[:1])
-    return np.asarray(filtered)
+    out = np.empty_like(signals)
+    first_order(np.ascontiguousarray(signals), float(np.exp(-period_s / lag_s)), out)
+    return out
 
 
 class _Evaluation:
@@ -189,14 +194,17 @@ class _Evaluation:
         self._mixed: tuple[Array, Array, Array, Array] | None = None
         self.rates, self.news = np.zeros_like(run.gyro), np.zeros_like(run.gyro)
         self.velocity = np.zeros_like(run.gyro)
-        if flight.has_attitude and flight.has_accelerometer:
+        if flight.up is not None:
             self._find_velocity()
         # Rates need the model's acceleration and the model needs rates: the first pass takes
         # the last row's, the second the filter's.
         self.rates[1:] = self.gyro[:-1]
-        self.rate_error = self._find_rates()
-        self._find_rates()
         self.gyro_model, self.force_model = self.body(self.rotors)
+        self.rate_error = self.find_rates(frame.rate_gain)
+        if any(value(point, key) for key in RATE_KEYS):
+            self.gyro_model, _ = self.body(self.rotors)
+            self.find_rates(frame.rate_gain)
+            self.gyro_model, self.force_model = self.body(self.rotors)
 
     # What the past tells.
 
@@ -215,25 +223,24 @@ class _Evaluation:
         )
         self.velocity = self.velocity @ self.mount.T
 
-    def _find_rates(self) -> tuple[float, float, float]:
+    def find_rates(self, gain: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Fill ``rates`` and ``news``; returns the mean squared prediction error (3,)."""
         from groundstation.discrepancy.kernels import predict_rates
 
-        acceleration, _ = self.body(self.rotors)
-        gain = np.array(self.frame.rate_gain)
         found: tuple[float, float, float] = predict_rates(
             self.gyro,
             self.flight.known,
-            acceleration,
+            self.gyro_model,
             self.period,
-            gain,
+            np.array(gain),
             max(self.flight.first - 1, 0),
             self.rates,
             self.news,
         )
         # The share of an innovation that is torque, not sensor noise, in a filter with this gain.
-        self.news *= gain**2 / self.period
+        self.news *= np.array(gain) ** 2 / self.period
         # Behind a lag of the gyro the true rate is ahead of it.
-        self.rates += self.lag * acceleration
+        self.rates += self.lag * self.gyro_model
         return found
 
     # The model.
@@ -379,47 +386,46 @@ class _Evaluation:
 
     def series(self, keys: Sequence[str]) -> Series:
         flight, run = self.flight, self.flight.run
-        self.gaps = _Gaps(~flight.known[flight.rows])
         residual: Columns = {}
         measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
         self._put_gyro(residual, measured - self.gyro_model)
         if flight.has_accelerometer:
             self._put_force(residual, self.force - self.force_model)
-        if len(flight.attitude_rows):
-            self._prepare_attitude()
-            residual.update({ATTITUDE + i: self.euler[:, i] for i in range(3)})
+        if flight.attitude is not None:
+            euler = self._euler_residual(flight.attitude)
+            residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
         columns: dict[str, Columns] = {}
         for key in keys:
             column: Columns = {}
             self._column(key, column)
             columns[key] = column
         vertical = None
-        if flight.has_accelerometer and flight.has_attitude:
-            up = rotation_matrix(run.attitude[flight.whole])[:, 2]
-            mean = float(np.einsum("ni,ni->n", up, self.sensed_force[flight.whole]).mean())
-            slopes = dict(
-                zip((f"accelerometer_bias.{a}_g" for a in AXES), up.mean(axis=0), strict=True)
-            )
+        if flight.up is not None:
+            up, mean = flight.up
+            offset = run.accelerometer[0] - self.sensed_force[0]
+            slopes = (STANDARD_GRAVITY * up).tolist()
+            names = (f"accelerometer_bias.{a}_g" for a in AXES)
             vertical = (
-                mean - STANDARD_GRAVITY,
-                {key: STANDARD_GRAVITY * float(slope) for key, slope in slopes.items()},
+                mean - float(up @ offset) - STANDARD_GRAVITY,
+                dict(zip(names, slopes, strict=True)),
             )
         return Series(residual, columns, vertical, self.rate_error)
 
     def _put_gyro(self, out: Columns, values: Array) -> None:
-        part = self.gaps.spread(values[self.flight.rows])
+        part = self.flight.gaps.spread(values[self.flight.rows])
         for axis in range(3):
             if part[:1000, axis].any() or part[:, axis].any():
                 out[GYRO + axis] = part[:, axis]
 
     def _put_force(self, out: Columns, values: Array) -> None:
-        part = self.gaps.bridge(values[self.flight.rows])
+        part = self.flight.gaps.bridge(values[self.flight.rows])
         for axis in range(3):
             if part[:, axis].any():
                 out[ACCELEROMETER + axis] = part[:, axis]
 
     def _column(self, key: str, out: Columns) -> None:
         effect, _, parameter = key.partition(".")
+        rows = self.flight.attitude
         if key in ("c0", "c1", "c2"):
             self._constant(int(key[1]), out)
         elif key == "thrust_per_mass":
@@ -431,7 +437,7 @@ class _Evaluation:
             if not self.flight.rotor_measured:
                 self._motor_column(key, out)
         elif key == TIMING:
-            self._put_attitude(out, self.timing)
+            self._put_attitude(out, rows.timing if rows else None)
         elif key in BODY_EFFECTS:
             column = self.body_column(key, self.rotors)
             self._put_gyro(out, self.lagged(column))
@@ -444,11 +450,12 @@ class _Evaluation:
         elif effect == "gyro_bias":
             unit = np.zeros(3)
             unit[AXES.index(parameter[0])] = -np.pi / 180.0
-            self._put_attitude(out, np.broadcast_to(unit, (len(self.euler), 3)))
+            if rows is not None:
+                self._put_attitude(out, np.broadcast_to(unit, rows.rate.shape))
         elif effect == "imu_misalignment":
             self._mount_column(ANGLES.index(parameter.removesuffix("_deg")), out)
         elif effect == "attitude_filter_lean":
-            self._put_attitude(out, self.lean)
+            self._put_attitude(out, rows.lean if rows else None)
         elif self.flight.has_accelerometer:
             self._force_column(effect, parameter, out)
 
@@ -502,8 +509,8 @@ class _Evaluation:
         self.lag = plain
         column = _low_pass(angular, lag + step, self.period, start) - self.gyro_model
         self._put_gyro(out, column / step)
-        if len(self.flight.attitude_rows):
-            self._put_attitude(out, self.lag_rate)
+        if self.flight.attitude is not None:
+            self._put_attitude(out, self.flight.attitude.slope)
 
     def _thrust_column(self, effect: str, parameter: str, out: Columns) -> None:
         mean, last, mean_sum, last_sum = self.torques(self.rotors)
@@ -557,60 +564,25 @@ class _Evaluation:
 
     # Attitude.
 
-    def _prepare_attitude(self) -> None:
-        flight, run = self.flight, self.flight.run
-        rows = flight.attitude_rows
-        stride = int(rows[1] - rows[0])
-        angles = np.where(flight.known[rows, None], run.attitude[rows], np.nan)
-        known = np.isfinite(angles[:, 0])
-        index = np.arange(len(rows), dtype=np.float64)
-        angles = np.column_stack([np.interp(index, index[known], a[known]) for a in angles.T])
-        self.comb_gaps = _Gaps(~known[1:])
-        self.stride, self.ends = stride, rows[1:]
-        middle = 0.5 * (angles[1:] + angles[:-1])
-        self.euler_of = _euler_rates(middle)
-        over = self._over_stride(self.sensed_gyro)
-        rate = np.diff(angles, axis=0) / (stride * self.period)
-        now = self.sensed_gyro[self.ends]
-        self.timing = now - over
-        up = np.column_stack(
-            [
-                -np.sin(angles[:-1, 1]),
-                np.cos(angles[:-1, 1]) * np.sin(angles[:-1, 0]),
-                np.cos(angles[:-1, 1]) * np.cos(angles[:-1, 0]),
-            ]
-        )
-        self.lean = np.zeros_like(over)
-        if flight.has_accelerometer:
-            share = 1.0 - (1.0 - ACCELEROMETER_SHARE) ** (self.period / FIRMWARE_PERIOD_S)
-            smooth = _lagged(run.accelerometer, -self.period / np.log(1.0 - share), self.period)
-            felt = smooth[self.ends]
-            length = np.linalg.norm(felt, axis=1, keepdims=True)
-            self.lean = MAHONY_GAIN * np.cross(felt / np.maximum(length, 1e-9), up)
-        # Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured slope:
-        # the model's lacks what disturbances do, which the controller answers, and the noise of
-        # a difference is not in the mean of the same rows.
-        before = self.sensed_gyro[self.ends - stride]
-        self.lag_rate = (now - before) / (stride * self.period)
-        total = over + value(self.point, TIMING) * self.timing
-        total = total + self.lag * self.lag_rate
-        total = total + value(self.point, "attitude_filter_lean.strength") * self.lean
-        model = np.einsum("nij,nj->ni", self.euler_of, total)
-        self.euler = rate - self.comb_gaps.spread(model)
+    def _euler_residual(self, rows: AttitudeRows) -> Array:
+        """Measured Euler rates less the kinematics of what the gyro means, (m, 3).
 
-    def _over_stride(self, values: Array) -> Array:
-        """Mean over the stride before each fresh row by the trapezoid rule, (m, 3)."""
-        stride = self.stride
-        total = np.zeros((len(self.ends), values.shape[1]))
-        for back in range(stride + 1):
-            weight = 0.5 if back in (0, stride) else 1.0
-            total += weight / stride * values[self.ends - back]
-        return total
+        Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured
+        slope: the model's lacks what disturbances do, which the controller answers, and the
+        noise of a difference is not in the mean of the same rows.
+        """
+        bias = self.flight.run.gyro[0] - self.sensed_gyro[0]
+        total = rows.gyro - bias + value(self.point, TIMING) * rows.timing
+        total = total + self.lag * rows.slope
+        total = total + value(self.point, "attitude_filter_lean.strength") * rows.lean
+        model = np.einsum("nij,nj->ni", rows.to_euler, total)
+        return np.asarray(rows.rate - rows.gaps.spread(model))
 
-    def _put_attitude(self, out: Columns, rates: Array) -> None:
-        if not len(self.flight.attitude_rows):
+    def _put_attitude(self, out: Columns, rates: Array | None) -> None:
+        rows = self.flight.attitude
+        if rows is None or rates is None:
             return
-        euler = self.comb_gaps.spread(np.einsum("nij,nj->ni", self.euler_of, rates))
+        euler = rows.gaps.spread(np.einsum("nij,nj->ni", rows.to_euler, rates))
         for axis in range(3):
             if euler[:, axis].any():
                 out[ATTITUDE + axis] = euler[:, axis]
@@ -628,40 +600,8 @@ BODY_EFFECTS = (
     "velocity_moment.moment",
 )
 """Angular accelerations that are linear in their parameter."""
-
-
-class _Gaps:
-    """Rows that were not received, treated alike in data and model.
-
-    Data between known rows lie on a straight line; ``spread`` and ``bridge`` do to a model's
-    differences and values what that line does to the data's.
-    """
-
-    def __init__(self, lost: NDArray[np.bool_]) -> None:
-        self.lost = lost if lost.any() else None
-        if self.lost is not None:
-            # A row starts a group unless the row before it was lost.
-            starts = np.flatnonzero(~np.concatenate([[False], lost[:-1]]))
-            self.starts = starts
-            self.counts = np.diff(np.concatenate([starts, [len(lost)]]))
-
-    def spread(self, differences: Array) -> Array:
-        """Differences over a gap, all replaced by their mean."""
-        if self.lost is None:
-            return differences
-        sums = np.add.reduceat(differences, self.starts, axis=0)
-        return np.repeat(sums / self.counts[:, None], self.counts, axis=0)
-
-    def bridge(self, values: Array) -> Array:
-        """Values within a gap, replaced by those on the line between its neighbours."""
-        if self.lost is None:
-            return values
-        index = np.arange(len(values), dtype=np.float64)
-        known = ~self.lost
-        out = values.copy()
-        for column in out.T:
-            column[self.lost] = np.interp(index[self.lost], index[known], column[known])
-        return out
+RATE_KEYS = (*BODY_EFFECTS, LOW_PASS, *(f"imu_lever_arm.{axis}_m" for axis in AXES))
+"""Where one of these is there, the model depends on the rates."""
 
 
 def _low_pass(values: Array, lag: float, period: float, first: int) -> Array:
@@ -669,19 +609,6 @@ def _low_pass(values: Array, lag: float, period: float, first: int) -> Array:
 
     out = np.empty_like(values)
     low_pass_mean(np.ascontiguousarray(values), lag, period, first, out)
-    return out
-
-
-def _euler_rates(attitude: Array) -> Array:
-    """Matrices from body rates to Euler rates (thesis eq. 3.11), (n, 3) to (n, 3, 3)."""
-    roll, pitch = attitude[:, 0], attitude[:, 1]
-    cr, sr, cp = np.cos(roll), np.sin(roll), np.cos(pitch)
-    tp = np.tan(pitch)
-    out = np.zeros((len(attitude), 3, 3))
-    out[:, 0, 0] = 1.0
-    out[:, 0, 1], out[:, 0, 2] = sr * tp, cr * tp
-    out[:, 1, 1], out[:, 1, 2] = cr, -sr
-    out[:, 2, 1], out[:, 2, 2] = sr / cp, cr / cp
     return out
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.flight import Flight
-from groundstation.discrepancy.physics import ATTITUDE, Frame, Series, evaluate, value
+from groundstation.discrepancy.physics import ATTITUDE, Frame, Series, evaluate, rate_errors, value
 from groundstation.discrepancy.spectra import (
     Noise,
     Quadratic,
@@ -86,13 +86,10 @@ class Problem:
 
     def settle_filters(self) -> None:
         """Choose how far measured rates are believed: what predicts the next one best."""
-        errors = []
-        for gain in RATE_GAINS:
-            frame = replace(self.frame, rate_gain=(gain,) * 3)
-            errors.append(
-                np.mean([evaluate(f, frame, self.start, ()).rate_error for f in self.flights], 0)
-            )
-        best = np.argmin(np.array(errors), axis=0)
+        errors = np.mean(
+            [rate_errors(f, self.frame, self.start, RATE_GAINS) for f in self.flights], axis=0
+        )
+        best = np.argmin(errors, axis=0)
         gains = tuple(RATE_GAINS[i] for i in best)
         self.frame = replace(self.frame, rate_gain=(gains[0], gains[1], gains[2]))
 
@@ -149,7 +146,7 @@ class Problem:
             expected = 0.0
             for _ in range(4):
                 moved = bounded(point, keys, share * change)
-                step = np.array([moved[key] - point[key] for key in keys])
+                step = np.array([moved[key] - value(point, key) for key in keys])
                 expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
                 if expected < SETTLED:
                     break
@@ -192,8 +189,7 @@ def bounded(point: Point, keys: Sequence[str], change: Array) -> Point:
 
 
 def _strides(flight: Flight) -> dict[int, int]:
-    rows = flight.attitude_rows
-    stride = int(rows[1] - rows[0]) if len(rows) > 1 else 1
+    stride = flight.attitude.stride if flight.attitude is not None else 1
     return {ATTITUDE + i: stride for i in range(3)}
 
 

@@ -146,6 +146,8 @@ def search(
         tried.add(frozenset(one.variant.label for one in accepted))
         now = newcomer.fit
     assert first_quadratic is not None
+    if accepted:
+        now = problem.fit(now.point, now.keys)
     return Outcome(
         base,
         now,
