@@ -1,0 +1,233 @@
+"""The comparison and discrepancy reports as pages."""
+
+from __future__ import annotations
+
+from groundstation.discrepancy.comparison import Comparison
+from groundstation.discrepancy.findings import Findings, Verdict
+from groundstation.discrepancy.proof import Proof
+from groundstation.discrepancy.report_figures import (
+    by_horizon,
+    evidence_bars,
+    label,
+    residual_spectrum,
+    time_map,
+    waterfall,
+    where_map,
+    worst_overlay,
+)
+from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, Gap, WhereRow
+from groundstation.discrepancy.where import spectrum_of, worst_stretch
+from groundstation.report.page import Page
+
+CLEAR = 3.0
+"""Standard deviations of noise energy from which a place is worth naming."""
+SPECTRA = 3
+MAP_TEXT = (
+    "Prediction errors 20 and 50 ms ahead over what noise alone leaves of them in the same rows;"
+    " 1 is noise. Regimes overlap, and a blank cell did not occur or lacks its channel."
+)
+FLOOR_TEXT = (
+    "An unstable craft cannot be simulated freely over a flight: at every row the model starts"
+    " from what was measured and is judged 20 and 50 ms later. The noise floor is what a black"
+    " box leaves on the same rows that knows no physics of the craft: the one-step errors are"
+    " regressed on every generic signal that clearly shows in them (rotor speeds and their past,"
+    " rates and products, velocity, tilt, closeness to the ground), the rest is predicted from its"
+    " own past by a long autoregression, and what is left adds up to the horizon. It is the same"
+    " before and after."
+)
+
+
+def compare_page(found: Comparison, report: CompareReport) -> Page:
+    """Where a model and recordings disagree."""
+    page = Page(f"{report.model} against {', '.join(report.recordings)}", "Comparison report")
+    worst = _worst(report.where)
+    if worst is None:
+        page.verdict(
+            f"The model predicts these recordings as well as noise allows (gap {found.gap:.2f}).",
+            "good",
+        )
+    else:
+        page.verdict(
+            f"Gap {found.gap:.2f} over all channels (1 is noise). Worst: {_place(worst)}.", "bad"
+        )
+    _channels(page, report.gap)
+    page.heading("Where")
+    page.figure(where_map([("error over noise", found.places)]), MAP_TEXT)
+    for number in range(len(found.errors)):
+        page.figure(time_map(found, number), "The same second by second.")
+    page.heading("By horizon")
+    page.figure(by_horizon(found), "The further ahead, the more a wrong torque adds up.")
+    _closer(page, found, None, worst)
+    page.heading("How it is measured")
+    page.text(FLOOR_TEXT)
+    return page
+
+
+def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport) -> Page:
+    """What the model was missing, and the proof."""
+    page = Page(
+        f"What {report.model} was missing", f"Discrepancy report on {', '.join(report.recordings)}"
+    )
+    _verdict(page, findings, report)
+    page.heading("What was found")
+    _effects(page, report)
+    page.heading("The gap closes")
+    page.figure(
+        waterfall(proof.steps),
+        "Root mean square over the channels of error over noise, on rows that no fit has seen.",
+    )
+    _channels(page, report.gap)
+    page.figure(by_horizon(proof.before, proof.after), "Each channel, before and after.")
+    page.heading("Where")
+    page.figure(
+        where_map([("before", proof.before.places), ("after", proof.after.places)]), MAP_TEXT
+    )
+    _closer(page, proof.before, proof.after, _worst(report.where))
+    page.heading("All candidates")
+    page.figure(
+        evidence_bars(findings.candidates),
+        "What each effect alone would explain, before any was added; effects that look alike"
+        " share evidence, and only what passes every test is accepted.",
+    )
+    page.table(
+        ["effect", "score", "t", "held out", "outcome"],
+        [
+            (c.name, c.score, c.t, c.held_out, "accepted" if c.accepted else c.reason)
+            for c in report.candidates
+        ],
+        "score and held out: drop of -2 log likelihood on fitted and on held-out rows;"
+        " t: largest parameter over its standard error.",
+    )
+    _limits(page, report)
+    page.heading("How it is measured")
+    page.text(FLOOR_TEXT)
+    held = report.validation if isinstance(report.validation, str) else ", ".join(report.validation)
+    page.text(f"Held out: {held}. Made by {report.created_by}, seed {report.seed}.")
+    return page
+
+
+def _verdict(page: Page, findings: Findings, report: DiscrepancyReport) -> None:
+    level = report.gap.validation
+    numbers = (
+        f"Gap on held-out rows {level.before:.2f} before, {level.after:.2f} after (1 is noise)."
+    )
+    if findings.verdict is Verdict.EFFECTS_FOUND:
+        names = ", ".join(effect.name for effect in report.effects)
+        kind = "good" if report.residual == "white" else "neutral"
+        page.verdict(f"Found: {names}. {numbers}", kind)
+    elif findings.verdict is Verdict.UNEXPLAINED:
+        worst = _worst(report.where)
+        where = f" Look at {_place(worst)}." if worst is not None else ""
+        page.verdict(f"Unexplained: no effect in the list describes it. {numbers}{where}", "bad")
+    else:
+        page.verdict(f"No discrepancy that these recordings could show. {numbers}", "good")
+    if report.residual == "structured":
+        left = report.residual_detail
+        hertz = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
+        page.text(
+            f"What is left is not noise: structure in {label(left.channel)}"
+            + (f" at {hertz} Hz" if hertz else "")
+            + (f", most like {left.signal}" if left.signal else "")
+            + "."
+        )
+    page.bullets(report.warnings) if report.warnings else None
+
+
+def _effects(page: Page, report: DiscrepancyReport) -> None:
+    if not report.effects:
+        page.text("No effect passed every test.")
+        return
+    rows = []
+    for effect in report.effects:
+        for number, (name, estimate) in enumerate(effect.parameters.items()):
+            first = number == 0
+            spread = "" if estimate.stderr is None else f" ± {1.96 * estimate.stderr:.2g}"
+            rows.append(
+                (
+                    str(effect.order) if first else "",
+                    effect.name if first else "",
+                    f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip(),
+                    effect.adds if first else "",
+                    f"{effect.gap.before:.3f} → {effect.gap.after:.3f}" if first else "",
+                )
+            )
+    page.table(
+        ["", "effect", "parameter, 95 % interval", "what it adds", "gap"],
+        rows,
+    )
+    for effect in report.effects:
+        for other in effect.alternatives:
+            page.text(
+                f"{effect.name} could also be {other.name} (margin {other.margin:.1f});"
+                f" to tell them apart fly {other.manoeuvre}."
+            )
+
+
+def _channels(page: Page, gap: Gap) -> None:
+    after = gap.validation.after is not None
+    rows: list[tuple[str | float | None, ...]] = []
+    for name, channel in gap.channels.items():
+        own = channel.own_unit
+        row: tuple[str | float | None, ...] = (label(name), channel.before)
+        row += (channel.after,) if after else ()
+        row += (own.before,)
+        row += (own.after,) if after else ()
+        rows.append((*row, own.noise_floor, own.unit))
+    ratio = ["gap before", "gap after"] if after else ["gap"]
+    error = ["error before", "error after"] if after else ["error"]
+    page.table(
+        ["channel", *ratio, *error, "noise floor", "unit"],
+        rows,
+        "Root mean square of errors 20 and 50 ms ahead; the gap is error over noise floor.",
+    )
+
+
+def _closer(
+    page: Page, before: Comparison, after: Comparison | None, worst: WhereRow | None
+) -> None:
+    """The worst channel over time and frequency."""
+    if worst is None:
+        return
+    page.heading("A closer look")
+    stretch = worst_stretch(before.errors, before.floors, worst.channel)
+    if stretch is not None:
+        page.figure(
+            worst_overlay(stretch, before, after),
+            "The stretch in which the model is wrong most; grey: 95 % of noise.",
+        )
+    seen: list[str] = []
+    for place in before.places:
+        if place.significance >= CLEAR and place.channel not in seen:
+            seen.append(place.channel)
+    for channel in seen[:SPECTRA]:
+        first = spectrum_of(before.errors, before.floors, channel)
+        second = None if after is None else spectrum_of(after.errors, before.floors, channel)
+        if first is not None:
+            page.figure(
+                residual_spectrum(first, second),
+                "Errors one row ahead by frequency: what stands above noise is not explained.",
+            )
+
+
+def _limits(page: Page, report: DiscrepancyReport) -> None:
+    if not report.not_shown and not report.lost:
+        return
+    page.heading("What these recordings cannot show")
+    if report.not_shown:
+        page.table(
+            ["effect", "parameter", "standard error here", "usual size", "unit", "fly"],
+            [
+                (n.name, n.parameter, n.stderr, n.plausible, n.unit, n.manoeuvre)
+                for n in report.not_shown
+            ],
+        )
+    page.bullets(f"{name}: needs {channel}" for name, channel in report.lost.items())
+
+
+def _worst(rows: list[WhereRow]) -> WhereRow | None:
+    return rows[0] if rows and rows[0].significance >= CLEAR else None
+
+
+def _place(row: WhereRow) -> str:
+    ratio = row.rms / row.expected_rms
+    return f"{label(row.channel)}, {row.regime} ({ratio:.1f} times the noise)"
