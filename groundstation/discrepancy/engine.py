@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from groundstation.discrepancy.findings import (
     CHANNELS,
     Alternative,
     Candidate,
-    ChannelResidual,
     Findings,
     FoundEffect,
     Leftover,
-    NotShown,
     Verdict,
 )
 from groundstation.discrepancy.flight import Flight, prepare
 from groundstation.discrepancy.problem import Problem
-from groundstation.discrepancy.search import Accepted, Outcome, search
+from groundstation.discrepancy.search import Outcome, search
 from groundstation.discrepancy.unknowns import (
     ABSENT,
-    TIMING,
     VARIANTS,
     Variant,
-    effect_of,
     model_of,
     parameters_of,
     point_of,
 )
-from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run, hold_out
 

@@ -156,8 +156,8 @@ def _by_parts(
             continue
         column = weights[s.place] @ s.columns
         scale = s.weight / problem.noise[s.channel].at(s.hz)
-        strength = float((scale * np.abs(column) ** 2).sum())
-        score = float((scale * (column.conj() * s.residual).real).sum())
+        strength = float((scale * column**2).sum())
+        score = float((scale * column * s.residual).sum())
         information += strength
         if strength > 9.0:
             parts[s.flight, s.channel] = (1.0 + score / strength, strength**-0.5)
@@ -177,10 +177,15 @@ def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) ->
     from scipy.fft import irfft
 
     root = 1.0 / np.sqrt(problem.noise[channel].at(s.hz))
-    size = 2 * (len(s.hz) - 1)
-    energy = np.sqrt(float(s.weight.sum()))
-    rows = irfft(column * root, size) * irfft(s.residual * root, size) * energy**2
-    step = 1.0 / (2.0 * s.hz[-1])
+    bins = len(s.hz) // 2
+    size = 2 * (bins - 1)
+
+    def rows_of(values: Array) -> Array:
+        white = values * root
+        return np.asarray(irfft(white[:bins] + 1j * white[bins:], size))
+
+    rows = rows_of(column) * rows_of(s.residual) * 0.5 * float(s.weight.sum())
+    step = 1.0 / (2.0 * s.hz[bins - 1])
     block = max(1, round(BLOCK_S / step))
     count = len(rows) // block
     return np.asarray(rows[: count * block].reshape(count, block).sum(axis=1))

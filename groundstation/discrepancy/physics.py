@@ -433,6 +433,7 @@ class _Evaluation:
                 force = np.zeros_like(self.force_model)
                 force[:, 2] = self.force_model[:, 2] / self.lift
                 self._put_force(out, force)
+            self._put_gyro(out, self.lagged(-self.by_inertia() / self.lift))
         elif key in MOTOR_KEYS or key in VOLTAGE_KEYS:
             if not self.flight.rotor_measured:
                 self._motor_column(key, out)
@@ -471,7 +472,22 @@ class _Evaluation:
             column[:, axis] = ground * (mean[:, axis] + arm[axis] * mean_sum)
         else:
             column[:, 2] = mean[:, 2]
+        if axis < 2:
+            # The inertia follows from c0 and c1, and with it what other torques do.
+            heavy = self.by_inertia()
+            column[:, axis] += heavy[:, axis] / self.c[axis]
+            share = self.inertia[axis] / (self.inertia[0] + self.inertia[1])
+            column[:, 2] += share * heavy[:, 2] / self.c[axis]
         self._put_gyro(out, self.lagged(column))
+
+    def by_inertia(self) -> Array:
+        """Angular acceleration (n, 3) by accepted torques in N m, which the inertia divides."""
+        total = np.zeros((len(self.gyro), 3))
+        for key in TORQUES:
+            size = value(self.point, key)
+            if size:
+                total += size * self.body_column(key, self.rotors)
+        return total
 
     def _motor_column(self, key: str, out: Columns) -> None:
         step = STEPS[key] * (self.point[key] if key in MOTOR_KEYS else 1.0)
@@ -523,7 +539,7 @@ class _Evaluation:
             alone = np.zeros(4)
             alone[rotor] = 1.0
             only = Rotors(self.rotors.end * alone, self.rotors.square * alone)
-            mean, last, mean_sum, last_sum = self.torques(only)
+            mean, _, mean_sum, last_sum = self.torques(only)
             strength = 1.0 + value(self.point, f"rotor_mismatch.{parameter}")
             angular[:] = self.c * mean / strength
             force[:, 2] = self.lift * last_sum / strength
@@ -600,6 +616,7 @@ BODY_EFFECTS = (
     "velocity_moment.moment",
 )
 """Angular accelerations that are linear in their parameter."""
+TORQUES = tuple(k for k in BODY_EFFECTS if k.endswith(("kg_m2", "n_m_s", "n_m_s2")))
 RATE_KEYS = (*BODY_EFFECTS, LOW_PASS, *(f"imu_lever_arm.{axis}_m" for axis in AXES))
 """Where one of these is there, the model depends on the rates."""
 

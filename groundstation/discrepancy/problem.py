@@ -32,7 +32,7 @@ MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 TIMING_DOUBT = 0.5
 END_SPEED_M_S = 0.3
 """Vertical speed that a flight may end with when it does not end at rest."""
-NOISE_ROUNDS = 3
+NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -83,6 +83,7 @@ class Problem:
         self.start = start
         self.prior, self.known_motor = _prior(model, start)
         self.noise: dict[int, Noise] = {}
+        self.reference: Linear | None = None
 
     def settle_filters(self) -> None:
         """Choose how far measured rates are believed: what predicts the next one best."""
@@ -105,10 +106,14 @@ class Problem:
 
     def learn_noise(self, linear: Linear) -> None:
         """Noise spectra from what a fit of every column at once leaves."""
+        self.reference = linear
         values = [s.residual for s in linear.spectra]
         used = [np.zeros(len(s.hz)) for s in linear.spectra]
-        for _ in range(NOISE_ROUNDS):
-            noise = whiten_by_own(linear.spectra, values, used)
+        for number in range(NOISE_ROUNDS if not self.noise else LATER_NOISE_ROUNDS):
+            if self.noise and number == 0:
+                noise = self.noise
+            else:
+                noise = whiten_by_own(linear.spectra, values, used)
             total = self.with_prior(linear, noise)
             covariance = inverse(total.normal)
             change = covariance @ total.gradient
@@ -138,8 +143,7 @@ class Problem:
     def fit(self, point: Point, keys: Sequence[str], steps: int = STEPS) -> Fit:
         """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help."""
         keys = tuple(keys)
-        linear = self.linear(point, keys, self.flights)
-        now = self.with_prior(linear)
+        now = self.with_prior(self._again(point, keys))
         for _ in range(steps):
             change = inverse(now.normal) @ now.gradient
             share, moved, better = 1.0, point, now
@@ -150,8 +154,7 @@ class Problem:
                 expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
                 if expected < SETTLED:
                     break
-                trial = self.linear(moved, keys, self.flights)
-                better = self.with_prior(trial)
+                better = self.with_prior(self._again(moved, keys))
                 if better.value < now.value:
                     break
                 share *= 0.3
@@ -162,6 +165,33 @@ class Problem:
             if gained < SETTLED:
                 break
         return Fit(dict(point), keys, now.value, inverse(now.normal))
+
+    def _again(self, point: Point, keys: tuple[str, ...]) -> Linear:
+        """``linear`` with the columns of a0, a1, a2 from the last screening.
+
+        They cost most, since motors must be simulated for each, and change least: the bench
+        holds the constants where they are.
+        """
+        if self.reference is None:
+            return self.linear(point, keys, self.flights)
+        fresh = self.linear(point, [key for key in keys if key not in MOTOR_KEYS], self.flights)
+        old = {(s.flight, s.channel): s for s in self.reference.spectra}
+        motor = [self.reference.keys.index(key) for key in MOTOR_KEYS]
+        spectra = []
+        for s in fresh.spectra:
+            before = old[s.flight, s.channel]
+            rows = np.flatnonzero(np.isin(before.place, motor))
+            names = [self.reference.keys[i] for i in before.place[rows]]
+            place = [keys.index(fresh.keys[i]) for i in s.place]
+            place += [keys.index(name) for name in names]
+            columns = np.concatenate([s.columns, before.columns[rows]])
+            spectra.append(replace(s, columns=columns, place=np.array(place, np.int64)))
+        verticals = []
+        for row in fresh.verticals:
+            slopes = np.zeros(len(keys))
+            slopes[[keys.index(key) for key in fresh.keys]] = row.slopes
+            verticals.append(replace(row, slopes=slopes))
+        return Linear(fresh.point, keys, spectra, verticals)
 
     def cost(
         self, point: Point, flights: Sequence[Flight]

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from groundstation.discrepancy.physics import Series
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 TAPER = 0.03
 """Share of a flight over which it fades in and out."""
 FIRST_BAND_HZ, WIDEST_BAND_HZ, GROWTH = 0.4, 3.0, 1.1
@@ -28,16 +26,16 @@ ROUNDS = 3
 class Spectrum:
     """One channel of one flight.
 
-    hz, weight: (m,) frequencies and degrees of freedom of each bin. residual: (m,). columns:
-    (k, m) of the unknowns with numbers ``place`` (k,).
+    hz, weight: (2 m,) frequencies and degrees of freedom, m real parts and then m imaginary
+    ones. residual: (2 m,). columns: (k, 2 m) of the unknowns with numbers ``place`` (k,).
     """
 
     flight: int
     channel: int
     hz: Array
     weight: Array
-    residual: Complex
-    columns: Complex
+    residual: Array
+    columns: Array
     place: NDArray[np.int64]
 
 
@@ -108,7 +106,7 @@ def transform(
     return found
 
 
-def _fourier(stack: Array, step_s: float) -> tuple[Complex, Array, Array]:
+def _fourier(stack: Array, step_s: float) -> tuple[Array, Array, Array]:
     from scipy.fft import next_fast_len, rfft
 
     rows = stack.shape[1]
@@ -124,7 +122,8 @@ def _fourier(stack: Array, step_s: float) -> tuple[Complex, Array, Array]:
     weight[0] *= 0.5
     if size % 2 == 0:
         weight[-1] *= 0.5
-    return spectra, hz, weight
+    real = np.concatenate([spectra.real, spectra.imag], axis=1)
+    return real, np.tile(hz, 2), np.tile(weight, 2)
 
 
 def bands(top_hz: float) -> Array:
@@ -138,9 +137,10 @@ def bands(top_hz: float) -> Array:
 
 
 def whiten_by_own(
-    spectra: Sequence[Spectrum], values: Sequence[Complex], used: Sequence[Array]
+    spectra: Sequence[Spectrum], values: Sequence[Array], used: Sequence[Array]
 ) -> dict[int, Noise]:
-    """Noise spectra per channel from residuals; used: degrees of freedom spent in each bin."""
+    """Noise spectra per channel from residuals; used: degrees of freedom spent on
+    each value."""
     noises: dict[int, Noise] = {}
     for channel in sorted({s.channel for s in spectra}):
         mine = [i for i, s in enumerate(spectra) if s.channel == channel]
@@ -150,8 +150,8 @@ def whiten_by_own(
             band = np.searchsorted(edges, spectra[i].hz, side="right") - 1
             size = len(power)
             weight = spectra[i].weight
-            power += np.bincount(band, weight * np.abs(values[i]) ** 2, size)[:size]
-            count += np.bincount(band, weight, size)[:size]
+            power += np.bincount(band, weight * values[i] ** 2, size)[:size]
+            count += 0.5 * np.bincount(band, weight, size)[:size]
             free += np.bincount(band, used[i], size)[:size]
         good = count > 0
         left = np.maximum(count - free, 0.3 * count)[good]
@@ -171,13 +171,14 @@ def quadratic(
     parts: dict[tuple[int, int], tuple[Array, Array, float, float]] = {}
     for s in spectra:
         scale = s.weight / noises[s.channel].at(s.hz)
-        weighted = s.columns * scale
+        root = np.sqrt(scale)
+        white, error = s.columns * root, s.residual * root
         part = np.zeros((count, count))
-        part[np.ix_(s.place, s.place)] = _real_product(weighted, s.columns)
+        part[np.ix_(s.place, s.place)] = white @ white.T
         slope = np.zeros(count)
-        slope[s.place] = _real_product(weighted, s.residual[None])[:, 0]
-        own = float((scale * np.abs(s.residual) ** 2).sum())
-        parts[s.flight, s.channel] = (part, slope, own, float(s.weight.sum()))
+        slope[s.place] = white @ error
+        own = float(error @ error)
+        parts[s.flight, s.channel] = (part, slope, own, 0.5 * float(s.weight.sum()))
         normal += part
         gradient += slope
         value += own
@@ -189,14 +190,9 @@ def quadratic(
     return Quadratic(normal, gradient, value, parts)
 
 
-def _real_product(one: Complex, other: Complex) -> Array:
-    """Re(one other^H) by two real products."""
-    return np.asarray(one.real @ other.real.T + one.imag @ other.imag.T)
-
-
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
-    """Degrees of freedom (m,) that a fit with this covariance takes from each bin."""
+    """Degrees of freedom (2 m,) that a fit with this covariance takes from each value."""
     part = covariance[np.ix_(spectrum.place, spectrum.place)]
     scale = spectrum.weight / noise.at(spectrum.hz)
     turned = part @ spectrum.columns
-    return np.asarray((scale * (spectrum.columns.conj() * turned).real.sum(axis=0)))
+    return np.asarray(scale * np.einsum("kn,kn->n", spectrum.columns, turned))
