@@ -13,7 +13,7 @@ import virtual_machine
 PROJECT = Path(__file__).parents[2]
 HELPERS = Path(__file__).parent
 GUEST = PROJECT / "tests" / "usb_vm" / "guest"
-PATIENCE_S = 1500
+PATIENCE_S = 3600
 FLIGHT_S = 200
 SOUND_RADIO = "[loss]\ngood_loss = 0.0\n"
 

@@ -12,7 +12,7 @@ from firmware_sim.serial_port import SerialPort
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 
-LEAST_TESTS = 41
+LEAST_TESTS = 43
 pytestmark = pytest.mark.timeout(PATIENCE_S + 100)
 
 

@@ -12,6 +12,7 @@ from link_contract import joined
 from firmware_sim.usb_device import Fault, FaultKind
 from groundstation.errors import LinkLostError
 from groundstation.links.usb import UsbLink
+from groundstation.links.usb_ring import FRAMES
 
 SPAN_S = 1.0
 PIECES = 20
@@ -144,3 +145,33 @@ def test_everything_at_once(flight):
     assert len(theirs.faulty) == len(kinds)
     require_equal_counts(ours, theirs)
     require_right_bytes(flight, received)
+
+
+def test_a_cable_that_is_pulled_in_a_frame_and_put_back_costs_no_count(flight):
+    """Each stream begins anew on our side; the emulator counts through all of them."""
+    faults = [Fault(301, FaultKind.UNPLUG), Fault(100, FaultKind.CRC), Fault(402, FaultKind.UNPLUG)]
+
+    async def session():
+        streams = []
+        with EmulatedBridge(flight, faults) as bridge:
+            link = UsbLink()
+            for _ in range(2):
+                bridge.plug()
+                await open_when_there(link)
+                batches = []
+                with contextlib.suppress(LinkLostError):
+                    while True:
+                        if (batch := await link.read()) is not None:
+                            batches.append(batch)
+                await link.close()
+                streams.append((joined(batches), link.counts))
+            return streams, bridge.counts()
+
+    (first, second), theirs = asyncio.run(session())
+    assert (first[1].errors, second[1].errors) == (0, 1)
+    assert first[1].lost == 0
+    assert second[1].lost == theirs.lost == 1
+    assert first[1].frames == 301 // FRAMES * FRAMES
+    assert first[1].frames + second[1].frames == theirs.good
+    assert first[1].packets + second[1].packets == theirs.packets
+    require_right_bytes(flight, joined([first[0], second[0]]))

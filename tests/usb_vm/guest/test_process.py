@@ -72,6 +72,10 @@ def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a
             pulled.append(time.time())
             stream()
             holding.append(held(process))
+        bridge.unplug()
+        pulled.append(time.time())
+        until(lambda: daemon.stderr.count("was unplugged") == len(pulled), "its loss", PATIENCE_S)
+        theirs = bridge.counts()
         assert daemon.stop() == 0
         assert "Traceback" not in daemon.stderr
 
@@ -92,6 +96,8 @@ def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a
     assert late[:2] == early[:2]
     assert late[2] - early[2] < 4 << 20
     assert recording.damage == []
+    assert len(recording.raw) == theirs.packets
+    assert theirs.lost == 0
     samples = recording.samples
     assert np.unique(samples.segment).tolist() == list(range(1 + CYCLES))
     inside = np.diff(samples.segment) == 0
