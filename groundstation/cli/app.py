@@ -15,6 +15,7 @@ from groundstation.cli import (
     files,
     fit,
     install,
+    pid,
     run,
     simulate,
 )
@@ -57,6 +58,7 @@ for module in (
     simulate,
     compare,
     discrepancy,
+    pid,
     attitude,
     install,
 ):

@@ -35,7 +35,6 @@ STOCK: dict[str, float] = {
     **{f"pid_attitude.{axis}_kd": 0.0 for axis in AXES},
 }
 """The release's gains."""
-_PID = ("kp", "ki", "kd")
 GAIN_MOST = 1000.0
 """No gain of the release comes near it."""
 SUPPLY_MV = 3700.0
@@ -58,6 +57,7 @@ FIRMWARE = np.dtype(
         ("quirk_clamp_macro", "i8"),
         ("quirk_lower_limit", "i8"),
         ("quirk_negate", "i8"),
+        ("quantised", "i8"),
         ("integral", "f8", (2, 3)),
         ("previous", "f8", (2, 3)),
         ("quaternion", "f8", (4,)),
@@ -105,7 +105,9 @@ def require_gains(gains: Mapping[str, float], where: str) -> None:
             raise BadInputError(f"{where}: {name} is {value}, must be 0..{GAIN_MOST:g}")
 
 
-def firmware_of(gains: Mapping[str, float], quirks: Quirks = AS_RELEASED) -> NDArray[np.void]:
+def firmware_of(
+    gains: Mapping[str, float], quirks: Quirks = AS_RELEASED, quantised: bool = False
+) -> NDArray[np.void]:
     """The firmware at rest, shape (1,); gains not named are stock."""
     record = np.zeros(1, FIRMWARE)
     f = record[0]
@@ -118,6 +120,7 @@ def firmware_of(gains: Mapping[str, float], quirks: Quirks = AS_RELEASED) -> NDA
     f["fusion_kp"], f["fusion_ki"] = 0.8, 0.002
     f["quirk_attitude_dt"], f["quirk_clamp_macro"] = quirks.attitude_dt, quirks.clamp_macro
     f["quirk_lower_limit"], f["quirk_negate"] = quirks.lower_limit, quirks.negate
+    f["quantised"] = quantised
     f["quaternion"][0] = 1.0
     return record
 
@@ -129,10 +132,13 @@ def run_cascade(
     thrust: ArrayLike | None = None,
     supply_mv: ArrayLike = SUPPLY_MV,
     quirks: Quirks = AS_RELEASED,
+    quantised: bool = False,
 ) -> CascadeResponse:
     """Fly setpoints (k, 3), roll and pitch in rad, yaw rate in rad/s, one row per 2 ms.
 
     thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise.
+    quantised: the PWM has 512 steps and outputs are whole numbers; otherwise what a flight gives
+    on average, in which the thrust wanders across many steps.
     The craft starts level, at rest, its rotors at the speed that carries it.
     """
     from groundstation.control.flight_kernels import cascade_run
@@ -146,7 +152,7 @@ def run_cascade(
     angles, gyro, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     cascade_run(
         plant.record[0],
-        firmware_of(gains, quirks)[0],
+        firmware_of(gains, quirks, quantised)[0],
         wanted,
         lift,
         supply,
@@ -203,7 +209,7 @@ def loop_response(
     """
     index = AXES.index(axis)
     s = 1j * omega
-    base, hold, lean, integral, derivative = _loop_parts(plant, index, s, supply_mv)
+    base, hold, lean, integral, derivative, _ = _loop_parts(plant, index, s, supply_mv)
     f = firmware_of(gains, quirks)[0]
     rate = (
         f["rate_kp"][index] + (3.0 if quirks.clamp_macro else 1.0) * f["rate_ki"][index] * integral
@@ -229,19 +235,22 @@ UNUSABLE = 4.0
 
 
 def gain_names(axis: str) -> tuple[str, ...]:
-    """The firmware's names of the gains that act on an axis.
+    """The firmware's names of the gains that a design chooses for an axis.
 
-    The release's rate derivative does not (``Quirks``), and yaw has no angle loop.
+    The release's rate derivative has no effect (``Quirks``), yaw has no angle loop, and the
+    integral of roll and pitch is the angle loop's; their rate integral stays at its stock 0.
     """
-    rate = (f"pid_rate.{axis}_kp", f"pid_rate.{axis}_ki")
-    return rate if axis == "yaw" else (*rate, *(f"pid_attitude.{axis}_{k}" for k in _PID))
+    if axis == "yaw":
+        return "pid_rate.yaw_kp", "pid_rate.yaw_ki"
+    return f"pid_rate.{axis}_kp", *(f"pid_attitude.{axis}_{k}" for k in ("kp", "ki", "kd"))
 
 
 class CascadeJudge:
     """Judges gains (m, d) of one axis, in the order of ``gain_names``, by a step of ``STEP_RAD``.
 
     Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of
-    a motor away from hover, as a share of full PWM. What is unstable or has a sensitivity beyond
+    a motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
+    rad/s^2. What is unstable or has a sensitivity beyond
     ``UNUSABLE`` is infinite throughout.
     """
 
@@ -268,30 +277,37 @@ class CascadeJudge:
         from groundstation.control.kernels import measure_many
 
         gains = np.zeros((len(candidates), 5))
-        gains[:, : candidates.shape[1]] = candidates
-        worst, one = np.zeros((len(gains), 6)), np.zeros((len(gains), 6))
-        peak, effort = np.empty(len(gains)), np.empty(len(gains))
+        # columns of the kernel: rate kp, ki, angle kp, ki, kd
+        gains[:, [0, 1] if self._index == 2 else [0, 2, 3, 4]] = candidates
+        worst, one = np.zeros((len(gains), 7)), np.zeros((len(gains), 7))
+        peak, effort, compliance = (np.empty(len(gains)) for _ in range(3))
         y = np.zeros((len(gains), self._rows))
         room = self._rest.copy()
         for plant, parts in zip(self._plants, self._parts, strict=True):
+            left = np.flatnonzero(np.isfinite(worst[:, 0]))
             thrust = plant.hover_mv / self._supply * 65536.0
             cascade_many(
-                plant.record[0], self._rest[0], room[0], self._index, gains, *parts, self._late,
-                3.0 if AS_RELEASED.clamp_macro else 1.0, 0.5 if AS_RELEASED.attitude_dt else 1.0,
-                UNUSABLE, self._size, thrust, self._supply, SAMPLE_PERIOD_S, plant.hover_rev_s,
-                peak, effort, y,
+                plant.record[0], self._rest[0], room[0], self._index, gains[left], *parts,
+                self._late, 3.0 if AS_RELEASED.clamp_macro else 1.0,
+                0.5 if AS_RELEASED.attitude_dt else 1.0, UNUSABLE, self._size, thrust,
+                self._supply, SAMPLE_PERIOD_S, plant.hover_rev_s,
+                peak[: len(left)], effort[: len(left)], compliance[: len(left)],
+                y[: len(left)],
             )  # fmt: skip
-            measure_many(y, SAMPLE_PERIOD_S, one)
-            one[:, 2] = np.where(np.isnan(one[:, 2]), np.inf, one[:, 2])
-            one[:, 3] = np.abs(one[:, 3])
-            one[:, 4], one[:, 5] = peak, effort
-            one[~np.isfinite(peak)] = np.inf
-            np.maximum(worst, one, out=worst)
+            measure_many(y[: len(left)], SAMPLE_PERIOD_S, one)
+            here = one[: len(left)]
+            here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
+            here[:, 3] = np.abs(here[:, 3])
+            here[:, 4], here[:, 5] = peak[: len(left)], effort[: len(left)]
+            here[:, 6] = compliance[: len(left)]
+            here[~np.isfinite(here[:, 4])] = np.inf
+            worst[left] = np.maximum(worst[left], here)
         return worst
 
 
 def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Complex, ...]:
-    """base, hold, lean, integral, derivative: L = base (rate gains) (hold + (angle gains) lean)."""
+    """base, hold, lean, integral, derivative, push: L = base (rate gains) (hold +
+    (angle gains) lean), and what a push of 1 rad/s^2 moves without a controller."""
     p = plant.record[0]
     base = math.degrees(1) * _rate_per_pwm(plant, index, s, supply_mv)
     base = base * np.exp(-p["delay_s"] * s) / (1 + p["lag_s"] * s)
@@ -299,7 +315,9 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
     lean = np.zeros_like(s) if index == 2 else 1 / (s + leak)
     twice = 2 * SAMPLE_PERIOD_S
     derivative = (1 - np.exp(-twice * s)) / twice
-    return base, _hold(s, SAMPLE_PERIOD_S), lean, 1 / s + 0.5 * SAMPLE_PERIOD_S, derivative
+    push = np.abs(1 / (s + p["damping"][index]) * (1.0 if index == 2 else lean))
+    integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
+    return base, _hold(s, SAMPLE_PERIOD_S), lean, integral, derivative, push
 
 
 def _hold(s: Complex, period_s: float) -> Complex:

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from groundstation.control.direct import DirectJudge, direct_margins
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
-from groundstation.control.search import Archive, pareto_front, search
+from groundstation.control.search import Archive, Budget, pareto_front, search
 from groundstation.dynamics.model import ArxAxis
 from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
 
-RMS, OVERSHOOT, SETTLING, OFFSET, SENSITIVITY, EFFORT = range(6)
+RMS, OVERSHOOT, SETTLING, OFFSET, SENSITIVITY, EFFORT, COMPLIANCE = range(7)
 """Columns of a judgement."""
 POINTS = 5.0
 """Overshoot in percent points that weighs as much as the smallest one possible."""
@@ -42,19 +42,24 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     delay_s: more delay that the loop must bear.
     offset: largest steady-state error, as a share of the step.
     effort: largest controller output for a unit step, inf for any.
+    yielding: how far a push may move the craft, over the least that the other limits allow; inf
+        for any. Without it a loop that follows the setpoint by pushing ahead may be soft.
+    compliance: the same as a number.
     """
 
     sensitivity: float = 2.0
     delay_s: float = 0.002
     offset: float = 0.02
     effort: float = math.inf
+    yielding: float = math.inf
+    compliance: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
     """Chosen gains and how they came about.
 
-    gains: (d,). judgement: its six columns. front: (n, 6) judgements of the Pareto front of
+    gains: (d,). judgement: its seven columns. front: (n, 7) judgements of the Pareto front of
     overshoot, settling and maximum sensitivity, front_gains (n, d). fastest, calmest: the
     shortest settling (s) and smallest overshoot (%) that the limits allow.
     """
@@ -73,21 +78,21 @@ def optimise(
     high: Array,
     limits: Limits,
     seed: int = 0,
+    budget: Budget = Budget(),
     start: Array | None = None,
     progress: Callable[[float], None] = lambda share: None,
-    **effort: int,
 ) -> Design:
-    """The design for any judge of gains (m, d) that answers with the six columns.
+    """The design for any judge of gains (m, d) that answers with the seven columns.
 
     Raises BadInputError where no gains keep the limits: with the best sensitivity found.
     """
     archive = Archive()
-    runs = 3 + len(ALONG) + 2 * len(OTHER_LIMITS)
+    runs = 3 + len(ALONG) + 2 * len(OTHER_LIMITS) + math.isfinite(limits.yielding)
     done = 0
 
     def best(score: Callable[[Array], Array], start: Array | None) -> tuple[Array, Array]:
         nonlocal done
-        found = search(judge, score, low, high, archive, seed + done, start, **effort)
+        found = search(judge, score, low, high, archive, seed + done, budget, start)
         done += 1
         progress(done / runs)
         return found
@@ -96,6 +101,10 @@ def optimise(
         return Scorer(values, msgspec.structs.replace(limits, sensitivity=peak), most)
 
     peak = limits.sensitivity
+    if math.isfinite(limits.yielding):
+        stiff_gains, stiff = best(within(lambda j: j[:, COMPLIANCE], peak), start)
+        limits = msgspec.structs.replace(limits, compliance=limits.yielding * stiff[COMPLIANCE])
+        start = stiff_gains[None]
     fast_gains, fast = best(within(lambda j: j[:, SETTLING], peak), start)
     if not _kept(fast[None], limits)[0]:
         raise BadInputError(_impossible(archive, limits))
@@ -117,6 +126,7 @@ def optimise(
     values = np.where(kept, _knee(fastest, calmest)(judgements), np.inf)
     winner = int(np.argmin(values))
     loose = (judgements[:, OFFSET] <= limits.offset) & (judgements[:, EFFORT] <= limits.effort)
+    loose &= judgements[:, COMPLIANCE] <= limits.compliance
     loose &= judgements[:, SENSITIVITY] <= max(OTHER_LIMITS)
     front = np.flatnonzero(loose)
     front = front[pareto_front(judgements[front][:, [OVERSHOOT, SETTLING, SENSITIVITY]])]
@@ -143,6 +153,7 @@ class Scorer:
                 np.maximum(judgements[:, SENSITIVITY] / limits.sensitivity - 1, 0)
                 + np.maximum(judgements[:, OFFSET] / limits.offset - 1, 0)
                 + np.maximum(judgements[:, EFFORT] / limits.effort - 1, 0)
+                + np.maximum(judgements[:, COMPLIANCE] / limits.compliance - 1, 0)
                 + np.maximum(judgements[:, OVERSHOOT] / max(self._overshoot, 1e-9) - 1, 0)
             )
             missed = np.where(np.isfinite(judgements[:, SETTLING]), missed, missed + 100.0)
@@ -216,6 +227,7 @@ def _kept(judgements: Array, limits: Limits) -> NDArray[np.bool_]:
         (judgements[:, SENSITIVITY] <= limits.sensitivity)
         & (judgements[:, OFFSET] <= limits.offset)
         & (judgements[:, EFFORT] <= limits.effort)
+        & (judgements[:, COMPLIANCE] <= limits.compliance)
         & np.isfinite(judgements[:, SETTLING])
     )
 

@@ -163,7 +163,16 @@ class DirectJudge:
     ``spare_s`` more delay, is infinite throughout.
     """
 
-    COLUMNS = ("rms", "overshoot_pct", "settling_s", "steady_state_error", "sensitivity", "effort")
+    COLUMNS = (
+        "rms",
+        "overshoot_pct",
+        "settling_s",
+        "steady_state_error",
+        "sensitivity",
+        "effort",
+        "compliance",
+    )
+    """The last, how far a push moves the craft, is not judged on this loop: zero."""
 
     def __init__(self, plants: Sequence[ArxAxis], seconds: float, spare_s: float = 0.0) -> None:
         self._plants = tuple(plants)
@@ -173,7 +182,7 @@ class DirectJudge:
         self._responses = [frequency_response(plant, self._z) for plant in plants]
 
     def __call__(self, candidates: Array) -> Array:
-        """Gains (m, 3) kp, ki, kd to judgements (m, 6)."""
+        """Gains (m, 3) kp, ki, kd to judgements (m, 7)."""
         from groundstation.control.kernels import judge_many
 
         worst = np.zeros((len(candidates), len(self.COLUMNS)))

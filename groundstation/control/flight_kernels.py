@@ -190,7 +190,8 @@ def _rate_pid(f: Any, axis: int, error: float) -> float:
             break
         if (evaluation == 1 or evaluations == 1) and output > 32767.0:
             break
-    return float(int(min(max(output, -32768.0), 32767.0)))
+    output = min(max(output, -32768.0), 32767.0)
+    return float(int(output)) if f.quantised != 0 else output
 
 
 @njit(nogil=True, error_model="numpy")
@@ -277,14 +278,18 @@ def cascade_run(
         if yaw > 32767.0:
             yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
         if p.airframe_x != 0:
-            roll, pitch = float(int(roll) >> 1), float(int(pitch) >> 1)
+            roll, pitch = 0.5 * roll, 0.5 * pitch
+            if f.quantised != 0:
+                roll, pitch = math.floor(roll), math.floor(pitch)
             mixed[0], mixed[1] = -roll + pitch + yaw, -roll - pitch - yaw
             mixed[2], mixed[3] = roll - pitch + yaw, roll + pitch - yaw
         else:
             mixed[0], mixed[1] = pitch + yaw, -roll - yaw
             mixed[2], mixed[3] = -pitch + yaw, roll - yaw
         for i in range(4):
-            steps = int(min(max(thrust[k] + mixed[i], 0.0), 65535.0)) >> 7
+            steps = min(max(thrust[k] + mixed[i], 0.0), 65535.0) / 128.0
+            if f.quantised != 0:
+                steps = float(int(steps))
             compare[k, i] = steps
             volts[i] = steps / 512.0 * supply_mv[k]
         _step(p, volts, period, y, work)
@@ -305,6 +310,7 @@ def cascade_many(
     lean: Any,
     integral: Any,
     derivative: Any,
+    push: Any,
     late: Any,
     fast: float,
     slow: float,
@@ -316,15 +322,17 @@ def cascade_many(
     start_rev_s: float,
     peak: Any,
     effort: Any,
+    compliance: Any,
     y: Any,
 ) -> None:
     """Judge gains (m, 5), rate kp and ki, angle kp, ki and kd, of one axis by a step of ``size``.
 
     The loop at n frequencies is base (rate) (hold + (angle) lean), with the responses of
-    an integral and of the angle's derivative, fast and slow the firmware's factors on integrals,
-    late the phase of more delay. Fills
+    an integral, of the angle's derivative, and of the craft to a push; fast and slow the firmware's
+    factors on integrals, late the phase of more delay. Fills
     peak (m,), the maximum sensitivity, inf where the loop is unstable or worse than
-    ``worst_peak``; effort (m,), the largest step of a motor, 0..1; y (m, k), the response over
+    ``worst_peak``; effort (m,), the largest step of a motor, 0..1; compliance (m,), how far
+    a push of 1 rad/s^2 moves it at worst; y (m, k), the response over
     ``size``. ``rest`` is the firmware at rest, ``f`` room for its state.
     """
     rows = y.shape[1]
@@ -332,7 +340,7 @@ def cascade_many(
     setpoints[:, axis] = size
     angles, gyro, compare = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     for m in range(len(gains)):
-        effort[m] = math.inf
+        effort[m], yields = math.inf, 0.0
         least, phase, delayed, lost = math.inf, 0.0, 0.0, False
         reach, reach_late = -math.inf, -math.inf
         for i in range(len(base)):
@@ -341,7 +349,9 @@ def cascade_many(
             angle += gains[m, 4] / slow * derivative[i]
             loop = base[i] * rate * (hold[i] + angle * lean[i])
             away = 1.0 + loop
-            least = min(least, away.real * away.real + away.imag * away.imag)
+            distance = away.real * away.real + away.imag * away.imag
+            least = min(least, distance)
+            yields = max(yields, push[i] * push[i] / distance)
             turned = math.atan2(loop.imag, loop.real)
             delay_phase = turned + late[i]
             if i == 0:
@@ -355,7 +365,7 @@ def cascade_many(
             if loop.real * loop.real + loop.imag * loop.imag > 1.0:
                 reach, reach_late = phase, delayed
                 lost = i == len(base) - 1
-        peak[m] = 1.0 / math.sqrt(least)
+        peak[m], compliance[m] = 1.0 / math.sqrt(least), math.sqrt(yields)
         stable = reach == -math.inf or (reach > -math.pi and reach_late > -math.pi)
         if lost or not stable or peak[m] > worst_peak:
             peak[m] = math.inf

@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-POPULATION, GENERATIONS, FIRST = 48, 70, 1500
-"""Individuals, generations, and random candidates of which the first generation is the best."""
 MUTATION, CROSSOVER = 0.6, 0.9
 STALL, STALLED = 25, 1e-4
 """Generations after which a search ends that has gained less than this share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """first: random candidates, of which the first generation is the best. population:
+    individuals. generations: at most."""
+
+    first: int = 1500
+    population: int = 48
+    generations: int = 70
 
 
 @dataclass
@@ -45,10 +53,8 @@ def search(
     high: Array,
     archive: Archive,
     seed: int,
+    budget: Budget,
     start: Array | None = None,
-    first: int = FIRST,
-    population: int = POPULATION,
-    generations: int = GENERATIONS,
 ) -> tuple[Array, Array]:
     """The candidate with the lowest score, and its judgement.
 
@@ -65,14 +71,15 @@ def search(
         archive.add(candidates, judgements)
         return score(judgements), judgements
 
-    points = generator.random((first, len(low)))
+    points = generator.random((budget.first, len(low)))
     if start is not None and len(start):
         points = np.vstack([np.clip((np.log(start) - bottom) / span, 0, 1), points])
     scores, judgements = evaluate(points)
-    order = np.argsort(scores, kind="stable")[:population]
+    order = np.argsort(scores, kind="stable")[: budget.population]
     points, scores, judgements = points[order], scores[order], judgements[order]
     best, since = scores.min(), 0
-    for _ in range(generations):
+    population = len(points)
+    for _ in range(budget.generations):
         parents = np.argsort(generator.random((population, population)), axis=1)[:, :3]
         leader = points[np.argmin(scores)]
         toward = np.where(generator.random((population, 1)) < 0.5, leader, points[parents[:, 0]])

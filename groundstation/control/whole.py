@@ -13,9 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.control.direct import axis_plant, frequency_response, grid
+from groundstation.control.margins import Margins, loop_margins
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.control.plant import PLANT, Plant, plant_of_model
 from groundstation.dynamics.mixer import MIXERS, PWM_FULL
@@ -121,6 +124,34 @@ def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
     p = plant.record[0]
     slope = p["a0"] * supply_mv / PWM_FULL / (p["a1"] + 2 * p["a2"] * plant.hover_rev_s)
     return np.asarray(1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0])))
+
+
+def whole_margins(
+    model: Model,
+    gains: PidGains,
+    axis: str,
+    body: Body = Body.ARX,
+    delay: int | None = None,
+    supply_mv: float = SUPPLY_MV,
+) -> Margins:
+    """Margins of one axis, linear around hover and broken at the controller's output.
+
+    The rigid body is the grey box there. Meaningful where the loop is stable.
+    """
+    if body is not Body.ARX:
+        model = msgspec.structs.replace(model, arx=None)
+        delay = None if delay is None else delay + 1  # the held double integrator's own
+    plant = axis_plant(model, axis, delay)
+    omega = grid(plant.ts)
+    z = np.exp(1j * omega * plant.ts)
+    crafts = plant_of_model(model, fusion=False) if model.body is not None else _motors_only(model)
+    p = crafts.record[0]
+    pole = p["a1"] + 2 * p["a2"] * crafts.hover_rev_s
+    counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
+    motor = pole / (1j * omega + pole) / counts
+    kp, ki, kd = gains.as_tuple()
+    controller = kp + ki * plant.ts / (z - 1) + kd / plant.ts * (1 - 1 / z)
+    return loop_margins(frequency_response(plant, z) * motor * controller, omega)
 
 
 def _motors_only(model: Model) -> Plant:

@@ -1,0 +1,300 @@
+"""``pid``: evaluate gains on a model, design them, fly them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.progress import shown
+from groundstation.errors import BadInputError
+
+if TYPE_CHECKING:
+    from groundstation.control.cascade_design import AxisDesign, Robustness
+    from groundstation.control.design import Design
+    from groundstation.control.pid import PidGains
+    from groundstation.dynamics.model import Model
+
+MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
+HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
+DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
+AXIS = typer.Option(None, "--axis", help="roll, pitch or yaw; repeatable (default: all).")
+
+
+def add_commands(app: typer.Typer) -> None:
+    pid = typer.Typer(
+        no_args_is_help=True,
+        help="Controllers: evaluate gains on a model, design them, fly them."
+        "\n\nExample: [bold]groundstation pid evaluate --thesis[/bold]",
+    )
+    pid.command("evaluate")(evaluate)
+    pid.command("design")(design)
+    app.add_typer(pid, name="pid")
+
+
+def evaluate(
+    model: str = typer.Option("thesis", "--model", help="Model file, or 'thesis'."),
+    gains: Path | None = typer.Option(None, "--gains", help="TOML file of gains."),
+    loop: str = typer.Option(
+        "", "--loop", help="direct (u' in (rev/s)^2), whole (Figure 8.10) or firmware."
+    ),
+    thesis: bool = typer.Option(
+        False, "--thesis", help="The printed controllers beside the printed tables 8.5-8.7."
+    ),
+    delay: int | None = DELAY,
+    seconds: float = typer.Option(1.5, help="Window of the step response."),
+    html: Path | None = HTML,
+    as_json: bool = AS_JSON,
+) -> None:
+    """What a step gives with some gains, and what margins are left.
+
+    Without --gains the firmware's stock gains are taken. The direct loop is the one on which the
+    thesis's printed gains act; the whole simulation takes gains in PWM counts per rad.
+
+    Example: [bold]groundstation pid evaluate --model body.json --gains gains.toml
+    --html pid.html[/bold]
+    """
+    from groundstation.control.evaluate import LOOPS
+    from groundstation.control.evaluate import evaluate as evaluate_gains
+    from groundstation.control.gains_file import load_gains
+    from groundstation.control.pid import PidGains
+    from groundstation.control.report import METRICS_HEAD, evaluation_page, metrics_row
+    from groundstation.dynamics.model import load_model
+
+    if html is not None:
+        require_new(html)
+    if thesis:
+        _evaluate_thesis(delay, html, as_json)
+        return
+    if not 0.1 <= seconds <= 60.0:
+        raise BadInputError(f"--seconds {seconds}: must be 0.1..60")
+    given: dict[str, PidGains] | dict[str, float] = {} if gains is None else load_gains(gains)
+    form = "direct" if any(isinstance(g, PidGains) for g in given.values()) else "firmware"
+    chosen = loop or form
+    if chosen not in LOOPS:
+        raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
+    results = evaluate_gains(load_model(model), given, chosen, seconds, delay)
+    if html is not None:
+        name = "stock gains" if gains is None else gains.name
+        evaluation_page(results, f"{name} on {model}", chosen).write(html)
+    if as_json:
+        axes = {one.axis: one.as_dict() for one in results}
+        typer.echo(json.dumps({"loop": chosen, "model": model, "axes": axes}, indent=2))
+        return
+    _print_table(METRICS_HEAD, [metrics_row(one) for one in results])
+
+
+def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
+    import numpy as np
+
+    from groundstation.control.direct import axis_plant, run_direct
+    from groundstation.control.printed import (
+        DELAYS,
+        FINDING,
+        GAINS,
+        WINDOW_S,
+        printed_cases,
+    )
+    from groundstation.control.report import THESIS_HEAD, thesis_page, thesis_rows
+    from groundstation.dynamics.model import THESIS
+
+    delays = DELAYS if delay is None else (delay,)
+    cases = printed_cases(delays)
+    if html is not None:
+        responses = {}
+        for case in cases:
+            plant = axis_plant(THESIS, case.axis, case.delay)
+            rows = round(WINDOW_S[case.axis] / plant.ts)
+            gains = GAINS[case.controller][case.axis]
+            key = case.controller, case.axis, case.delay
+            responses[key] = run_direct(plant, gains, np.ones(rows)).y
+        thesis_page(cases, responses).write(html)
+    if as_json:
+        typer.echo(
+            json.dumps(
+                {
+                    "finding": FINDING,
+                    "cases": [
+                        {
+                            "axis": case.axis,
+                            "controller": case.controller,
+                            "delay_samples": case.delay,
+                            "stable": case.stable,
+                            "most_delay_samples": case.most_delay,
+                            **case.metrics.as_dict(),
+                            "printed": dict(
+                                zip(
+                                    ("rms", "overshoot_pct", "settling_s"),
+                                    case.printed,
+                                    strict=True,
+                                )
+                            ),
+                        }
+                        for case in cases
+                    ],
+                },
+                indent=2,
+            )
+        )
+        return
+    _print_table(THESIS_HEAD, thesis_rows(cases))
+    typer.echo(f"\n{FINDING}")
+
+
+def design(
+    model: str = MODEL,
+    output: Path | None = typer.Option(None, "-o", "--output", help="A new TOML file of gains."),
+    form: str = typer.Option("firmware", help="firmware (cascaded) or thesis (a PID on u')."),
+    axis: list[str] | None = AXIS,
+    sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
+    spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
+    draws: int = typer.Option(1000, help="Models drawn from the fit's covariance to try it on."),
+    delay: int | None = DELAY,
+    rounding: bool = typer.Option(
+        False, "--rounding", help="Thesis form: hold for all that the printed digits stand for."
+    ),
+    seed: int = typer.Option(0, help="Of the search and the draws."),
+    html: Path | None = HTML,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Gains by optimisation: the best tracking that the stated robustness allows.
+
+    Example: [bold]groundstation pid design --model body.json -o gains.toml
+    --html design.html[/bold]
+    """
+    from groundstation.control.pid import AXES
+    from groundstation.dynamics.model import load_model
+
+    for path in (output, html):
+        if path is not None:
+            require_new(path)
+    axes = tuple(axis or AXES)
+    for one in axes:
+        if one not in AXES:
+            raise BadInputError(f"--axis {one}: there are {', '.join(AXES)}")
+    if not 1.1 <= sensitivity <= 10.0:
+        raise BadInputError(f"--sensitivity {sensitivity}: must be 1.1..10")
+    if not 0.0 <= spare_ms <= 100.0:
+        raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
+    if draws < 0:
+        raise BadInputError(f"--draws {draws}: must not be negative")
+    loaded = load_model(model)
+    gains: dict[str, float] | dict[str, PidGains]
+    if form == "firmware":
+        report, gains, page = _design_firmware(
+            loaded, axes, sensitivity, spare_ms / 1e3, draws, seed, model
+        )
+    elif form == "thesis":
+        report, gains, page = _design_thesis(
+            loaded, axes, sensitivity, spare_ms / 1e3, delay, rounding, seed, model
+        )
+    else:
+        raise BadInputError(f"--form {form}: there are firmware, thesis")
+    from groundstation.control.gains_file import gains_text
+
+    if output is not None:
+        _write_new(output, gains_text(gains))
+        report["output"] = str(output)
+    if html is not None:
+        page.write(html)
+    if as_json:
+        typer.echo(json.dumps(report, indent=2))
+        return
+    _print_design(report)
+    if output is not None:
+        typer.echo(f"{output}: to fly them: pid fly --model {model} --gains {output}")
+
+
+def _design_firmware(
+    model: Model,
+    axes: tuple[str, ...],
+    sensitivity: float,
+    spare_s: float,
+    draws: int,
+    seed: int,
+    name: str,
+) -> tuple[dict[str, Any], dict[str, float], Any]:
+    from groundstation.control.cascade_design import cascade_limits, design_cascade, robustness
+    from groundstation.control.design_report import firmware_page, firmware_report
+
+    done: dict[str, float] = {}
+    with shown("designing") as show:
+
+        def progress(axis: str, share: float) -> None:
+            done[axis] = share
+            show(0.9 * sum(done.values()) / len(axes), f"designing {axis}")
+
+        limits = cascade_limits(sensitivity, spare_s)
+        designs: list[AxisDesign] = design_cascade(model, axes, limits, seed, progress=progress)
+        gains = {key: value for one in designs for key, value in one.gains.items()}
+        show(0.9, f"trying {draws} models")
+        tried: Robustness | None = robustness(model, gains, axes, draws, seed) if draws else None
+    report = firmware_report(model, designs, tried, limits)
+    return report, gains, firmware_page(model, name, designs, tried, report)
+
+
+def _design_thesis(
+    model: Model,
+    axes: tuple[str, ...],
+    sensitivity: float,
+    spare_s: float,
+    delay: int | None,
+    rounding: bool,
+    seed: int,
+    name: str,
+) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
+    from groundstation.control.design import Limits, design_direct, rounding_corners
+    from groundstation.control.design_report import thesis_design_page, thesis_report
+    from groundstation.control.direct import axis_plant
+
+    found: dict[str, tuple[PidGains, Design, Any, Any]] = {}
+    limits = Limits(sensitivity=sensitivity, delay_s=spare_s)
+    with shown("designing") as show:
+        for number, axis in enumerate(axes):
+            plant = axis_plant(model, axis, delay)
+            plants = rounding_corners(plant) if rounding else [plant]
+
+            def progress(share: float, number: int = number, axis: str = axis) -> None:
+                show((number + share) / len(axes), f"designing {axis}")
+
+            gains, one, margins = design_direct(plants, limits, seed=seed, progress=progress)
+            found[axis] = gains, one, margins, plant
+    report = thesis_report(found, limits, rounding)
+    chosen = {axis: gains for axis, (gains, *_) in found.items()}
+    return report, chosen, thesis_design_page(name, found, report)
+
+
+def _print_design(report: dict[str, Any]) -> None:
+    for axis, one in report["axes"].items():
+        typer.echo(f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()))
+        settling = one["settling_s"]
+        typer.echo(
+            f"  settles in {settling:.3f} s, overshoot {one['overshoot_pct']:.1f} %,"
+            f" RMS {one['rms']:.3f} of the step, maximum sensitivity {one['max_sensitivity']:.2f},"
+            f" gain x{one['gain_up'] or float('inf'):.1f},"
+            f" delay +{1e3 * one['delay_margin_s']:.1f} ms"
+        )
+        for line in (*one["reasons"], *one["notes"]):
+            typer.echo(f"  {line}")
+    for line in report["notes"]:
+        typer.echo(line)
+
+
+def _print_table(head: tuple[str, ...], rows: list[list[Any]]) -> None:
+    table = [list(head), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
+    for row in table:
+        typer.echo("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
+
+
+def _write_new(path: Path, text: str) -> None:
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise BadInputError(f"{path} exists already; nothing is ever overwritten") from error
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error

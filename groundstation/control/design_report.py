@@ -1,0 +1,274 @@
+"""What a design reports: numbers for programs, a page for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.control.cascade_design import WINDOW_S, AxisDesign, Robustness
+from groundstation.control.design import (
+    COMPLIANCE,
+    OFFSET,
+    OVERSHOOT,
+    RMS,
+    SENSITIVITY,
+    SETTLING,
+    Design,
+    Limits,
+)
+from groundstation.control.direct import DirectJudge
+from groundstation.control.evaluate import AxisResult, evaluate
+from groundstation.control.margins import Margins
+from groundstation.control.pid import PidGains
+from groundstation.control.printed import GAINS, RESULTS
+from groundstation.control.report import LOOP_NAMES, front_figure, step_figure
+from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.report.figure import IMPROVED, figure
+from groundstation.report.page import Page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
+FRONT_ROWS = 200
+"""Points of the front that a report carries."""
+
+
+def firmware_report(
+    model: Model, designs: Sequence[AxisDesign], tried: Robustness | None, limits: Limits
+) -> dict[str, Any]:
+    """``pid design --json`` for the firmware's loops."""
+    notes = [_limits_line(limits)]
+    axes = {}
+    for one in designs:
+        entry = _entry(one.nominal, one.margins, one.design)
+        entry["gains"] = one.gains
+        entry["reasons"] = list(one.reasons)
+        stock = one.stock_margins
+        entry["notes"] = [
+            f"stock gains: maximum sensitivity {stock.max_sensitivity:.1f},"
+            f" delay margin {1e3 * stock.delay_s:.1f} ms"
+        ]
+        if tried is not None:
+            table = tried.judgements[one.axis]
+            good = table[np.isfinite(table[:, RMS])]
+            entry["draws"] = {
+                "drawn": tried.drawn,
+                "stable": tried.stable[one.axis],
+                "sensitivity_95": float(np.percentile(good[:, SENSITIVITY], 95)),
+                "settling_s_95": float(np.percentile(good[:, SETTLING], 95)),
+                "overshoot_pct_95": float(np.percentile(good[:, OVERSHOOT], 95)),
+            }
+            entry["notes"].append(
+                f"{tried.stable[one.axis]} of {tried.drawn} models drawn from the fit's covariance"
+                f" are stable; 95 % of them settle within {entry['draws']['settling_s_95']:.3f} s"
+            )
+        axes[one.axis] = entry
+    if tried is None:
+        notes.append("the model carries no covariance: what its uncertainty does is not known")
+    return {"form": "firmware", "vehicle": model.vehicle, "axes": axes, "notes": notes}
+
+
+def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any]:
+    """``pid design --json`` for PIDs on u'."""
+    axes = {}
+    for axis, (gains, design, margins, plant) in found.items():
+        entry = _entry(design.judgement, margins, design)
+        entry["gains"] = dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True))
+        entry["delay_samples"] = plant.nk
+        entry["reasons"] = _reasons(gains, plant, limits)
+        entry["notes"] = [
+            f"at maximum sensitivity {limits.sensitivity:g} no PID on this model overshoots less"
+            f" than {design.calmest:.0f} % or settles faster than {design.fastest:.3f} s"
+        ]
+        beyond = [
+            f"{name} ({overshoot:.0f} %, {settling:g} s)"
+            for name, overshoot, settling in _printed(axis)
+            if overshoot < design.calmest or settling < design.fastest
+        ]
+        if beyond:
+            entry["notes"].append("beyond that bound as printed: " + ", ".join(beyond))
+        axes[axis] = entry
+    notes = [_limits_line(limits)]
+    if rounding:
+        notes.append("the worst of the corners of the printed digits counts")
+    return {"form": "thesis", "axes": axes, "notes": notes}
+
+
+def firmware_page(
+    model: Model,
+    name: str,
+    designs: Sequence[AxisDesign],
+    tried: Robustness | None,
+    report: dict[str, Any],
+) -> Page:
+    """The design for people: answers, stock gains behind; margins; fronts; draws; reasons."""
+    page = Page(f"Gains for {name}", LOOP_NAMES["firmware"])
+    gains = {key: value for one in designs for key, value in one.gains.items()}
+    wanted = [one.axis for one in designs]
+    ours = [r for r in evaluate(model, gains, "firmware", WINDOW_S) if r.axis in wanted]
+    stock = [r for r in evaluate(model, {}, "firmware", WINDOW_S) if r.axis in wanted]
+    page.verdict(
+        "; ".join(_verdict(one, old) for one, old in zip(ours, stock, strict=True)), "good"
+    )
+    page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
+    page.figure(step_figure(ours, stock), "Step responses: designed, and stock gains in grey.")
+    page.heading("Gains and reasons")
+    page.table(("gain", "value"), list(gains.items()))
+    page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
+    page.heading("What the fit is unsure of")
+    page.bullets([line for e in report["axes"].values() for line in e["notes"]])
+    if tried is not None:
+        page.figure(_draws_figure(tried), f"{tried.drawn} models drawn from the fit's covariance.")
+    page.heading("Pareto fronts")
+    for one in designs:
+        page.figure(
+            front_figure(one.axis, one.design, one.nominal),
+            f"{one.axis}: all gains found that no others beat in overshoot, settling and"
+            " maximum sensitivity at once, on the worst of the model's corners.",
+        )
+    page.bullets(report["notes"])
+    return page
+
+
+def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
+    """The design of PIDs on u' for people."""
+    page = Page(f"PID on u' for {name}", LOOP_NAMES["direct"])
+    page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
+    for axis, (_, design, _, plant) in found.items():
+        page.heading(f"{axis}, {plant.nk} samples of delay")
+        page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])
+        page.figure(
+            front_figure(axis, design, design.judgement, _printed(axis)),
+            "Gains that no others beat in overshoot, settling and maximum sensitivity at once.",
+        )
+    page.bullets(report["notes"])
+    return page
+
+
+DESIGN_HEAD = (
+    "axis",
+    "RMS of step",
+    "overshoot %",
+    "settling s",
+    "max sensitivity",
+    "gain may grow by",
+    "gain may fall to",
+    "delay margin ms",
+)
+
+
+def _design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
+    return [
+        axis,
+        entry["rms"],
+        entry["overshoot_pct"],
+        entry["settling_s"],
+        entry["max_sensitivity"],
+        entry["gain_up"],
+        entry["gain_down"],
+        1e3 * entry["delay_margin_s"],
+    ]
+
+
+def _entry(judgement: Any, margins: Margins, design: Design) -> dict[str, Any]:
+    rows = np.unique(np.linspace(0, len(design.front) - 1, FRONT_ROWS).astype(int))
+    front = design.front[rows]
+    told = margins.as_dict()
+    return {
+        "rms": float(judgement[RMS]),
+        "overshoot_pct": float(judgement[OVERSHOOT]),
+        "settling_s": float(judgement[SETTLING]),
+        "steady_state_error": float(judgement[OFFSET]),
+        "max_sensitivity": told["max_sensitivity"],
+        "delay_margin_s": told["delay_s"],
+        "gain_up": told["gain_up"],
+        "gain_down": told["gain_down"],
+        "phase_margin_deg": told["phase_deg"],
+        "compliance": float(judgement[COMPLIANCE]),
+        "fastest_settling_s": design.fastest,
+        "smallest_overshoot_pct": design.calmest,
+        "front": [
+            dict(
+                zip(
+                    ("overshoot_pct", "settling_s", "max_sensitivity"),
+                    (float(row[i]) for i in (OVERSHOOT, SETTLING, SENSITIVITY)),
+                    strict=True,
+                )
+            )
+            for row in front
+        ],
+    }
+
+
+def _reasons(gains: PidGains, plant: ArxAxis, limits: Limits) -> list[str]:
+    """One line a gain: what it is for, and what a quarter more or a fifth less would do."""
+    judge = DirectJudge([plant], 2.0)
+    purposes = (
+        ("kp", "holds the unstable pole and sets how fast the angle follows"),
+        ("ki", "removes the steady-state error"),
+        ("kd", "damps; the delay limits it"),
+    )
+    values = np.array(gains.as_tuple())
+    lines = []
+    for index, (name, purpose) in enumerate(purposes):
+        rows = np.array([values, values, values])
+        rows[1, index] *= 1.25
+        rows[2, index] *= 0.8
+        _, more, less = judge(rows)
+        lines.append(
+            f"{name} = {values[index]:.4g}: {purpose}; 25 % more: {_outcome(more, limits)};"
+            f" 20 % less: {_outcome(less, limits)}"
+        )
+    return lines
+
+
+def _outcome(judgement: Any, limits: Limits) -> str:
+    if not np.isfinite(judgement[RMS]):
+        return "unstable"
+    settles = f"settles in {judgement[SETTLING]:.3f} s"
+    if not np.isfinite(judgement[SETTLING]):
+        settles = "does not settle in the window"
+    beyond = " (beyond the limit)" if judgement[SENSITIVITY] > limits.sensitivity else ""
+    return (
+        f"overshoot {judgement[OVERSHOOT]:.0f} %, {settles}, maximum sensitivity"
+        f" {judgement[SENSITIVITY]:.2f}{beyond}"
+    )
+
+
+def _printed(axis: str) -> list[tuple[str, float, float]]:
+    return [(name, RESULTS[name][axis][1], RESULTS[name][axis][2]) for name in GAINS]
+
+
+def _limits_line(limits: Limits) -> str:
+    return (
+        f"limits: maximum sensitivity {limits.sensitivity:g}, {1e3 * limits.delay_s:g} ms of spare"
+        f" delay, steady-state error {100 * limits.offset:g} % of the step"
+    )
+
+
+def _verdict(one: AxisResult, stock: AxisResult) -> str:
+    def settles(result: AxisResult) -> str:
+        value = result.metrics.settling_s
+        return "not settled" if value is None else f"{value:.2f} s"
+
+    now, was = one.margins, stock.margins
+    peak = (
+        ""
+        if now is None or was is None
+        else (f", maximum sensitivity {was.max_sensitivity:.1f} to {now.max_sensitivity:.1f}")
+    )
+    return f"{one.axis}: settling {settles(stock)} to {settles(one)}{peak}"
+
+
+def _draws_figure(tried: Robustness) -> Figure:
+    made, panels = figure(rows=1, columns=len(tried.judgements), height=2.8)
+    for panel, (axis, table) in zip(panels, tried.judgements.items(), strict=True):
+        good = table[np.isfinite(table[:, RMS])]
+        panel.plot(1e3 * good[:, SETTLING], good[:, OVERSHOOT], ".", color=IMPROVED, alpha=0.3)
+        panel.set_title(axis)
+        panel.set_xlabel("settling, ms")
+    panels[0].set_ylabel("overshoot, %")
+    return made

@@ -1,0 +1,170 @@
+"""Gains on a model, in one of three loops: what a step gives and what margins are left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.control.cascade import (
+    STEP_RAD,
+    STOCK,
+    cascade_margins,
+    gain_names,
+    step_response,
+)
+from groundstation.control.direct import (
+    axis_plant,
+    direct_margins,
+    is_stable,
+    most_delay,
+    run_direct,
+)
+from groundstation.control.margins import Margins
+from groundstation.control.metrics import StepMetrics, step_metrics
+from groundstation.control.pid import AXES, PidGains
+from groundstation.control.plant import plant_of_model
+from groundstation.control.whole import Body, run_whole, whole_margins
+from groundstation.dynamics.model import Model
+from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+Array = NDArray[np.float64]
+Loop = Literal["direct", "whole", "firmware"]
+LOOPS: tuple[Loop, ...] = ("direct", "whole", "firmware")
+WHOLE_STEP_RAD = 0.2
+"""Step of the whole simulation, in which a larger one saturates."""
+UNSTABLE = 3.0
+"""A response beyond so many steps has run away."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisResult:
+    """One axis. response: (k,) over the step, one row per 2 ms. step: in rad, yaw of the
+    firmware in rad/s. margins: None where the loop is unstable. most_delay: samples up to which
+    it is stable, only on the direct loop."""
+
+    axis: str
+    gains: dict[str, float]
+    step: float
+    metrics: StepMetrics
+    stable: bool
+    margins: Margins | None
+    response: Array
+    most_delay: int | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The design's keys for ``pid evaluate --json``, and more."""
+        margins = self.margins.as_dict() if self.margins is not None else {}
+        return {
+            **self.metrics.as_dict(),
+            "max_sensitivity": margins.get("max_sensitivity"),
+            "delay_margin_s": margins.get("delay_s"),
+            "gain_up": margins.get("gain_up"),
+            "gain_down": margins.get("gain_down"),
+            "phase_margin_deg": margins.get("phase_deg"),
+            "stable": self.stable,
+            "most_delay_samples": self.most_delay,
+            "step": self.step,
+            "gains": self.gains,
+        }
+
+
+def evaluate(
+    model: Model,
+    gains: Mapping[str, PidGains] | Mapping[str, float],
+    loop: Loop,
+    seconds: float = 1.0,
+    delay: int | None = None,
+) -> list[AxisResult]:
+    """A step on each axis for which there are gains, one axis at a time.
+
+    gains: by axis for ``direct`` (u' per rad) and ``whole`` (PWM counts per rad), by parameter
+    for ``firmware``. delay: samples instead of the model's, not for ``firmware``.
+
+    Raises BadInputError for gains of the other form, or a model that the loop cannot use.
+    """
+    by_axis = {name: g for name, g in gains.items() if isinstance(g, PidGains)}
+    if loop == "firmware":
+        if by_axis:
+            raise BadInputError("gains by axis are the thesis's form: --loop direct or whole")
+        if delay is not None:
+            raise BadInputError("--delay: the firmware's loop has the model's dead time")
+        values = {name: g for name, g in gains.items() if not isinstance(g, PidGains)}
+        return [_firmware(model, values, axis, seconds) for axis in AXES]
+    if not by_axis:
+        raise BadInputError(f"--loop {loop} needs gains by axis, [roll] kp = ...")
+    if loop == "direct":
+        return [_direct(model, g, axis, seconds, delay) for axis, g in by_axis.items()]
+    return _whole(model, by_axis, seconds, delay)
+
+
+def _direct(
+    model: Model, gains: PidGains, axis: str, seconds: float, delay: int | None
+) -> AxisResult:
+    plant = axis_plant(model, axis, delay)
+    with np.errstate(over="ignore", invalid="ignore"):
+        y = run_direct(plant, gains, np.ones(round(seconds / plant.ts))).y
+    stable = is_stable(plant, gains)
+    return AxisResult(
+        axis,
+        dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True)),
+        1.0,
+        step_metrics(y, plant.ts),
+        stable,
+        direct_margins(plant, gains) if stable else None,
+        y,
+        most_delay(plant, gains),
+    )
+
+
+def _whole(
+    model: Model, gains: Mapping[str, PidGains], seconds: float, delay: int | None
+) -> list[AxisResult]:
+    body = Body.ARX if model.arx is not None else Body.RIGID
+    found = []
+    for axis, one in gains.items():
+        index = AXES.index(axis)
+        reference = np.zeros((round(seconds / SAMPLE_PERIOD_S), 3))
+        reference[:, index] = WHOLE_STEP_RAD
+        others = [gains.get(name, PidGains(0.0)) for name in AXES]
+        y = run_whole(model, others, reference, body, delay=delay).angles[:, index]
+        stable = bool(np.abs(y).max() < UNSTABLE * WHOLE_STEP_RAD)
+        margins = whole_margins(model, one, axis, body, delay)
+        found.append(
+            AxisResult(
+                axis,
+                dict(zip(("kp", "ki", "kd"), one.as_tuple(), strict=True)),
+                WHOLE_STEP_RAD,
+                step_metrics(y, SAMPLE_PERIOD_S, WHOLE_STEP_RAD),
+                stable,
+                margins if stable else None,
+                y / WHOLE_STEP_RAD,
+            )
+        )
+    return found
+
+
+def _firmware(model: Model, gains: Mapping[str, float], axis: str, seconds: float) -> AxisResult:
+    plant = plant_of_model(model)
+    step = STEP_RAD[axis]
+    y = step_response(plant, gains, axis, seconds)
+    margins = cascade_margins(plant, gains, axis)
+    # a loop that is unstable grows from the first half of a long window to the second
+    long = step_response(plant, gains, axis, max(seconds, 4.0))
+    parts: Sequence[Array] = np.array_split(long[len(long) // 4 :], 3)
+    swing = [float(np.ptp(part)) for part in parts]
+    stable = math.isfinite(swing[2]) and (swing[2] < 0.1 or swing[2] <= swing[1])
+    return AxisResult(
+        axis,
+        {name: gains.get(name, STOCK[name]) for name in gain_names(axis)},
+        step,
+        step_metrics(y * step, SAMPLE_PERIOD_S, step),
+        stable,
+        margins if stable else None,
+        y,
+    )

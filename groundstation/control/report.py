@@ -1,0 +1,182 @@
+"""Figures and pages of evaluations and designs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design
+from groundstation.control.evaluate import AxisResult
+from groundstation.control.printed import FINDING, PrintedCase
+from groundstation.report.figure import BAD, HEAT, IMPROVED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.report.page import Page
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+METRICS_HEAD = (
+    "axis",
+    "RMS error",
+    "overshoot %",
+    "settling s (5 %)",
+    "steady-state error",
+    "max sensitivity",
+    "gain may grow by",
+    "delay margin ms",
+)
+DEFINITIONS = (
+    "RMS of reference minus response over the window; overshoot beyond the reference in percent"
+    " of the step; settling: after it the response stays within 5 % of the step of its settled"
+    " value, the mean over the last tenth of the window; steady-state error: reference minus that"
+    " value."
+)
+
+
+def evaluation_page(results: Sequence[AxisResult], title: str, loop: str) -> Page:
+    """Step responses, the table, and what the words mean."""
+    page = Page(title, LOOP_NAMES[loop])
+    stable = [one.axis for one in results if one.stable]
+    lost = [one.axis for one in results if not one.stable]
+    page.verdict(
+        f"Unstable: {', '.join(lost)}" if lost else f"Stable: {', '.join(stable)}",
+        "bad" if lost else "good",
+    )
+    page.table(METRICS_HEAD, [metrics_row(one) for one in results], DEFINITIONS)
+    page.heading("Step responses")
+    page.figure(step_figure(results), "Response over the step; the band is +-5 % of the step.")
+    return page
+
+
+LOOP_NAMES = {
+    "direct": "direct loop: the controller's output is u' in (rev/s)^2",
+    "whole": "whole simulation (Figure 8.10): PWM, battery, motors, mixer, body, delay",
+    "firmware": "the firmware's cascaded loops, 500 Hz rates and 250 Hz angles",
+}
+
+
+def metrics_row(one: AxisResult) -> list[Any]:
+    """A row under ``METRICS_HEAD``."""
+    margins = one.margins
+    settling = one.metrics.settling_s
+    if not one.stable:
+        return [one.axis, "unstable", "", "", "", "", "", ""]
+    return [
+        one.axis,
+        f"{one.metrics.rms / one.step:.3f}",
+        f"{one.metrics.overshoot_pct:.1f}",
+        "not settled" if settling is None else f"{settling:.3f}",
+        f"{one.metrics.steady_state_error / one.step:.3f}",
+        "" if margins is None else f"{margins.max_sensitivity:.2f}",
+        "" if margins is None else f"{margins.gain_up:.1f}",
+        "" if margins is None else f"{1e3 * margins.delay_s:.1f}",
+    ]
+
+
+def step_figure(results: Sequence[AxisResult], others: Sequence[AxisResult] = ()) -> Figure:
+    """One panel an axis; ``others`` in grey behind, the stock gains say."""
+    made, panels = figure(rows=1, columns=len(results), height=3.0, sharey=True)
+    for panel, one in zip(panels, results, strict=True):
+        time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
+        panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
+        for other in others:
+            if other.axis == one.axis:
+                panel.plot(time[: len(other.response)], other.response, color=NEUTRAL)
+        panel.plot(time, one.response, color=IMPROVED if one.stable else BAD)
+        panel.set_title(one.axis)
+        panel.set_xlabel("s")
+        panel.set_ylim(-0.5, 2.5)
+    panels[0].set_ylabel("response / step")
+    return made
+
+
+def thesis_page(cases: Sequence[PrintedCase], responses: dict[tuple[str, str, int], Any]) -> Page:
+    """The printed tables beside what the printed models and gains give."""
+    page = Page("The thesis's controllers, repeated", LOOP_NAMES["direct"])
+    page.verdict(FINDING, "neutral")
+    page.table(THESIS_HEAD, thesis_rows(cases), DEFINITIONS)
+    page.heading("Step responses")
+    axes = sorted({axis for _, axis, _ in responses})
+    for axis in axes:
+        made, panels = figure(rows=1, columns=4, height=2.8, sharey=True)
+        names = list(dict.fromkeys(name for name, _, _ in responses))
+        for panel, name in zip(panels, names, strict=True):
+            for color, delay in zip(SERIES, sorted({d for _, _, d in responses}), strict=False):
+                y = np.clip(responses[name, axis, delay], -3, 5)
+                time = np.arange(len(y)) * SAMPLE_PERIOD_S
+                panel.plot(time, y, color=color, label=f"{delay} samples")
+            panel.axhline(1.0, color=NEUTRAL, linewidth=0.8)
+            panel.set_title(f"{axis} {name}")
+            panel.set_xlabel("s")
+            panel.set_ylim(-1, 4)
+        panels[0].legend()
+        page.figure(made, f"{axis}: the printed gains at two delays.")
+    return page
+
+
+THESIS_HEAD = (
+    "axis",
+    "controller",
+    "delay samples",
+    "RMS error",
+    "printed",
+    "overshoot %",
+    "printed",
+    "settling s",
+    "printed",
+    "settled at",
+    "stable up to samples",
+)
+
+
+def thesis_rows(cases: Sequence[PrintedCase]) -> list[list[Any]]:
+    """Rows under ``THESIS_HEAD``."""
+    rows: list[list[Any]] = []
+    for case in cases:
+        rms, overshoot, settling = case.printed
+        m = case.metrics
+        ours: list[Any] = ["unstable", "", "", ""]
+        if case.stable:
+            end = "" if m.settling_s is None else f"{1 - m.steady_state_error:.2f}"
+            settled = "not in window" if m.settling_s is None else f"{m.settling_s:.3f}"
+            ours = [f"{m.rms:.3f}", f"{m.overshoot_pct:.0f}", settled, end]
+        most = "never" if case.most_delay is None else str(case.most_delay)
+        rows.append(
+            [
+                case.axis, case.controller, case.delay, ours[0], f"{rms:.4f}", ours[1],
+                f"{overshoot:.0f}", ours[2], f"{settling:.1f}", ours[3], most,
+            ]
+        )  # fmt: skip
+    return rows
+
+
+def front_figure(
+    axis: str, design: Design, chosen: Any, printed: Sequence[tuple[str, float, float]] = ()
+) -> Figure:
+    """Overshoot against settling, coloured by maximum sensitivity, with what was chosen.
+
+    printed: (name, overshoot, settling) of results to be shown beside.
+    """
+    made, (panel,) = figure(height=3.6, width=7.5)
+    front = design.front
+    shown = panel.scatter(
+        1e3 * front[:, SETTLING],
+        front[:, OVERSHOOT],
+        c=front[:, SENSITIVITY],
+        cmap=HEAT,
+        s=9,
+        vmin=1,
+        vmax=3,
+    )
+    made.colorbar(shown, ax=panel, label="maximum sensitivity")
+    panel.plot(1e3 * chosen[SETTLING], chosen[OVERSHOOT], "D", color=MODELLED, label="chosen")
+    for name, overshoot, settling in printed:
+        panel.plot(1e3 * settling, overshoot, "x", color=BAD)
+        panel.annotate(f"printed {name}", (1e3 * settling, overshoot), fontsize=8)
+    panel.set_xlabel("settling, ms (5 % band)")
+    panel.set_ylabel("overshoot, %")
+    panel.set_title(axis)
+    panel.legend(loc="upper right")
+    return made
