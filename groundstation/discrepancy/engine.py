@@ -91,7 +91,7 @@ def _findings(
     return Findings(
         verdict=Verdict.EFFECTS_FOUND if effects else Verdict.NO_DISCREPANCY,
         effects=tuple(effects),
-        base=model_of(outcome.base.point, outcome.base.stderr(), base_keys, model),
+        base=model,
         model=model_of(outcome.final.point, errors, keys, model),
         candidates=tuple(
             Candidate(

@@ -2,8 +2,8 @@
 
 ``find_effects(flights, model, validation=None, *, seed=0, progress=None) -> Findings`` in
 ``engine.py`` makes it; flights and validation are runs as ``recordings.flights_of`` gives them,
-progress is called with what is being done and the share done. Everything in it is plain numbers in the
-units of the model file, so that a report needs no knowledge of how it was found.
+progress is called with what is being done and the share done. Everything in it is plain numbers
+in the units of the model file, so that a report needs no knowledge of how it was found.
 """
 
 from __future__ import annotations
@@ -141,10 +141,9 @@ class Leftover:
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. base: the model given, its constants fitted again to these
-    recordings together with nothing else. model: base and effects fitted jointly. candidates:
-    every effect, strongest first. not_shown: excitation check. lost: effect name -> the channel that is
-    missing to show it. channels: by channel name. warnings: in words.
+    effects: accepted, in order. base: the model as it was given. model: base and effects fitted
+    jointly. candidates: every effect, strongest first. not_shown: excitation check. lost: effect
+    name -> the channel that is missing to show it. channels: by channel name. warnings: in words.
     """
 
     verdict: Verdict

@@ -1,6 +1,6 @@
 """The search: screen every effect, refit the few best, accept one, drop what became needless.
 
-Starts from the base model, fitted again to the flights. In each round all columns are evaluated
+Starts from the model as it was given. In each round all columns are evaluated
 once and every effect is scored from one Gram matrix; the best few are fitted jointly with the
 base and what was accepted before; the best one that passes every test of ``judge`` joins. Then
 whatever the newcomer made superfluous leaves.
@@ -70,10 +70,10 @@ class Accepted:
 
 @dataclass(slots=True)
 class Outcome:
-    """base, final: fits without and with the accepted effects. first: the screening before
-    anything joined. reasons: variant label -> why it was refused. linear: at the final point."""
+    """final: the joint fit. first: the screening before anything joined. reasons: variant label
+    -> why it was refused. linear, quadratic: at the final point; first_linear, first_quadratic:
+    at the model as it was given."""
 
-    base: Fit
     final: Fit
     accepted: list[Accepted]
     first: list[Scored]
@@ -98,17 +98,16 @@ def search(
     fitted along and never dropped."""
     every = (*BASE_KEYS, *EFFECT_KEYS)
     base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
-    progress("fitting the base model", 0.05)
-    linear = problem.linear(problem.start, every, problem.flights)
-    problem.learn_noise(linear)
-    base = problem.fit(problem.start, base_keys)
+    # The base is not fitted alone first: bent to imitate what is missing, it would be a poor place
+    # to linearise at. A centre of gravity off its place makes c0 vanish, for one.
+    now = Fit(dict(problem.start), base_keys, np.inf, np.zeros((len(base_keys),) * 2))
     accepted: list[Accepted] = []
     reasons: dict[str, str] = {}
     held_out: dict[str, float] = {}
     first: list[Scored] = []
-    first_linear, first_quadratic = linear, None
+    first_linear: Linear | None = None
+    first_quadratic: Quadratic | None = None
     tried: set[frozenset[str]] = set()
-    now = base
     for number in range(MOST_ROUNDS):
         progress(
             "screening" if not accepted else f"screening after {len(accepted)} effects",
@@ -146,10 +145,9 @@ def search(
         tried.add(frozenset(one.variant.label for one in accepted))
         now = newcomer.fit
     assert first_quadratic is not None
-    if accepted:
-        now = problem.fit(now.point, now.keys)
+    assert first_linear is not None
+    now = problem.fit(now.point, now.keys)
     return Outcome(
-        base,
         now,
         accepted,
         first,
