@@ -186,7 +186,7 @@ class DirectJudge:
         from groundstation.control.kernels import judge_many
 
         worst = np.zeros((len(candidates), len(self.COLUMNS)))
-        one = np.empty_like(worst)
+        one = np.zeros_like(worst)
         for plant, response in zip(self._plants, self._responses, strict=True):
             judge_many(
                 np.array(plant.a),

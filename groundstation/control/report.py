@@ -87,7 +87,8 @@ def step_figure(results: Sequence[AxisResult], others: Sequence[AxisResult] = ()
         panel.plot(time, one.response, color=IMPROVED if one.stable else BAD)
         panel.set_title(one.axis)
         panel.set_xlabel("s")
-        panel.set_ylim(-0.5, 2.5)
+    highest = max((float(one.response.max()) for one in results if one.stable), default=2.0)
+    panels[0].set_ylim(-0.2, max(1.4, 1.05 * highest))
     panels[0].set_ylabel("response / step")
     return made
 
@@ -178,5 +179,5 @@ def front_figure(
     panel.set_xlabel("settling, ms (5 % band)")
     panel.set_ylabel("overshoot, %")
     panel.set_title(axis)
-    panel.legend(loc="upper right")
+    panel.legend(loc="best", frameon=True)
     return made

@@ -172,7 +172,7 @@ def test_many_gains_are_judged_as_each_alone():
         peak = max(direct_margins(plant, PidGains(*gains)).max_sensitivity for plant in plants)
         assert row[4] == pytest.approx(peak, rel=0.01)
     late = DirectJudge(plants, 1.0, spare_s=0.004)(table)
-    assert np.isinf(late).all()
+    assert np.isinf(late[:, :6]).all()
 
 
 def test_what_cannot_be_closed_is_refused():
