@@ -21,11 +21,14 @@ from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.simulation import simulate
 from groundstation.dynamics.state import craft_state
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
-from groundstation.identification.arx import ArxData, search_arx
-from groundstation.identification.body import fit_body, fit_free_run
-from groundstation.identification.body_terms import stretches_of
-from groundstation.identification.motor import MotorRun, bench_run, fit_motor
+from groundstation.identification.arx import search_arx
+from groundstation.identification.arx_data import ArxData
+from groundstation.identification.body import fit_body
+from groundstation.identification.body_validation import fit_free_run
+from groundstation.identification.motor import bench_run, fit_motor
+from groundstation.identification.motor_problem import MotorRun
 from groundstation.identification.runs import Run, runs_of
+from groundstation.identification.stretches import stretches_of
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 

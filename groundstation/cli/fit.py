@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,15 @@ from groundstation.cli.model_files import (
     require_new,
     runs_from,
 )
+from groundstation.cli.progress import shown
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
+    from groundstation.dynamics.vehicle import Vehicle
+    from groundstation.identification.evidence import Identified, Progress
+    from groundstation.identification.runs import Run
+    from groundstation.identification.segments import Selection
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
 VALIDATE = typer.Option(
@@ -29,6 +35,16 @@ VALIDATE = typer.Option(
 OUTPUT = typer.Option(..., "-o", "--output", help="The new model file.")
 MODEL = typer.Option(None, "--model", help="Model to start from: its motor, what is not fitted.")
 WITH = typer.Option("", "--with", help="Effects known to be there, separated by commas.")
+SEGMENT = typer.Option(
+    None, "--segment", metavar="FROM:TO", help="Only these seconds of each recording; repeatable."
+)
+SELECT = typer.Option(
+    "",
+    "--select",
+    help="Only stretches that are, comma separated: hover, moving, steady_altitude, unsaturated,"
+    " saturated, auto, battery=LOW:HIGH (V).",
+)
+HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -47,6 +63,9 @@ def fit_motor(
     model: str | None = MODEL,
     effects: str = WITH,
     motor: int = typer.Option(1, min=1, max=4, help="Motor that carries the speed sensor."),
+    segment: list[str] | None = SEGMENT,
+    select: str = SELECT,
+    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit a0, a1, a2 on recordings of the motor bench, or with measured rotor speed.
@@ -54,19 +73,21 @@ def fit_motor(
     Example: [bold]groundstation fit motor bench.mcap -o motor.json
     --with battery_reading_lag,supply_sag[/bold]
     """
-    import msgspec
+    from groundstation.identification.motor_workflow import identify_motor
 
-    from groundstation.dynamics.vehicle import load_vehicle
-    from groundstation.identification.workflow import identify_motor
+    def identify(task: _Task, progress: Progress) -> Identified:
+        return identify_motor(
+            *(task.runs, task.held, task.before, task.vehicle),
+            effect_names(effects),
+            motor - 1,
+            task.selection,
+            progress,
+        )
 
-    require_new(output)
-    profile = load_vehicle(vehicle)
-    before = model_before(model, vehicle)
-    found, account = identify_motor(
-        runs_from(recordings), runs_from(validate or []), profile, effect_names(effects), motor - 1
-    )
-    _finish(
-        msgspec.structs.replace(before, motor=found), account, recordings, validate, output, as_json
+    _carry_out(
+        identify,
+        _Files(recordings, validate or [], output, html, as_json),
+        (vehicle, model, select, segment),
     )
 
 
@@ -81,6 +102,9 @@ def fit_body(
     measured: bool = typer.Option(
         False, "--measured-rotors", help="Use recorded rotor speeds instead of the motor model."
     ),
+    segment: list[str] | None = SEGMENT,
+    select: str = SELECT,
+    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit c0, c1, c2 and thrust_per_mass on flights, in closed loop as they were flown.
@@ -88,26 +112,23 @@ def fit_body(
     Example: [bold]groundstation fit body flight1.mcap flight2.mcap --model motor.json
     -o body.json --with dead_time,rotor_acceleration_torque[/bold]
     """
-    import msgspec
+    from groundstation.identification.body_workflow import identify_body
 
-    from groundstation.dynamics.vehicle import load_vehicle
-    from groundstation.identification.workflow import identify_body
+    def identify(task: _Task, progress: Progress) -> Identified:
+        return identify_body(
+            *(task.runs, task.held, task.before, task.vehicle),
+            effect_names(effects),
+            tie,
+            measured,
+            task.selection,
+            progress,
+        )
 
-    require_new(output)
-    before = model_before(model, vehicle)
-    body, terms, account = identify_body(
-        runs_from(recordings),
-        runs_from(validate or []),
-        load_vehicle(vehicle),
-        before.motor,
-        effect_names(effects),
-        tie,
-        measured,
+    _carry_out(
+        identify,
+        _Files(recordings, validate or [], output, html, as_json),
+        (vehicle, model, select, segment),
     )
-    fitted = {term.name for term in terms}
-    kept = tuple(term for term in before.effects if term.name not in fitted)
-    after = msgspec.structs.replace(before, body=body, effects=kept + terms)
-    _finish(after, account, recordings, validate, output, as_json)
 
 
 def fit_arx(
@@ -116,62 +137,114 @@ def fit_arx(
     validate: list[Path] | None = VALIDATE,
     vehicle: str = VEHICLE,
     model: str | None = MODEL,
-    criterion: str = typer.Option("free_run", help="What chooses: free_run or prediction."),
+    criterion: str = typer.Option(
+        None, help="What chooses: free_run (default for angles) or prediction (for rates)."
+    ),
+    gyro: bool = typer.Option(False, "--gyro", help="Model the body rates, not the angles."),
+    decimate: int = typer.Option(1, min=1, max=20, help="Rows of a recording per model row."),
+    segment: list[str] | None = SEGMENT,
+    select: str = SELECT,
+    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
     """Search ARX models of the angles, as the thesis does (its tables 7.3 and 7.5).
 
-    Example: [bold]groundstation fit arx flight.mcap -o arx.json[/bold]
+    Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
-    import msgspec
-
-    from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.arx import Criterion
-    from groundstation.identification.workflow import identify_arx
+    from groundstation.identification.arx_workflow import identify_arx
 
-    require_new(output)
-    if criterion not in tuple(Criterion):
-        raise BadInputError(f"--criterion {criterion}: there are {', '.join(Criterion)}")
-    before = model_before(model, vehicle)
-    found, account = identify_arx(
-        runs_from(recordings),
-        runs_from(validate or []),
-        load_vehicle(vehicle),
-        before.motor,
-        Criterion(criterion),
+    chosen = criterion or ("prediction" if gyro else "free_run")
+    if chosen not in tuple(Criterion):
+        raise BadInputError(f"--criterion {chosen}: there are {', '.join(Criterion)}")
+
+    def identify(task: _Task, progress: Progress) -> Identified:
+        return identify_arx(
+            *(task.runs, task.held, task.before, task.vehicle),
+            Criterion(chosen),
+            "gyro" if gyro else "attitude",
+            decimate,
+            task.selection,
+            progress,
+        )
+
+    _carry_out(
+        identify,
+        _Files(recordings, validate or [], output, html, as_json),
+        (vehicle, model, select, segment),
     )
-    after = msgspec.structs.replace(before, arx=found)
-    _finish(after, account, recordings, validate, output, as_json)
 
 
-def _finish(
-    model: Model,
-    account: dict[str, Any],
-    recordings: Sequence[Path],
-    validate: Sequence[Path] | None,
-    output: Path,
-    as_json: bool,
+@dataclass(frozen=True, slots=True)
+class _Files:
+    recordings: Sequence[Path]
+    validate: Sequence[Path]
+    output: Path
+    html: Path | None
+    as_json: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    runs: list[Run]
+    held: list[Run]
+    before: Model
+    vehicle: Vehicle
+    selection: Selection
+
+
+def _carry_out(
+    identify: Callable[[_Task, Progress], Identified],
+    files: _Files,
+    given: tuple[str, str | None, str, list[str] | None],
 ) -> None:
+    from groundstation.dynamics.vehicle import load_vehicle
+    from groundstation.identification.segments import parse_selection
+
+    vehicle, model, select, segment = given
+    require_new(files.output)
+    if files.html is not None:
+        require_new(files.html)
+    selection = parse_selection(select, tuple(segment or ()))
+    before = model_before(model, vehicle)
+    with shown("reading") as progress:
+        task = _Task(
+            runs_from(files.recordings),
+            runs_from(files.validate),
+            before,
+            load_vehicle(vehicle),
+            selection,
+        )
+        found = identify(task, progress)
+        _finish(found, files, progress)
+
+
+def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     import msgspec
 
     from groundstation import __version__
     from groundstation.dynamics.model import save_model
 
     account = {
-        **account,
-        "recordings": [_fingerprint(path) for path in recordings],
-        "held_out": [_fingerprint(path) for path in validate or []] or "last third",
+        **found.account,
+        "recordings": [_fingerprint(path) for path in files.recordings],
+        "held_out": [_fingerprint(path) for path in files.validate] or "last third",
     }
     whole = msgspec.structs.replace(
-        model,
-        fit={**model.fit, account["what"]: account},
+        found.model,
+        fit={**found.model.fit, account["what"]: account},
         created_by=f"groundstation {__version__}",
     )
-    save_model(whole, output)
-    if as_json:
-        typer.echo(output.read_text(), nl=False)
+    save_model(whole, files.output)
+    if files.html is not None:
+        from groundstation.identification.report import report
+
+        progress(0.9, "drawing the report")
+        report(whole, account, found.evidence).write(files.html)
+    if files.as_json:
+        typer.echo(files.output.read_text(), nl=False)
     else:
-        _print_account(account, output)
+        _print_account(account, files.output)
 
 
 def _fingerprint(path: Path) -> dict[str, str]:
@@ -188,12 +261,11 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
         ):
             echo(f"  {name:<42}{value:14.6g} +- {error:.2g}")
     for axis, one in account.get("axes", {}).items():
-        best = one["table"][0]["rms_validation_rad"]
         tests = ", ".join(
             f"{test.replace('_', ' ')} {'passes' if one[test]['passes'] else 'fails'}"
             for test in ("whiteness", "cross_correlation")
         )
-        echo(f"  {axis:<6}{one['chosen']}: best validation RMS {best:.4f} rad; {tests}")
+        echo(f"  {axis:<6}{one['chosen']}; residuals: {tests}")
     held = account.get("validation")
     if isinstance(held, dict):
         for name, value in held.items():

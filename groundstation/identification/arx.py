@@ -15,24 +15,23 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.mixer import Configuration
+from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import ArxAxis
-from groundstation.dynamics.vehicle import MotorConstants
-from groundstation.errors import BadInputError
-from groundstation.identification.runs import Run
-from groundstation.identification.torque import rotor_squares
+from groundstation.identification.arx_data import ArxData, require_usable
+from groundstation.identification.estimate import Estimates, sandwich
+from groundstation.identification.residual_tests import cross_correlation_test
 
 Array = NDArray[np.float64]
 
-AXES = ("roll", "pitch", "yaw")
 MOST_POLES = 4
 WINDOW_S = 2.0
 """Free runs start afresh from measured outputs after this long."""
 PARSIMONY = 0.05
 """A simpler model wins unless a larger one is better by this share on validation data."""
-LEAST_ROWS = 300
-SETTLE_S = 0.6
 STEP_S, SETTLE_STEP_S = 0.3, 0.02
+BLOCK_S = 0.5
+MOST_TESTED = 12
+"""Structures whose residuals are tested, from the likeliest on."""
 
 
 class Criterion(StrEnum):
@@ -42,18 +41,9 @@ class Criterion(StrEnum):
     """Free-run RMS on validation data, as in the thesis: among plausible models, the fewest
     coefficients within 5 % of the best. Judges slow behaviour; hardly sees delay or noise."""
     PREDICTION = "prediction"
-    """One-step error on identification data with Schwarz's penalty for each coefficient. Judges
-    delay and noise model; what it chooses leaves white residuals where any structure does."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArxData:
-    """One run of one axis. inputs: (n,) u' in (rev/s)^2, outputs: (n,) rad or rad/s."""
-
-    name: str
-    period_s: float
-    inputs: Array
-    outputs: Array
+    """One-step error on identification data with Schwarz's penalty for each coefficient: the
+    first plausible structure whose residuals do not follow the input. Judges delay and noise
+    model; what it chooses leaves white residuals where any structure does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,44 +73,6 @@ class ArxSearch:
     chosen: ArxCandidate
 
 
-def arx_data(
-    run: Run,
-    axis: str,
-    motor: MotorConstants,
-    configuration: Configuration = "plus",
-    *,
-    channel: str = "attitude",
-    decimate: int = 1,
-) -> ArxData:
-    """The mixer's u' and the angle (or the body rate) of one axis of a run.
-
-    u' of a row is the mean over the period that ends with the row, so a body without delay has
-    nk = 0 on its rate. The first 0.6 s are left out: motor speeds are uncertain there.
-
-    channel: ``attitude`` (as in the thesis) or ``gyro``. decimate: keep every so many-th row, u'
-    averaged: the reported angle is fresh in every second row only.
-
-    Raises BadInputError where a channel is missing.
-    """
-    index = AXES.index(axis)
-    outputs = getattr(run, channel)[:, index]
-    if not np.isfinite(outputs).all():
-        raise BadInputError(f"{run.name}: {channel} is not in every row; ARX on {axis} needs it")
-    # The motors' simulation starts settled, which they were not: leave its transient out.
-    settled = round(SETTLE_S / run.period_s)
-    inputs = rotor_squares(run, motor).mixed(configuration)[settled:, index]
-    outputs = outputs[settled:]
-    if decimate > 1:
-        # Keep the rows in which a held value is fresh.
-        changes = [np.count_nonzero(np.diff(outputs)[k::decimate]) for k in range(decimate)]
-        first = (int(np.argmax(changes)) + 1) % decimate
-        kept = np.arange(first + decimate, len(outputs), decimate)
-        sums = np.concatenate([[0.0], np.cumsum(inputs)])
-        inputs = (sums[kept + 1] - sums[kept + 1 - decimate]) / decimate
-        outputs = outputs[kept]
-    return ArxData(run.name, run.period_s * decimate, inputs, np.ascontiguousarray(outputs))
-
-
 def search_arx(
     fit: Sequence[ArxData],
     validation: Sequence[ArxData],
@@ -137,7 +89,7 @@ def search_arx(
     orders = np.array([(p, q, d) for p in na for q in nb for d in nk], np.int64)
     longest = int(max(MOST_POLES, (orders[:, 1] + orders[:, 2]).max()))
     for data in (*fit, *validation):
-        _require_usable(data, fit[0].period_s, longest)
+        require_usable(data, fit[0].period_s, longest)
     gram, rows = _gram(fit, longest)
     a, b = np.zeros((len(orders), MOST_POLES)), np.zeros((len(orders), int(orders[:, 1].max())))
     errors = []
@@ -163,9 +115,47 @@ def search_arx(
         )
     candidates.sort(key=lambda c: c.rms_validation)
     chosen = (
-        _simplest(candidates) if criterion is Criterion.FREE_RUN else _likeliest(candidates, rows)
+        _simplest(candidates)
+        if criterion is Criterion.FREE_RUN
+        else _likeliest(candidates, rows, fit)
     )
     return ArxSearch(tuple(candidates), chosen)
+
+
+def arx_estimates(axis: ArxAxis, fit: Sequence[ArxData]) -> Estimates:
+    """The model's coefficients a1.. and b1.. with a covariance that allows for coloured errors.
+
+    Least squares takes them for white, which they are not where the structure is too small or
+    the angle is held: scores are summed over half a second here.
+    """
+    first = max(MOST_POLES, axis.nk + axis.nb)
+    size = axis.na + axis.nb
+    normal, scores = np.zeros((size, size)), []
+    for data in fit:
+        rows = np.arange(first, len(data.outputs))
+        regressors = np.column_stack(
+            [-data.outputs[rows - i] for i in range(1, axis.na + 1)]
+            + [data.inputs[rows - axis.nk - j] for j in range(axis.nb)]
+        )
+        error = residuals(axis, data)
+        normal += regressors.T @ regressors
+        blocks = np.arange(0, len(rows), max(round(BLOCK_S / data.period_s), 1))
+        scores.append(np.add.reduceat(regressors * error[-len(rows) :, None], blocks))
+    blocks_of_all = np.vstack(scores)
+    names = [f"a{i}" for i in range(1, axis.na + 1)] + [f"b{j}" for j in range(1, axis.nb + 1)]
+    return Estimates(
+        tuple(names),
+        np.array([*axis.a, *axis.b]),
+        sandwich(normal, blocks_of_all),
+        max(len(blocks_of_all) - size, 1),
+    )
+
+
+def step_response(axis: ArxAxis, seconds: float = 0.5) -> tuple[Array, Array]:
+    """(time in s, output) of a unit step of u'; a model of rates is integrated by the caller."""
+    rows = round(seconds / axis.ts)
+    time = np.asarray(axis.ts * np.arange(rows), np.float64)
+    return time, simulate_arx(axis, np.ones(rows))
 
 
 def free_run_rms(axis: ArxAxis, data: Sequence[ArxData], window_s: float = WINDOW_S) -> float:
@@ -175,7 +165,7 @@ def free_run_rms(axis: ArxAxis, data: Sequence[ArxData], window_s: float = WINDO
     a[0, : axis.na] = axis.a
     longest = max(MOST_POLES, axis.nk + axis.nb)
     for one in data:
-        _require_usable(one, axis.ts, longest)
+        require_usable(one, axis.ts, longest)
     return float(_free_run_rms(order, a, b, data, window_s, longest)[0])
 
 
@@ -183,14 +173,26 @@ def prediction_rms(axis: ArxAxis, data: Sequence[ArxData], steps: int) -> float:
     """RMS error of predictions ``steps`` rows ahead, over every row."""
     errors = []
     for one in data:
-        predicted, first = _predict(axis, one, steps)
+        predicted, first = predictions(axis, one, steps)
         errors.append((one.outputs - predicted)[first:])
     return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
 
 
+def predictions(axis: ArxAxis, data: ArxData, steps: int) -> tuple[Array, int]:
+    """Outputs (n,) predicted ``steps`` rows ahead, and the first row that is a prediction."""
+    from groundstation.identification.arx_kernel import steps_ahead
+
+    a = np.zeros(MOST_POLES)
+    a[: axis.na] = axis.a
+    first = max(MOST_POLES, axis.nk + axis.nb)
+    predicted = np.zeros(len(data.outputs))
+    steps_ahead(a, np.array(axis.b), axis.nk, data.inputs, data.outputs, steps, first, predicted)
+    return predicted, first + steps - 1
+
+
 def residuals(axis: ArxAxis, data: ArxData) -> Array:
     """One-step prediction errors e = A y - B u, without the first rows that lack a past."""
-    predicted, first = _predict(axis, data, 1)
+    predicted, first = predictions(axis, data, 1)
     return (data.outputs - predicted)[first:]
 
 
@@ -217,20 +219,6 @@ def to_control(axis: ArxAxis) -> object:
     numerator[axis.nk : axis.nk + axis.nb] = axis.b
     denominator[: axis.na + 1] = [1.0, *axis.a]
     return control.tf(numerator, denominator, axis.ts)
-
-
-def _require_usable(data: ArxData, period_s: float, longest: int) -> None:
-    if len(data.inputs) < LEAST_ROWS + longest:
-        raise BadInputError(f"{data.name}: {len(data.inputs)} rows are too few for ARX models")
-    if abs(data.period_s / period_s - 1) > 0.01:
-        raise BadInputError(
-            f"{data.name}: {1 / data.period_s:.1f} rows a second, others {1 / period_s:.1f};"
-            " a discrete model needs one rate: fit them apart"
-        )
-    if not (np.isfinite(data.inputs).all() and np.isfinite(data.outputs).all()):
-        raise BadInputError(f"{data.name}: input or output has holes; use a stretch without")
-    if np.ptp(data.inputs) < 1e-9 * max(1.0, np.abs(data.inputs).max()) or not np.ptp(data.outputs):
-        raise BadInputError(f"{data.name}: input or output is constant; excite the axis")
 
 
 DIFFERENCES = np.array([[1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1]], np.float64)
@@ -300,17 +288,6 @@ def _free_run_rms(
     return np.asarray(np.sqrt(sums / max(rows, 1)))
 
 
-def _predict(axis: ArxAxis, data: ArxData, steps: int) -> tuple[Array, int]:
-    from groundstation.identification.arx_kernel import steps_ahead
-
-    a = np.zeros(MOST_POLES)
-    a[: axis.na] = axis.a
-    first = max(MOST_POLES, axis.nk + axis.nb)
-    predicted = np.zeros(len(data.outputs))
-    steps_ahead(a, np.array(axis.b), axis.nk, data.inputs, data.outputs, steps, first, predicted)
-    return predicted, first + steps - 1
-
-
 def _simplest(candidates: Sequence[ArxCandidate]) -> ArxCandidate:
     """The parsimony rule of ``Criterion.FREE_RUN``; candidates by validation error."""
     usable = [c for c in candidates if c.plausible and np.isfinite(c.rms_validation)]
@@ -320,11 +297,20 @@ def _simplest(candidates: Sequence[ArxCandidate]) -> ArxCandidate:
     return min(good, key=lambda c: (c.axis.na + c.axis.nb, c.rms_validation))
 
 
-def _likeliest(candidates: Sequence[ArxCandidate], rows: int) -> ArxCandidate:
-    """The smallest Schwarz criterion n ln(s^2) + p ln(n)."""
+def _likeliest(
+    candidates: Sequence[ArxCandidate], rows: int, fit: Sequence[ArxData]
+) -> ArxCandidate:
+    """The smallest Schwarz criterion n ln(s^2) + p ln(n), as ``Criterion.PREDICTION`` says."""
 
     def schwarz(candidate: ArxCandidate) -> float:
         count = candidate.axis.na + candidate.axis.nb
         return float(2 * rows * np.log(candidate.rms_step + 1e-300) + count * np.log(rows))
 
-    return min(candidates, key=schwarz)
+    ranked = sorted(candidates, key=schwarz)
+    pool = [one for one in ranked if one.plausible] or ranked
+    longest = max(fit, key=lambda data: len(data.outputs))
+    for one in pool[:MOST_TESTED]:
+        left = residuals(one.axis, longest)
+        if cross_correlation_test(left, longest.inputs[-len(left) :]).passes:
+            return one
+    return pool[0]

@@ -9,48 +9,49 @@ c0, c1, c2 and the effects fitted along, noise models re-estimated in between.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.dynamics.model import BodyConstants
-from groundstation.dynamics.vehicle import Vehicle
+from groundstation.dynamics.vehicle import MotorConstants, Vehicle
 from groundstation.errors import BadInputError
+from groundstation.identification.body_problem import AXES, BodyProblem, motor_steps
 from groundstation.identification.body_terms import (
-    FIT_WITH,
-    Stretch,
-    Terms,
+    SUPPLY_EFFECTS,
+    BodyTerms,
+    measured_acceleration,
     require_known,
-    terms_of,
 )
-from groundstation.identification.estimate import Estimates, fit_percent, inverse, rms, sandwich
-from groundstation.identification.noise_model import NoiseModel, estimate_noise
+from groundstation.identification.estimate import Estimates, inverse, sandwich
+from groundstation.identification.noise_model import NoiseModel
+from groundstation.identification.stretches import Stretch
 
 Array = NDArray[np.float64]
 
-NOISE_ORDER = 60
-NOISE_ROUNDS, STEPS = 10, 15
+NOISE_ROUNDS = 10
 SETTLED = 0.05
 """Rounds end when no parameter moves by more than this share of its standard error."""
-TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
-LONGEST_DELAY_S, LARGEST_STEP_S = 0.03, 0.001
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""
+HINTS = (
+    "dead_time",
+    "inertia_coupling",
+    "rotor_gyroscopic_torque",
+    "rotor_acceleration_torque",
+)
+"""Effects that every craft has: a word where they show and were not fitted along."""
 CROSS_TALK = 0.3
 """Share of an axis's own torque constant that another axis's torque may seem to have."""
 WELL_KNOWN, UNKNOWN = 0.05, 0.5
 """Standard errors over the value from which a constant is worth a warning, or a refusal."""
-HORIZONS_S = (0.02, 0.05)
-AXES = ("roll", "pitch", "yaw")
-PARAMETERS = {
-    "dead_time": "delay_s",
-    "inertia_coupling": "fraction",
-    "rotor_gyroscopic_torque": "rotor_inertia_kg_m2",
-    "rotor_acceleration_torque": "rotor_inertia_kg_m2",
-}
-"""The parameter of each effect that can be fitted along."""
+ALIKE = 0.97
+"""Correlation beyond which two estimates are told only together."""
+LEAST_LAG_S = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +59,25 @@ class BodyFit:
     """Outcome of ``fit_body``.
 
     estimates: c0, c1, c2, thrust_per_mass and one ``effect.parameter`` for each effect.
-    noise: per axis. innovation: (3,) RMS of the gyro's one-step
-    prediction error in rad/s.
+    model, values: predict with the fit. noise: per axis. innovation: (3,) RMS of the gyro's
+    one-step prediction error in rad/s. motor_share: (p,) of each estimate's variance that comes
+    from the motor's.
     """
 
     body: BodyConstants
     estimates: Estimates
     effects: tuple[str, ...]
+    model: BodyTerms
+    values: dict[str, float]
     noise: tuple[NoiseModel, ...]
     innovation: Array
+    motor_share: Array
     warnings: tuple[str, ...]
 
     @property
     def delay_s(self) -> float:
         """The dead time that was fitted, otherwise 0."""
-        return self.estimates["dead_time.delay_s"] if "dead_time" in self.effects else 0.0
+        return self.values.get("dead_time.delay_s", 0.0)
 
 
 def fit_body(
@@ -80,11 +85,13 @@ def fit_body(
     vehicle: Vehicle,
     effects: Sequence[str] = (),
     tie_roll_pitch: bool = False,
+    motor_covariance: Array | None = None,
 ) -> BodyFit:
     """Estimate c0, c1, c2 and thrust_per_mass from all stretches together.
 
-    effects: names in ``FIT_WITH`` that are known to be there. tie_roll_pitch: c1 = c0, as in the
-    thesis. vehicle: configuration, and the inertias that scale the effects.
+    effects: names in ``FITTED`` that are known to be there. tie_roll_pitch: c1 = c0, as in the
+    thesis. vehicle: configuration, mass, arm, and the ratio of the inertias. motor_covariance:
+    (3, 3) of a0, a1, a2; what the motor's uncertainty does to each estimate is added to theirs.
 
     Raises BadInputError for stretches without torque or motion. What the data hardly tell is
     named in ``warnings``.
@@ -92,9 +99,10 @@ def fit_body(
     require_known(effects)
     if not stretches:
         raise BadInputError("body fit: nothing to fit on; give a longer recording")
-    _require_excited(stretches, vehicle)
-    problem = _Problem(stretches, vehicle, tuple(effects), tie_roll_pitch)
-    theta = problem.start()
+    require_usable(stretches, vehicle)
+    acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
+    thrust, _ = fit_thrust(stretches, BodyTerms(vehicle, 1.0), {})
+    problem, theta = _best_start(stretches, vehicle, thrust, acting, tie_roll_pitch)
     noise: list[NoiseModel] = []
     normal = np.zeros((len(theta), len(theta)))
     for _ in range(NOISE_ROUNDS):
@@ -103,279 +111,24 @@ def fit_body(
         theta, normal = problem.minimise(theta, noise)
         if np.all(np.abs(theta - before) * np.sqrt(np.diag(normal)) < SETTLED):
             break
-    _require_told(problem, theta, inverse(normal), stretches)
-    thrust = _thrust(stretches, _delay(theta, problem))
-    return _outcome(problem, theta, inverse(normal), thrust, noise)
+    _require_told(problem, theta, inverse(normal))
+    return _outcome(problem, theta, normal, noise, motor_covariance)
 
 
-def prediction_errors(
+def fit_thrust(
     stretches: Sequence[Stretch],
-    body: BodyConstants,
-    vehicle: Vehicle,
-    delay_s: float = 0.0,
-    horizon_s: float = 0.0,
-) -> Array:
-    """RMS errors (3,) in rad/s of rates predicted ``horizon_s`` ahead of a measured one.
-
-    The shortest horizon is one row. Nothing is known of the future but the motors' inputs.
-    """
-    errors = []
-    for stretch in stretches:
-        terms = terms_of(stretch, vehicle, delay_s, ())
-        step = terms.acceleration - terms.base * [body.c0, body.c1, body.c2]
-        rows = max(1, round(horizon_s / stretch.run.period_s))
-        sums = np.vstack([np.zeros(3), np.cumsum(step, axis=0)]) * stretch.run.period_s
-        errors.append(sums[rows:] - sums[:-rows])
-    return np.sqrt(np.mean(np.square(np.vstack(errors)), axis=0))
-
-
-def validate_body(stretches: Sequence[Stretch], fit: BodyFit, vehicle: Vehicle) -> dict[str, float]:
-    """Held-out figures: per axis the RMS errors at one row, 20 and 50 ms (rad/s), and the fit %
-    of the vertical specific force (m/s^2)."""
-    figures: dict[str, float] = {}
-    for horizon in (0.0, *HORIZONS_S):
-        label = f"{horizon * 1e3:.0f}ms" if horizon else "1row"
-        errors = prediction_errors(stretches, fit.body, vehicle, fit.delay_s, horizon)
-        for axis, error in zip(AXES, errors, strict=True):
-            figures[f"gyro_{axis}_rms_{label}"] = float(error)
-    measured, modelled = _vertical(stretches, fit.delay_s)
-    if len(measured):
-        error = measured - fit.body.thrust_per_mass * modelled
-        figures["accelerometer_z_rms"] = rms(error)
-        figures["accelerometer_z_fit_percent"] = fit_percent(
-            measured, fit.body.thrust_per_mass * modelled
-        )
-    return figures
-
-
-def fit_free_run(stretches: Sequence[Stretch], vehicle: Vehicle) -> Array:
-    """c0, c1, c2 by simulating whole stretches and matching the rates: what not to do.
-
-    Kept to be shown beside ``fit_body``: every torque disturbance stays in the integral for ever,
-    and in closed loop the controller's answer to it is taken for the cause.
-    """
-    found = np.zeros(3)
-    for axis in range(3):
-        top, bottom = 0.0, 0.0
-        for stretch in stretches:
-            terms = terms_of(stretch, vehicle, 0.0, ())
-            simulated = np.cumsum(terms.base[:, axis]) * stretch.run.period_s
-            rate = stretch.run.gyro[stretch.rows, axis]
-            simulated, rate = simulated - simulated.mean(), rate - rate.mean()
-            top += float(simulated @ rate)
-            bottom += float(simulated @ simulated)
-        found[axis] = top / bottom
-    return found
-
-
-class _Problem:
-    """The least-squares problem: parameters are c0, (c1,) c2, then one per effect."""
-
-    def __init__(
-        self,
-        stretches: Sequence[Stretch],
-        vehicle: Vehicle,
-        effects: tuple[str, ...],
-        tied: bool,
-    ) -> None:
-        self.stretches, self.vehicle, self.effects = stretches, vehicle, effects
-        self.tied = tied
-        self.base = (0, 0, 1) if tied else (0, 1, 2)
-        """Place of each axis's constant among the parameters."""
-        count = max(self.base) + 1
-        self.names: tuple[str, ...] = ("c0", "c2") if tied else ("c0", "c1", "c2")
-        self.names += tuple(f"{name}.{PARAMETERS[name]}" for name in effects)
-        self.place = {name: count + i for i, name in enumerate(effects)}
-
-    def start(self) -> Array:
-        """A fit that trusts slow motion, at the best of some trial delays.
-
-        The noise model must not come from a residual that still holds the torque: it would take
-        the torque for noise and keep it. So the first one is a guess, sensor noise on a rate
-        that is disturbed: A = 1 / (1 - 0.9 q^-1).
-        """
-        whitener = np.asarray(0.9 ** np.arange(NOISE_ORDER + 1), np.float64)
-        noise = [
-            NoiseModel(whitener, float(np.mean(np.square(np.concatenate(pieces)))))
-            for pieces in self.residuals(np.zeros(len(self.names)))
-        ]
-        trials = []
-        for delay in TRIAL_DELAYS_S if "dead_time" in self.effects else (0.0,):
-            theta = np.zeros(len(self.names))
-            if "dead_time" in self.effects:
-                theta[self.place["dead_time"]] = delay
-            theta, _ = self.minimise(theta, noise, hold_delay=True)
-            trials.append((self.cost(theta, noise), theta))
-        return min(trials, key=lambda one: one[0])[1]
-
-    def cost(self, theta: Array, noise: Sequence[NoiseModel]) -> float:
-        """Sum of squared one-step prediction errors over their variances."""
-        return sum(
-            float(np.square(one.whiten(piece)).sum()) / one.variance
-            for pieces, one in zip(self.residuals(theta), noise, strict=True)
-            for piece in pieces
-        )
-
-    def terms(self, theta: Array) -> list[Terms]:
-        delay = float(theta[self.place["dead_time"]]) if "dead_time" in self.effects else 0.0
-        return [terms_of(s, self.vehicle, delay, self.effects) for s in self.stretches]
-
-    def residuals(self, theta: Array) -> list[list[Array]]:
-        """Per axis, one residual acceleration (n,) per stretch."""
-        every = self.terms(theta)
-        return [
-            [terms.acceleration[:, axis] - self.model(terms, theta, axis) for terms in every]
-            for axis in range(3)
-        ]
-
-    def model(self, terms: Terms, theta: Array, axis: int) -> Array:
-        value = theta[self.base[axis]] * terms.base[:, axis]
-        for name, column in terms.effects.items():
-            value = value + theta[self.place[name]] * column[:, axis]
-        return value
-
-    def noise(self, theta: Array) -> list[NoiseModel]:
-        return [estimate_noise(pieces, NOISE_ORDER) for pieces in self.residuals(theta)]
-
-    def minimise(
-        self,
-        theta: Array,
-        noise: Sequence[NoiseModel],
-        hold_delay: bool = False,
-        steps: int = STEPS,
-    ) -> tuple[Array, Array]:
-        """Gauss-Newton for fixed noise models; returns the minimum and J^T W J there."""
-        normal = np.zeros((len(theta), len(theta)))
-        linear = hold_delay or "dead_time" not in self.effects
-        most, direction = LARGEST_STEP_S, 0.0
-        for _ in range(1 if linear else steps):
-            normal[:], gradient = 0.0, np.zeros(len(theta))
-            for terms in self.terms(theta):
-                for axis in range(3):
-                    jacobian = self.jacobian(terms, theta, axis, hold_delay)
-                    error = terms.acceleration[:, axis] - self.model(terms, theta, axis)
-                    white = noise[axis].whiten(np.column_stack([jacobian, error]))
-                    normal += white[:, :-1].T @ white[:, :-1] / noise[axis].variance
-                    gradient += white[:, :-1].T @ white[:, -1] / noise[axis].variance
-            change = inverse(normal) @ gradient
-            if not linear:
-                place = self.place["dead_time"]
-                if change[place] * direction < 0.0:
-                    most *= 0.5  # it steps to and fro over the minimum
-                direction = float(change[place])
-                wanted = theta[place] + np.clip(change[place], -most, most)
-                change[place] = np.clip(wanted, 0.0, LONGEST_DELAY_S) - theta[place]
-            theta = theta + change
-            if np.all(np.abs(change) * np.sqrt(np.diag(normal)) < 1e-3):
-                break
-        return theta, normal
-
-    def cross_talk(self, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
-        """Axes whose rate answers to another axis's torque as well: rotors in other places."""
-        lines = []
-        for axis, name in enumerate(AXES):
-            normal, gradient = np.zeros((3, 3)), np.zeros(3)
-            for terms in self.terms(theta):
-                white = noise[axis].whiten(
-                    np.column_stack([terms.base, terms.acceleration[:, axis]])
-                )
-                normal += white[:, :3].T @ white[:, :3] / noise[axis].variance
-                gradient += white[:, :3].T @ white[:, 3] / noise[axis].variance
-            covariance = inverse(normal)
-            gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
-            for other in {0, 1, 2} - {axis}:
-                large = abs(gain[other]) > CROSS_TALK * abs(gain[axis])
-                if large and abs(gain[other]) > 5 * error[other]:
-                    lines.append(
-                        f"{name} turns with the torque about {AXES[other]} as well"
-                        f" ({gain[other] / gain[axis]:+.0%}): is the profile's configuration"
-                        f" '{self.vehicle.configuration}' the craft's?"
-                    )
-        return lines
-
-    def hints(self, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
-        """Effects that were not fitted along although the prediction errors show them clearly."""
-        lines = []
-        for name in FIT_WITH:
-            if name in self.effects:
-                continue
-            wider = _Problem(self.stretches, self.vehicle, (*self.effects, name), self.tied)
-            start = np.append(theta, 0.0)
-            after, normal = wider.minimise(start, noise, steps=1)
-            error = float(np.sqrt(inverse(normal)[-1, -1]))
-            if abs(after[-1]) > CLEAR * error:
-                lines.append(f"the data clearly show {name}; fit it along: --with {name}")
-        return lines
-
-    def jacobian(self, terms: Terms, theta: Array, axis: int, hold_delay: bool) -> Array:
-        columns = np.zeros((len(terms.base), len(theta)))
-        columns[:, self.base[axis]] = terms.base[:, axis]
-        for name, column in terms.effects.items():
-            columns[:, self.place[name]] = column[:, axis]
-        if "dead_time" in self.effects and not hold_delay:
-            columns[:, self.place["dead_time"]] = theta[self.base[axis]] * terms.slope[:, axis]
-        return columns
-
-
-def _require_excited(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
-    period = stretches[0].run.period_s
-    for stretch in stretches:
-        if abs(stretch.run.period_s / period - 1) > 0.01:
-            raise BadInputError(
-                f"{stretch.run.name}: {1 / stretch.run.period_s:.0f} rows a second, others"
-                f" {1 / period:.0f}; the noise model needs one rate: fit them apart"
-            )
-        terms = terms_of(stretch, vehicle, 0.0, ())
-        for axis, name in enumerate(AXES):
-            if np.ptp(terms.base[:, axis]) == 0.0 or np.ptp(terms.acceleration[:, axis]) == 0.0:
-                raise BadInputError(
-                    f"{stretch.run.name}: torque or rate about {name} is constant;"
-                    " fly, and move all three axes"
-                )
-
-
-def _require_told(
-    problem: _Problem, theta: Array, covariance: Array, stretches: Sequence[Stretch]
-) -> None:
-    """A constant that may as well be zero is no model."""
-    for axis, place in zip(AXES, problem.base, strict=True):
-        error = float(np.sqrt(covariance[place, place]))
-        if not np.isfinite(theta[place]) or error > UNKNOWN * abs(theta[place]):
-            names = ", ".join(sorted({stretch.run.name for stretch in stretches}))
-            raise BadInputError(
-                f"{names}: torque does not show in the rate about {axis} (its constant is"
-                f" {theta[place]:.3g} +- {error:.2g}); was the craft free to turn, and is the"
-                " vehicle profile the right one?"
-            )
-
-
-def _delay(theta: Array, problem: _Problem) -> float:
-    place = problem.place.get("dead_time")
-    return 0.0 if place is None else float(theta[place])
-
-
-def _vertical(stretches: Sequence[Stretch], delay_s: float) -> tuple[Array, Array]:
-    """Measured specific force along z (m/s^2) and the sum of squared rotor speeds behind it."""
-    measured, modelled = [], []
-    for stretch in stretches:
-        force = stretch.run.accelerometer[stretch.rows, 2]
-        if np.isfinite(force).all():
-            late = np.arange(stretch.first, stretch.last) - delay_s / stretch.run.period_s
-            total = stretch.squares.end.sum(axis=1)
-            measured.append(force)
-            modelled.append(np.interp(late, np.arange(len(total)), total))
-    if not measured:
-        return np.empty(0), np.empty(0)
-    return np.concatenate(measured), np.concatenate(modelled)
-
-
-def _thrust(stretches: Sequence[Stretch], delay_s: float) -> tuple[float, float]:
+    model: BodyTerms,
+    values: dict[str, float],
+    motor: MotorConstants | None = None,
+) -> tuple[float, float]:
     """thrust_per_mass and its standard error.
 
     Plain least squares through the origin, so that the mean counts, which is known best; its
     error allows for slow disturbances (climbs, drag), which a noise model would take for signal.
+
+    Raises BadInputError where no stretch has an accelerometer.
     """
-    measured, squares = _vertical(stretches, delay_s)
+    measured, squares = vertical(stretches, model, values, motor)
     if not len(measured):
         names = ", ".join(sorted({s.run.name for s in stretches}))
         raise BadInputError(f"{names}: no accelerometer, so thrust_per_mass cannot be fitted")
@@ -388,41 +141,164 @@ def _thrust(stretches: Sequence[Stretch], delay_s: float) -> tuple[float, float]
     return value, float(np.sqrt(covariance[0, 0]))
 
 
+def vertical(
+    stretches: Sequence[Stretch],
+    model: BodyTerms,
+    values: dict[str, float],
+    motor: MotorConstants | None = None,
+) -> tuple[Array, Array]:
+    """Measured specific force along z (m/s^2) and the sum of squared rotor speeds behind it."""
+    measured, modelled = [], []
+    for stretch in stretches:
+        force = stretch.run.accelerometer[stretch.rows, 2]
+        if np.isfinite(force).all():
+            delay = values.get("dead_time.delay_s", 0.0)
+            late = np.arange(stretch.first, stretch.last) - delay / stretch.run.period_s
+            strength = np.ones(4)
+            strength[model.rotor] += values.get("rotor_mismatch.excess", 0.0)
+            total = model.squares(stretch, values, motor).end @ strength
+            measured.append(force)
+            modelled.append(np.interp(late, np.arange(len(total)), total))
+    if not measured:
+        return np.empty(0), np.empty(0)
+    return np.concatenate(measured), np.concatenate(modelled)
+
+
+def require_usable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+    """Raises BadInputError for mixed rates, and for a torque or a rate that never changes."""
+    period = stretches[0].run.period_s
+    model = BodyTerms(vehicle, 1.0)
+    unit = {"c0": 1.0, "c1": 1.0, "c2": 1.0}
+    for stretch in stretches:
+        if abs(stretch.run.period_s / period - 1) > 0.01:
+            raise BadInputError(
+                f"{stretch.run.name}: {1 / stretch.run.period_s:.0f} rows a second, others"
+                f" {1 / period:.0f}; the noise model needs one rate: fit them apart"
+            )
+        torque, turned = model.acceleration(stretch, unit), measured_acceleration(stretch)
+        for axis, name in enumerate(AXES):
+            if np.ptp(torque[:, axis]) == 0.0 or np.ptp(turned[:, axis]) == 0.0:
+                raise BadInputError(
+                    f"{stretch.run.name}: torque or rate about {name} is constant;"
+                    " fly, and move all three axes"
+                )
+
+
+def _best_start(
+    stretches: Sequence[Stretch],
+    vehicle: Vehicle,
+    thrust: float,
+    effects: tuple[str, ...],
+    tied: bool,
+) -> tuple[BodyProblem, Array]:
+    """The problem and where its search begins; a mismatched rotor is the one that fits best."""
+    found = []
+    for rotor in range(4 if "rotor_mismatch" in effects else 1):
+        problem = BodyProblem(stretches, vehicle, thrust, effects, tied, rotor)
+        theta = problem.start()
+        found.append((problem, theta))
+    if len(found) == 1:
+        return found[0]
+    noise = found[0][0].noise(found[0][1])  # one for all, or each would be judged by its own
+    costs = [problem.cost(problem.minimise(theta, noise)[0], noise) for problem, theta in found]
+    best = int(np.argmin(costs))
+    return found[best]
+
+
+def _require_told(problem: BodyProblem, theta: Array, covariance: Array) -> None:
+    """A constant that may as well be zero is no model."""
+    for name, axis in zip(
+        problem.names, ("roll and pitch", "yaw") if problem.tied else AXES, strict=False
+    ):
+        place = problem.names.index(name)
+        error = float(np.sqrt(covariance[place, place]))
+        if not np.isfinite(theta[place]) or error > UNKNOWN * abs(theta[place]):
+            names = ", ".join(sorted({stretch.run.name for stretch in problem.stretches}))
+            raise BadInputError(
+                f"{names}: torque does not show in the rate about {axis} (its constant is"
+                f" {theta[place]:.3g} +- {error:.2g}); was the craft free to turn, and is the"
+                " vehicle profile the right one?"
+            )
+
+
 def _outcome(
-    problem: _Problem,
+    problem: BodyProblem,
     theta: Array,
-    covariance: Array,
-    thrust: tuple[float, float],
+    normal: Array,
     noise: Sequence[NoiseModel],
+    motor_covariance: Array | None,
 ) -> BodyFit:
-    value, stderr = thrust
-    c0, c1, c2 = (float(theta[place]) for place in problem.base)
+    values = problem.values(theta)
     size = len(theta)
-    total = np.zeros((size + 1, size + 1))
-    total[:size, :size], total[size, size] = covariance, stderr**2
-    names = (*problem.names, "thrust_per_mass")
+    thrust, thrust_error = fit_thrust(problem.stretches, problem.model, values)
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size], covariance[size, size] = inverse(normal), thrust_error**2
+    own = np.diag(covariance).copy()
+    if motor_covariance is not None and problem.stretches[0].motor is not None:
+        slopes = _by_motor(problem, theta, normal, noise)
+        covariance += slopes @ motor_covariance @ slopes.T
+    names, found, scale = _reported((*problem.names, "thrust_per_mass"), np.append(theta, thrust))
     rows = sum(len(stretch) for stretch in problem.stretches)
-    estimates = Estimates(names, np.append(theta, value), total, rows - size)
+    estimates = Estimates(names, found, covariance * np.outer(scale, scale), rows - size)
     period = problem.stretches[0].run.period_s
-    innovation = np.asarray(period * np.sqrt([one.variance for one in noise]), np.float64)
     return BodyFit(
-        BodyConstants(c0, c1, c2, value),
+        BodyConstants(values["c0"], values["c1"], values["c2"], thrust),
         estimates,
         problem.effects,
+        problem.model,
+        values,
         tuple(noise),
-        innovation,
+        np.asarray(period * np.sqrt([one.variance for one in noise]), np.float64),
+        1.0 - own / np.maximum(np.diag(covariance), 1e-300),
         (
-            *_warnings(estimates),
-            *problem.cross_talk(theta, noise),
-            *problem.hints(theta, noise),
+            *_warnings(estimates, problem),
+            *_cross_talk(problem, theta, noise),
+            *_hints(problem, theta, noise),
         ),
     )
 
 
-def _warnings(estimates: Estimates) -> tuple[str, ...]:
+def _by_motor(
+    problem: BodyProblem, theta: Array, normal: Array, noise: Sequence[NoiseModel]
+) -> Array:
+    """How the estimates (p + 1) move with the motor's a0, a1, a2: (p + 1, 3)."""
+    motor = problem.stretches[0].motor
+    assert motor is not None
+    _, shift = problem.normal_equations(
+        problem.slopes(theta), [-one for one in problem.motor_slopes(theta, motor)], noise
+    )
+    values = problem.values(theta)
+    thrust = [
+        (
+            fit_thrust(problem.stretches, problem.model, values, one)[0]
+            - fit_thrust(problem.stretches, problem.model, values, other)[0]
+        )
+        / step
+        for one, other, step in motor_steps(motor)
+    ]
+    problem.model.forget()
+    return np.vstack([inverse(normal) @ shift, thrust])
+
+
+def _reported(names: tuple[str, ...], theta: Array) -> tuple[tuple[str, ...], Array, Array]:
+    """Names and values as models hold them, and the derivative of each by the fit's own."""
+    found, scale = theta.copy(), np.ones(len(theta))
+    if "gyro_low_pass.lag_s" in names:
+        place = names.index("gyro_low_pass.lag_s")
+        lag = max(float(theta[place]), LEAST_LAG_S)
+        found[place] = 1 / (2 * math.pi * lag)
+        scale[place] = -1 / (2 * math.pi * lag**2)
+        names = tuple(
+            "gyro_low_pass.bandwidth_hz" if i == place else n for i, n in enumerate(names)
+        )
+    return names, found, scale
+
+
+def _warnings(estimates: Estimates, problem: BodyProblem) -> list[str]:
     lines = []
     moved = {"c0": "roll", "c1": "pitch", "c2": "yaw"}
     for name, value, error in zip(estimates.names, estimates.values, estimates.stderr, strict=True):
+        effect, dot, parameter = name.partition(".")
         if name in moved and error > WELL_KNOWN * abs(value):
             lines.append(
                 f"{moved[name]} is hardly excited: {name} is uncertain by"
@@ -433,4 +309,82 @@ def _warnings(estimates: Estimates) -> tuple[str, ...]:
                 f"{name} came out negative: motors, axes or configuration are not those of the"
                 " vehicle profile"
             )
-    return tuple(lines)
+        elif dot:
+            known = EFFECTS[effect].parameter(parameter)
+            outside = max(known.low - value, value - known.high, 0.0)
+            if outside > 2 * error and abs(value - known.absent) > 2 * error:
+                lines.append(
+                    f"{name} is {value:.3g} +- {error:.2g} {known.unit}, outside the plausible"
+                    f" {known.low:g} to {known.high:g}: something else may be missing"
+                )
+    correlation = estimates.correlation
+    for i, one in enumerate(estimates.names):
+        for j, other in enumerate(estimates.names[:i]):
+            if "." in one + other and abs(correlation[i, j]) > ALIKE:
+                lines.append(
+                    f"{other} and {one} are told only together (correlation"
+                    f" {correlation[i, j]:+.2f}){_separation(one, other)}"
+                )
+    return lines
+
+
+def _separation(one: str, other: str) -> str:
+    """What to fly to tell two effects apart, where the catalogue knows."""
+    first, second = one.partition(".")[0], other.partition(".")[0]
+    for effect, rival in ((first, second), (second, first)):
+        for confusion in EFFECTS[effect].confused_with if effect in EFFECTS else ():
+            if confusion.other == rival:
+                return f"; {confusion.manoeuvre}"
+    return ""
+
+
+def _cross_talk(problem: BodyProblem, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
+    """Axes whose rate answers to another axis's torque as well: rotors in other places."""
+    lines = []
+    model = BodyTerms(problem.vehicle, problem.model.thrust_n / problem.vehicle.mass_kg)
+    values = problem.values(theta)
+    unit = dict.fromkeys(("c0", "c1", "c2"), 1.0)
+    if "dead_time" in problem.effects:
+        unit["dead_time.delay_s"] = values["dead_time.delay_s"]
+    bases = [model.acceleration(stretch, unit) for stretch in problem.stretches]
+    errors = problem.residuals(theta)
+    for axis, name in enumerate(AXES):
+        normal, gradient = np.zeros((3, 3)), np.zeros(3)
+        for base, left in zip(bases, errors, strict=True):
+            white = noise[axis].whiten(np.column_stack([base, left[:, axis]]))
+            normal += white[:, :3].T @ white[:, :3] / noise[axis].variance
+            gradient += white[:, :3].T @ white[:, 3] / noise[axis].variance
+        covariance = inverse(normal)
+        gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
+        own = values[f"c{axis}"] + gain[axis]
+        lines += [
+            f"{name} turns with the torque about {AXES[other]} as well"
+            f" ({gain[other] / own:+.0%}): is the profile's configuration"
+            f" '{problem.vehicle.configuration}' the craft's?"
+            for other in {0, 1, 2} - {axis}
+            if abs(gain[other]) > max(CROSS_TALK * abs(own), 5 * error[other])
+        ]
+    return lines
+
+
+def _hints(problem: BodyProblem, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
+    """Effects that were not fitted along although the prediction errors show them clearly."""
+    lines = []
+    for name in HINTS:
+        if name in problem.effects:
+            continue
+        wider = BodyProblem(
+            problem.stretches,
+            problem.vehicle,
+            problem.model.thrust_n / problem.vehicle.mass_kg,
+            (*problem.effects, name),
+            problem.tied,
+            problem.rotor,
+        )
+        wider.most[:] = np.inf
+        start = np.append(theta, wider.first[-1])
+        after, normal = wider.minimise(start, noise, steps=1)
+        error = float(np.sqrt(inverse(normal)[-1, -1]))
+        if abs(after[-1]) > CLEAR * error:
+            lines.append(f"the data clearly show {name}; fit it along: --with {name}")
+    return lines

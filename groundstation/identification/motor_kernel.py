@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 
@@ -45,6 +46,52 @@ def motor_sensitivities(
         sensitivity[k, 2], sensitivity[k, 3] = s2, s3
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def flawed_sensitivities(
+    constants: Any, voltage: Any, period: float, start: float, speed: Any, sensitivity: Any
+) -> None:
+    """The same with motor_dead_voltage and motor_braking_asymmetry.
+
+    constants: a0, a1, a2, dead voltage (mV), factor. sensitivity (k, 6): two more columns, by
+    the voltage and by the factor.
+    """
+    a0, a1, a2, dead, factor = constants[0], constants[1], constants[2], constants[3], constants[4]
+    n = start
+    s = np.zeros(6)
+    s[3] = 1.0
+    speed[0] = n
+    sensitivity[0] = s
+    m, slope, gain, g, f = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
+    h = period
+    for k in range(1, len(voltage)):
+        u = max(voltage[k] - dead, 0.0) if voltage[k] > 0.0 else 0.0
+        for i in range(4):
+            reach = 0.0 if i == 0 else (h if i == 3 else 0.5 * h)
+            m[i] = n + reach * slope[i - 1] if i else n
+            free = a0 * u - (a1 + a2 * m[i]) * m[i]
+            gain[i] = factor if free < 0.0 else 1.0
+            slope[i] = gain[i] * free
+            g[i] = gain[i] * (a1 + 2.0 * a2 * m[i])
+        for j in range(6):
+            for i in range(4):
+                if j == 0:
+                    f[i] = gain[i] * u
+                elif j == 1:
+                    f[i] = -gain[i] * m[i]
+                elif j == 2:
+                    f[i] = -gain[i] * m[i] * m[i]
+                elif j == 3:
+                    f[i] = 0.0
+                elif j == 4:
+                    f[i] = -gain[i] * a0 if u > 0.0 else 0.0
+                else:
+                    f[i] = slope[i] / factor if slope[i] < 0.0 else 0.0
+            s[j] = _step(s[j], h, g[0], g[1], g[2], g[3], f[0], f[1], f[2], f[3])
+        n += h / 6.0 * (slope[0] + 2.0 * (slope[1] + slope[2]) + slope[3])
+        speed[k] = n
+        sensitivity[k] = s
+
+
 @njit(nogil=True, error_model="numpy", inline="always")
 def _step(
     s: float,
@@ -73,17 +120,19 @@ def motor_normal_equations(
     weight: Any,
     lag: Any,
     delay: float,
-    offset: int,
+    places: Any,
     normal: Any,
     gradient: Any,
 ) -> float:
     """Add one run's J^T W J and J^T W e; returns its weighted sum of squared errors.
 
-    Parameters: a0, a1, a2, the common delay (rows), and at index ``offset`` the run's initial
-    speed. lag: (k,) rows by which each measurement is older than its row, before the delay.
+    places: (m + 1,) where among the parameters each of the m sensitivities belongs, then the
+    common delay (rows). lag: (k,) rows by which each measurement is older than its row, before
+    the delay.
     """
     total = 0.0
-    last = len(speed) - 1
+    last, count = len(speed) - 1, len(places)
+    row = np.empty(count)
     for k in range(len(speed)):
         if weight[k] == 0.0:
             continue
@@ -92,18 +141,52 @@ def motor_normal_equations(
         share = place - i
         change = speed[i + 1] - speed[i]
         error = measured[k] - (speed[i] + share * change)
-        row = (
-            sensitivity[i, 0] + share * (sensitivity[i + 1, 0] - sensitivity[i, 0]),
-            sensitivity[i, 1] + share * (sensitivity[i + 1, 1] - sensitivity[i, 1]),
-            sensitivity[i, 2] + share * (sensitivity[i + 1, 2] - sensitivity[i, 2]),
-            -change,
-            sensitivity[i, 3] + share * (sensitivity[i + 1, 3] - sensitivity[i, 3]),
-        )
+        for a in range(count - 1):
+            row[a] = sensitivity[i, a] + share * (sensitivity[i + 1, a] - sensitivity[i, a])
+        row[count - 1] = -change
         w = weight[k]
         total += w * error * error
-        for a in range(5):
-            at = a if a < 4 else offset
-            gradient[at] += w * row[a] * error
-            for b in range(5):
-                normal[at, b if b < 4 else offset] += w * row[a] * row[b]
+        for a in range(count):
+            part = w * row[a]
+            gradient[places[a]] += part * error
+            for b in range(a + 1):
+                normal[places[a], places[b]] += part * row[b]
+    for a in range(count):
+        for b in range(a):
+            normal[places[b], places[a]] = normal[places[a], places[b]]
     return total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def braked_run(
+    constants: Any, voltage: Any, period: float, start: Any, speed: Any, square: Any
+) -> None:
+    """Motors (a0, a1, a2, factor) whose negative dn/dt is multiplied by the factor.
+
+    voltage: (k, motors), row i acts from sample i to i + 1. Fills speed (k + 1, motors) and
+    square (k, motors), the mean square over a period. Runge-Kutta of order 4, two steps a period.
+    """
+    a0, a1, a2, factor = constants[0], constants[1], constants[2], constants[3]
+    h = 0.5 * period
+    for i in range(voltage.shape[1]):
+        n = start[i]
+        speed[0, i] = n
+        for k in range(voltage.shape[0]):
+            push, total = a0 * voltage[k, i], 0.0
+            for _ in range(2):
+                s1 = _braked(push - (a1 + a2 * n) * n, factor)
+                n2 = n + 0.5 * h * s1
+                s2 = _braked(push - (a1 + a2 * n2) * n2, factor)
+                n3 = n + 0.5 * h * s2
+                s3 = _braked(push - (a1 + a2 * n3) * n3, factor)
+                n4 = n + h * s3
+                s4 = _braked(push - (a1 + a2 * n4) * n4, factor)
+                total += n * n + 2.0 * (n2 * n2 + n3 * n3) + n4 * n4
+                n += h / 6.0 * (s1 + 2.0 * (s2 + s3) + s4)
+            speed[k + 1, i] = n
+            square[k, i] = total / 12.0
+
+
+@njit(nogil=True, error_model="numpy", inline="always")
+def _braked(slope: float, factor: float) -> float:
+    return slope * factor if slope < 0.0 else slope

@@ -30,7 +30,8 @@ class Run:
     duty: (n, 4), 0..1, acted from the row before to this one. supply_v: (n,) as reported.
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad.
     rotor_rev_s: (n, 4) measured speeds. debug_s: (n,) half a rotor revolution on the motor bench,
-    in seconds. start_s: device time of the first row. A channel that is not there is NaN.
+    in seconds. start_s: device time of the first row; recording_start_s: of the recording's. A
+    channel that is not there is NaN.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Run:
     attitude: Array
     rotor_rev_s: Array
     debug_s: Array
+    recording_start_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.duty)
@@ -65,7 +67,8 @@ class Run:
         return replace(self, start_s=self.start_s + first * self.period_s, **parts)
 
 
-CHANNELS = tuple(f.name for f in fields(Run) if f.name not in ("name", "start_s", "period_s"))
+SCALARS = ("name", "start_s", "period_s", "recording_start_s")
+CHANNELS = tuple(f.name for f in fields(Run) if f.name not in SCALARS)
 
 
 def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[Run]:
@@ -103,7 +106,8 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
             continue
         period = float((time[last - 1] - time[first]) / (last - first - 1))
         parts = {key: np.asarray(values[first:last], np.float64) for key, values in columns.items()}
-        runs.append(Run(label, float(time[first]), period, **parts))
+        start = float(time[first])
+        runs.append(Run(label, start, period, **parts, recording_start_s=float(time[0])))
     if not runs:
         raise BadInputError(
             f"{label}: the longest uninterrupted stretch lasts {longest * usual:.2f} s, at least"

@@ -34,11 +34,19 @@ class RotorSquares:
         return np.asarray(self.square @ MIXERS[configuration].T)
 
 
-def rotor_squares(run: Run, motor: MotorConstants, measured: bool = False) -> RotorSquares:
+def rotor_squares(
+    run: Run,
+    motor: MotorConstants,
+    measured: bool = False,
+    *,
+    dead_mv: float = 0.0,
+    braking: float = 1.0,
+) -> RotorSquares:
     """Squared rotor speeds by simulating the motors, or from measured speeds.
 
     The motors start settled at the first row's voltage; what is wrong with that is gone after
-    half a second.
+    half a second. dead_mv, braking: motor_dead_voltage and motor_braking_asymmetry; a negative
+    voltage, which a search may try, is one that comes on top.
 
     Raises BadInputError where duty or battery voltage (or the measured speed) are missing, and
     where the motors are saturated throughout.
@@ -60,6 +68,22 @@ def rotor_squares(run: Run, motor: MotorConstants, measured: bool = False) -> Ro
             f"{run.name}: a motor is saturated in more than half of the rows; the torque does not"
             " follow the control there: fly with less thrust or a full battery"
         )
-    start = np.array([motor.steady_rev_s(value) for value in voltage[0]])
-    speed, square = simulate_motor(motor, voltage[1:], run.period_s, start)
+    driving = np.where(voltage > 0.0, np.maximum(voltage - dead_mv, 0.0), 0.0)
+    start = np.array([motor.steady_rev_s(value) for value in driving[0]])
+    if braking == 1.0:
+        speed, square = simulate_motor(motor, driving[1:], run.period_s, start)
+    else:
+        speed, square = _braked(motor, driving[1:], run.period_s, start, braking)
     return RotorSquares(np.vstack([start**2, square]), speed**2)
+
+
+def _braked(
+    motor: MotorConstants, voltage: Array, period_s: float, start: Array, braking: float
+) -> tuple[Array, Array]:
+    """As ``simulate_motor``, deceleration times ``braking``."""
+    from groundstation.identification.motor_kernel import braked_run
+
+    speed, square = np.empty((len(voltage) + 1, len(start))), np.empty_like(voltage)
+    constants = np.array([motor.a0, motor.a1, motor.a2, braking])
+    braked_run(constants, voltage, period_s, start, speed, square)
+    return speed, square

@@ -9,9 +9,7 @@ from groundstation.dynamics.model import THESIS, ArxAxis
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.arx import (
-    ArxData,
     Criterion,
-    arx_data,
     free_run_rms,
     plausible_step,
     prediction_rms,
@@ -19,6 +17,7 @@ from groundstation.identification.arx import (
     search_arx,
     to_control,
 )
+from groundstation.identification.arx_data import ArxData, arx_data
 from groundstation.identification.arx_kernel import steps_ahead
 from groundstation.identification.residual_tests import cross_correlation_test, whiteness_test
 from groundstation.identification.runs import flying, hold_out, runs_of

@@ -9,13 +9,13 @@ from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.motor import (
-    MotorRun,
     bench_run,
     fit_motor,
     measured_run,
     simulate_run,
     validate_motor,
 )
+from groundstation.identification.motor_problem import MotorRun
 from groundstation.identification.rotor_speed import speed_from_gate
 from groundstation.identification.runs import runs_of
 from groundstation.identification.supply import fit_motor_and_supply

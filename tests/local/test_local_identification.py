@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body import fit_body, validate_body
-from groundstation.identification.body_terms import split, stretches_of
+from groundstation.identification.body import fit_body
+from groundstation.identification.body_validation import validate_body
 from groundstation.identification.motor import fit_motor, measured_run, validate_motor
 from groundstation.identification.runs import hold_out, runs_of
+from groundstation.identification.stretches import split, stretches_of
 from groundstation.recording.open_recording import open_recording
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")
@@ -52,7 +53,7 @@ def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, measured
     motor = fit_motor([measured_run(run, k) for run in flights for k in range(4)]).motor
     fit_on, held = split(stretches_of(flights, motor, measured))
     fit = fit_body(fit_on, vehicle, ("dead_time",))
-    figures = validate_body(held, fit, vehicle)
+    figures = validate_body(held, fit)
     print(fit.body, f"delay {fit.delay_s * 1e3:.2f} ms", figures)
     assert min(fit.body.c0, fit.body.c1, fit.body.c2) > 0
     assert 0.001 < fit.delay_s < 0.006

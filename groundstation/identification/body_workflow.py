@@ -1,0 +1,215 @@
+"""From flights to a model with its body and the effects fitted along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.model import EffectTerm, Estimate, Model
+from groundstation.dynamics.vehicle import Vehicle
+from groundstation.errors import BadInputError
+from groundstation.identification.body import BodyFit, fit_body, vertical
+from groundstation.identification.body_problem import AXES
+from groundstation.identification.body_terms import FIT_WITH, SUPPLY_EFFECTS, BodyTerms
+from groundstation.identification.body_validation import (
+    SHAKEN_S,
+    fit_free_run,
+    predicted_rates,
+    prediction_errors,
+    prediction_residuals,
+    validate_body,
+)
+from groundstation.identification.evidence import (
+    Evidence,
+    Identified,
+    Progress,
+    ResidualTest,
+    Trace,
+    effect_terms,
+    fitted_effects,
+    liveliest,
+    residual_test,
+    silent,
+    unit_of,
+    with_effects,
+)
+from groundstation.identification.excitation import body_excitation
+from groundstation.identification.runs import Run
+from groundstation.identification.segments import EVERYTHING, Selection
+from groundstation.identification.stretches import Stretch, split, stretches_of
+from groundstation.identification.supply import SupplyEstimate, supply_terms, undo_supply
+
+Array = NDArray[np.float64]
+
+AHEAD_S, DRAWN_S = 0.02, 3.0
+
+
+def identify_body(
+    runs: Sequence[Run],
+    held: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    effects: Sequence[str] = (),
+    tie_roll_pitch: bool = False,
+    measured: bool = False,
+    selection: Selection = EVERYTHING,
+    progress: Progress = silent,
+) -> Identified:
+    """c0, c1, c2, thrust_per_mass and the effects fitted along, from flights.
+
+    before: the motor, with its covariance where it was identified, and effects that act already:
+    what this fit knows of them is fitted again. held: what no fit sees (none: the last third).
+    measured: recorded rotor speeds instead of the motor model.
+    """
+    names = fitted_effects(effects, before, FIT_WITH)
+    supplied = [name for name in names if name in SUPPLY_EFFECTS]
+    if supplied and measured:
+        raise BadInputError(
+            f"--with {', '.join(supplied)}: with measured rotor speeds the supply does not matter"
+        )
+    progress(0.0, "simulating the motors")
+    stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
+    if held:
+        fit_on = stretches
+        validate_on, _ = _stretches(held, before, vehicle, supplied, measured, selection)
+    else:
+        fit_on, validate_on = split(stretches)
+    progress(0.2, "looking at the excitation")
+    judged = body_excitation(fit_on, vehicle, names, tie_roll_pitch)
+    progress(0.3, "fitting the body")
+    covariance = None if measured else motor_covariance(before)
+    fit = fit_body(fit_on, vehicle, names, tie_roll_pitch, covariance)
+    progress(0.8, "judging it on held-out data")
+    naive = fit_free_run(fit_on, vehicle)
+    traces, residuals = _pictures(validate_on, fit)
+    warnings = [*judged.lines, *fit.warnings]
+    if covariance is None and not measured:
+        warnings.append(
+            "the motor's constants are taken as exact: give a --model whose motor was fitted, and"
+            " its uncertainty counts as well"
+        )
+    account: dict[str, Any] = {
+        "what": "body",
+        "method": "prediction error, autoregressive noise",
+        "rotor_speed": "measured" if measured else "modelled",
+        "samples": sum(len(stretch) for stretch in fit_on),
+        "selection": str(selection),
+        "excitation": judged.as_dict(),
+        "estimates": fit.estimates.as_dict(),
+        "variance_share_of_motor": fit.motor_share.tolist(),
+        "identification": validate_body(fit_on, fit),
+        "validation": validate_body(validate_on, fit),
+        "roll_and_pitch_swapped": _swapped(validate_on, fit),
+        "residual_tests": {one.channel: one.as_dict() for one in residuals},
+        "naive_free_run": dict(zip(("c0", "c1", "c2"), naive.tolist(), strict=True)),
+        "supply": [
+            {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
+        ],
+        "warnings": warnings,
+    }
+    terms = [*_terms(fit), *supply_terms(supplied, supplies, _profile(before, vehicle))]
+    model = msgspec.structs.replace(before, body=fit.body, effects=with_effects(before, terms))
+    return Identified(model, account, Evidence({"body": fit.estimates}, traces, residuals))
+
+
+def motor_covariance(model: Model) -> Array | None:
+    """Covariance (3, 3) of a0, a1, a2, where the model says how its motor was identified."""
+    estimates = model.fit.get("motor", {}).get("estimates", {})
+    if not {"a0", "a1", "a2"} <= set(estimates.get("names", ())):
+        return None
+    places = [estimates["names"].index(name) for name in ("a0", "a1", "a2")]
+    return np.asarray(estimates["covariance"], np.float64)[np.ix_(places, places)]
+
+
+def _stretches(
+    runs: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    supplied: Sequence[str],
+    measured: bool,
+    selection: Selection,
+) -> tuple[list[Stretch], list[SupplyEstimate]]:
+    supplies: list[SupplyEstimate] = []
+    if supplied:
+        runs, supplies = undo_supply(runs, before.motor, _profile(before, vehicle), supplied)
+    return stretches_of(runs, before.motor, measured, selection), supplies
+
+
+def _profile(before: Model, vehicle: Vehicle) -> Vehicle:
+    """The profile, with the wires' resistance of the model where it has one."""
+    for term in before.effects:
+        if term.name == "supply_sag":
+            ohm = term.parameters["resistance_ohm"].value
+            battery = msgspec.structs.replace(vehicle.battery, supply_ohm=ohm)
+            return msgspec.structs.replace(vehicle, battery=battery)
+    return vehicle
+
+
+def _terms(fit: BodyFit) -> list[EffectTerm]:
+    """Effects as models hold them; a mismatched rotor by its number."""
+    found = []
+    for term in effect_terms(fit.estimates, unit_of):
+        if term.name == "rotor_mismatch":
+            rotor = Estimate(float(fit.model.rotor + 1), None, "")
+            term = EffectTerm(term.name, {"rotor": rotor, **term.parameters})
+        found.append(term)
+    return found
+
+
+def _swapped(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
+    """RMS 20 ms ahead (rad/s) of roll's constant on pitch data and the reverse (Table 7.2)."""
+    values = {**fit.values, "c0": fit.values["c1"], "c1": fit.values["c0"]}
+    errors = prediction_errors(stretches, fit.model, values, AHEAD_S)
+    return {"roll_model_on_pitch": float(errors[1]), "pitch_model_on_roll": float(errors[0])}
+
+
+def _pictures(stretches: Sequence[Stretch], fit: BodyFit) -> tuple[list[Trace], list[ResidualTest]]:
+    """Rates predicted 20 ms ahead where they are liveliest, vertical force, and residuals."""
+    stretch = max(stretches, key=len)
+    period = stretch.run.period_s
+    measured, predicted = predicted_rates(stretch, fit.model, fit.values, AHEAD_S)
+    first = stretch.last - len(measured)
+    time = stretch.run.time_s[first : stretch.last] - stretch.run.recording_start_s
+    traces, residuals = [], []
+    for axis, name in enumerate(AXES):
+        rows = liveliest(measured[:, axis], period, DRAWN_S)
+        traces.append(
+            Trace(
+                f"{name} rate",
+                "deg/s",
+                time[rows],
+                np.degrees(measured[rows, axis]),
+                np.degrees(predicted[rows, axis]),
+                f"predicted {AHEAD_S * 1e3:.0f} ms ahead",
+            )
+        )
+    force, squares = vertical([stretch], fit.model, fit.values)
+    if len(force):
+        rows = liveliest(squares, period, 2 * DRAWN_S)
+        width = max(1, round(SHAKEN_S / period))
+        force, squares = (
+            np.convolve(one, np.ones(width) / width, "same") for one in (force, squares)
+        )
+        traces.append(
+            Trace(
+                "vertical specific force",
+                "m/s^2",
+                stretch.run.time_s[stretch.rows][rows] - stretch.run.recording_start_s,
+                force[rows],
+                fit.body.thrust_per_mass * squares[rows],
+                "from the rotors alone; both averaged over 50 ms, as the rotors shake the sensor",
+            )
+        )
+    unit = dict.fromkeys(("c0", "c1", "c2"), 1.0)
+    torque = BodyTerms(fit.model.vehicle, 1.0).acceleration(stretch, unit)
+    left = prediction_residuals(stretch, fit)
+    for axis, name in enumerate(AXES):
+        good = np.isfinite(left[:, axis])
+        residuals.append(
+            residual_test(f"{name} rate", left[good, axis], f"{name} u'", torque[good, axis])
+        )
+    return traces, residuals

@@ -1,0 +1,280 @@
+"""The report of an identification: what was found, how sure it is, and what is left over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.dynamics.model import Model
+from groundstation.identification.estimate import Estimates
+from groundstation.identification.evidence import Evidence, ResidualTest, Step, Trace
+from groundstation.identification.residual_tests import CorrelationTest
+from groundstation.report.figure import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.report.page import Page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TITLES = {"motor": "Motor", "body": "Body", "arx": "ARX models"}
+
+
+def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
+    """The whole page. account: as the model file keeps it, with its recordings."""
+    names = ", ".join(one["file"] for one in account["recordings"])
+    page = Page(
+        f"{TITLES[account['what']]} of {model.vehicle}",
+        f"{account['method']}, {account['samples']} samples of {names}"
+        f" ({account['selection']}); made by {model.created_by}",
+    )
+    page.verdict(*_verdict(account, evidence))
+    if account["warnings"]:
+        page.heading("Warnings")
+        page.bullets(account["warnings"])
+    for title, estimates in evidence.estimates.items():
+        page.heading("Parameters" if len(evidence.estimates) == 1 else f"Parameters: {title}")
+        _parameters(page, estimates, account)
+    page.heading("Measured and modelled")
+    page.text("Rows that no fit has seen, where the channel moves most.")
+    for trace in evidence.traces:
+        page.figure(_trace(trace), f"{trace.channel}: {trace.note}.")
+    _held_out(page, account)
+    if evidence.steps:
+        page.heading("Step responses")
+        page.figure(
+            _steps(evidence.steps),
+            "Answer to a lasting unit torque. A free body must keep turning the way it is pushed:"
+            " broken lines do not. The chosen model is drawn thick.",
+        )
+    if account["what"] == "arx":
+        _tables(page, account)
+    page.heading("Residuals")
+    page.text(
+        "Correlation of what the model leaves with itself and with earlier inputs; 99 of 100"
+        " values lie inside the grey band where nothing is left to explain. In closed loop only"
+        " inputs from before count: later ones follow from the residual, through the controller."
+    )
+    for test in evidence.residuals:
+        page.figure(_residual(test), _residual_text(test))
+    page.heading("Recordings")
+    page.table(
+        ["file", "sha256", "used"],
+        [
+            *([one["file"], one["sha256"], "fitted"] for one in account["recordings"]),
+            *([one["file"], one["sha256"], "held out"] for one in _held_files(account)),
+        ],
+        "Held out: the last third of each." if not _held_files(account) else "",
+    )
+    return page
+
+
+def _verdict(account: dict[str, Any], evidence: Evidence) -> tuple[str, str]:
+    tests = evidence.residuals
+    failed = [one.channel for one in tests if not one.cross.passes]
+    left = (
+        f"; the input still shows in what is left of {', '.join(failed)}"
+        if failed
+        else "; nothing of the input is left in the residuals"
+    )
+    if account["what"] == "arx":
+        chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in account["axes"].items())
+        return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
+    (estimates,) = evidence.estimates.values()
+    base = [i for i, name in enumerate(estimates.names) if "." not in name and name != "delay_s"]
+    shares = 100 * estimates.stderr[base] / np.abs(estimates.values[base])
+    worst = int(np.argmax(shares))
+    text = (
+        f"The least certain constant is {estimates.names[base[worst]]}, known to"
+        f" {shares[worst]:.2g} % (standard error){left}."
+    )
+    if account["what"] == "motor":
+        fits = [one["rotor_fit_percent"] for one in account["validation"]]
+        text += f" Held out, the simulated speed fits by {min(fits):.1f} % or better."
+        return text, "good" if shares[worst] < 10 else "bad"
+    return text, "bad" if failed or shares[worst] > 5 else "good"
+
+
+def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> None:
+    expected = dict(
+        zip(
+            account.get("excitation", {}).get("names", ()),
+            account.get("excitation", {}).get("expected_stderr_percent", ()),
+            strict=True,
+        )
+    )
+    interval = estimates.interval()
+    rows = []
+    for i, name in enumerate(estimates.names):
+        value, error = float(estimates.values[i]), float(estimates.stderr[i])
+        rows.append(
+            [
+                name,
+                value,
+                error,
+                100 * error / abs(value) if value else None,
+                float(interval[i, 0]),
+                float(interval[i, 1]),
+                expected.get(name),
+            ]
+        )
+    page.table(
+        [
+            "parameter",
+            "value",
+            "standard error",
+            "%",
+            "95 % from",
+            "to",
+            "% expected before the fit",
+        ],
+        rows,
+        "Expected: from the recorded inputs and the noise of a black-box predictor, against the"
+        " profile's constants."
+        if expected
+        else "",
+    )
+    if len(estimates.names) > 1:
+        page.figure(
+            _correlation(estimates),
+            "Correlation of the estimates: near +1 or -1, the data tell the two only together.",
+        )
+
+
+def _held_out(page: Page, account: dict[str, Any]) -> None:
+    held, fitted = account.get("validation"), account.get("identification")
+    if isinstance(held, dict) and isinstance(fitted, dict):
+        rows = [[name.replace("_", " "), fitted.get(name), value] for name, value in held.items()]
+        page.table(
+            ["figure", "on the fitted rows", "held out"],
+            rows,
+            "Rates in rad/s, specific force in m/s^2. Fit %: 100 is perfect, 0 no better than"
+            " the mean.",
+        )
+    elif isinstance(held, list):
+        page.table(
+            ["held-out run", "fit %", "RMS, rev/s"],
+            [[one["recording"], one["rotor_fit_percent"], one["rotor_rms_rev_s"]] for one in held],
+        )
+    if "naive_free_run" in account:
+        page.table(
+            ["constant", "this fit", "naive fit of a free run"],
+            [
+                [name, float(value), account["naive_free_run"].get(name)]
+                for name, value in zip(
+                    account["estimates"]["names"], account["estimates"]["values"], strict=True
+                )
+                if name in account["naive_free_run"]
+            ],
+            "What fitting a free simulation to the flight would have found: in closed loop it"
+            " takes the controller's answer for the cause.",
+        )
+
+
+def _tables(page: Page, account: dict[str, Any]) -> None:
+    for axis, one in account["axes"].items():
+        page.heading(f"Structures: {axis}")
+        head = list(one["table"][0])
+        rows = [
+            [("yes" if cell else "no") if isinstance(cell, bool) else cell for cell in row.values()]
+            for row in one["table"]
+        ]
+        page.table(
+            [name.replace("_", " ") for name in head],
+            rows,
+            f"The best by free run on held-out data; chosen: {one['chosen']}.",
+        )
+    other = account["other_axis"]
+    page.text(
+        f"Roll's model on pitch data, free run: RMS {other['roll_model_on_pitch']:.4g}; pitch's on"
+        f" roll data: {other['pitch_model_on_roll']:.4g}."
+    )
+
+
+def _held_files(account: dict[str, Any]) -> list[dict[str, str]]:
+    return account["held_out"] if isinstance(account["held_out"], list) else []
+
+
+def _trace(trace: Trace) -> Figure:
+    made, (above, below) = figure(height=3.6, rows=2, sharex=True, height_ratios=[3, 1])
+    above.plot(trace.time_s, trace.measured, color=MEASURED, label="measured")
+    above.plot(trace.time_s, trace.modelled, color=MODELLED, label="modelled")
+    above.set_ylabel(f"{trace.channel}\n{trace.unit}")
+    above.legend(loc="upper right", ncols=2)
+    below.plot(trace.time_s, trace.measured - trace.modelled, color=NEUTRAL)
+    below.set_ylabel(f"error\n{trace.unit}")
+    below.set_xlabel("time in the recording, s")
+    return made
+
+
+def _residual(test: ResidualTest) -> Figure:
+    made, (left, right) = figure(height=2.6, columns=2)
+    _stems(left, test.whiteness, "with itself, rows earlier")
+    _stems(right, test.cross, f"with {test.against}, rows earlier")
+    left.set_ylabel("correlation")
+    left.set_title(test.channel)
+    return made
+
+
+def _stems(axes: Axes, test: CorrelationTest, label: str) -> None:
+    axes.axhspan(-test.bound, test.bound, color="#e4e6ea", zorder=0)
+    outside = np.abs(test.values) > test.bound
+    for mask, color in ((~outside, GOOD), (outside, BAD)):
+        axes.vlines(test.lags[mask], 0, test.values[mask], color=color, linewidth=2.2)
+    axes.axhline(0, color=MEASURED, linewidth=0.7)
+    reach = 1.15 * max(2.0 * test.bound, float(np.abs(test.values).max()))
+    axes.set_ylim(-reach, reach)
+    axes.set_xlabel(label)
+
+
+def _residual_text(test: ResidualTest) -> str:
+    white = "white" if test.whiteness.passes else "not white"
+    input_ = "nothing of the input is left" if test.cross.passes else "the input still shows"
+    return f"{test.channel}: {white}, {input_}."
+
+
+def _correlation(estimates: Estimates) -> Figure:
+    labels = [name.replace(".", "\n") for name in estimates.names]
+    size = max(2.6, 0.55 * len(labels))
+    made, (axes,) = figure(width=min(9.0, size + 3.4), height=size + 0.7)
+    shown = axes.imshow(estimates.correlation, cmap="coolwarm", vmin=-1, vmax=1)
+    ticks = range(len(labels))
+    axes.set_xticks(ticks, labels, rotation=60, ha="right", fontsize=7.5)
+    axes.set_yticks(ticks, labels, fontsize=7.5)
+    axes.grid(visible=False)
+    for i in ticks:
+        for j in ticks:
+            value = estimates.correlation[i, j]
+            axes.text(
+                *(j, i, f"{value:.2f}"),
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                color="white" if abs(value) > 0.7 else MEASURED,
+            )
+    made.colorbar(shown, ax=axes, shrink=0.8)
+    return made
+
+
+def _steps(steps: Sequence[Step]) -> Figure:
+    axes_names = list(dict.fromkeys(step.axis for step in steps))
+    made, every = figure(height=3.0, columns=len(axes_names))
+    for axes, name in zip(every, axes_names, strict=True):
+        here = [step for step in steps if step.axis == name]
+        reach = max(float(np.abs(here[0].output).max()), 1e-300)
+        for color, step in zip(SERIES, here, strict=False):
+            axes.plot(
+                step.time_s,
+                step.output / reach,
+                color=color,
+                linewidth=2.6 if step.chosen else 1.2,
+                linestyle="-" if step.plausible else "--",
+                label=step.label,
+            )
+        axes.set_ylim(-1.3, 1.6)
+        axes.set_title(name)
+        axes.set_xlabel("time, s")
+        axes.legend(loc="lower left")
+    every[0].set_ylabel("output over the chosen one's end")
+    return made

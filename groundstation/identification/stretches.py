@@ -1,0 +1,105 @@
+"""Airborne stretches of runs, with the rotors behind them: what a body is identified on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.errors import BadInputError
+from groundstation.identification.runs import Run
+from groundstation.identification.segments import EVERYTHING, Selection, selected, spans
+from groundstation.identification.torque import RotorSquares, rotor_squares
+
+Array = NDArray[np.float64]
+
+TAKE_OFF_S, LANDING_S = 1.5, 1.0
+"""Left out where the motors start or stop: the ground carries part of the torque."""
+SETTLE_S = 0.5
+"""Left out at the start of a run: the motors forget the speed they were assumed to have."""
+LEAST_S, PIECE_S = 4.0, 1.0
+"""Shortest sum of stretches, and shortest stretch, worth identifying on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Consecutive airborne rows of a run, with the rotors behind them.
+
+    first: its first row in ``run``. squares, run: of the whole run, so that interpolation and
+    motor speeds know what came before. motor: the constants the rotors were simulated with, None
+    where their speeds were measured.
+    """
+
+    run: Run
+    squares: RotorSquares
+    first: int
+    last: int
+    motor: MotorConstants | None = None
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.last)
+
+    def __len__(self) -> int:
+        return self.last - self.first
+
+
+def stretches_of(
+    runs: Sequence[Run],
+    motor: MotorConstants,
+    measured: bool = False,
+    selection: Selection = EVERYTHING,
+) -> list[Stretch]:
+    """The airborne parts of runs, or what a selection chooses of them: pieces of 1 s and more.
+
+    Motors are simulated over whole runs. measured: recorded rotor speeds instead.
+
+    Raises BadInputError where less than 4 s are left, or where the gyro is missing.
+    """
+    found: list[Stretch] = []
+    for run in runs:
+        if not np.isfinite(run.gyro).all():
+            raise BadInputError(f"{run.name}: the gyro is missing in some rows")
+        squares = rotor_squares(run, motor, measured)
+        chosen = airborne(run) & selected(run, selection)
+        for first, last in spans(chosen):
+            if (last - first) * run.period_s >= PIECE_S:
+                found.append(Stretch(run, squares, first, last, None if measured else motor))
+    seconds = sum(len(one) * one.run.period_s for one in found)
+    if seconds < LEAST_S:
+        names = ", ".join(sorted({run.name for run in runs}))
+        wanted = "" if selection == EVERYTHING else f" that is {selection}"
+        raise BadInputError(
+            f"{names}: {seconds:.1f} s of uninterrupted flight after take-off{wanted}, at least"
+            f" {LEAST_S:.0f} s are needed; record longer"
+            + (" or choose less strictly" if wanted else "")
+        )
+    return found
+
+
+def airborne(run: Run) -> NDArray[np.bool_]:
+    """Rows (n,) in which all motors turn, without take-off, landing and the run's first moments."""
+    turning = np.asarray((run.duty > 0.1).all(axis=1))
+    mask = np.zeros(len(run), np.bool_)
+    for first, last in spans(turning):
+        first += round((TAKE_OFF_S if first > 0 else SETTLE_S) / run.period_s)
+        last -= round(LANDING_S / run.period_s) if last < len(run) else 0
+        mask[first : max(last, first)] = True
+    return mask
+
+
+def split(stretches: Sequence[Stretch], share: float = 1 / 3) -> tuple[list[Stretch], ...]:
+    """(to fit on, to validate on): the last ``share`` of all rows."""
+    left = round(sum(len(s) for s in stretches) * (1 - share))
+    fit, held = [], []
+    for one in stretches:
+        middle = one.first + max(min(left, len(one)), 0)
+        left -= len(one)
+        if middle > one.first:
+            fit.append(replace(one, last=middle))
+        if middle < one.last:
+            held.append(replace(one, first=middle))
+    return fit, held
