@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.dynamics.vehicle import (
     THESIS_MOTOR,
     MotorConstants,
@@ -57,10 +58,15 @@ class Estimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A named effect on top of the base model."""
+    """A named effect on top of the base model.
+
+    source: the Python file that defines it where it is not one of the list
+    (``effects.own``); in a model file relative to that file's folder.
+    """
 
     name: str
     parameters: dict[str, Estimate]
+    source: str = ""
 
 
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -106,7 +112,7 @@ def load_model(source: str | Path) -> Model:
             f" {SCHEMA_VERSION}; fit the model again or use the version that made it"
         )
     _require_usable(model, f"model {path}")
-    return model
+    return _with_sources_from(path.parent, model)
 
 
 def save_model(model: Model, path: Path) -> None:
@@ -135,6 +141,16 @@ def vehicle_model(vehicle: Vehicle) -> Model:
     )
 
 
+def _with_sources_from(folder: Path, model: Model) -> Model:
+    effects = tuple(
+        msgspec.structs.replace(term, source=str((folder / term.source).resolve()))
+        if term.source
+        else term
+        for term in model.effects
+    )
+    return msgspec.structs.replace(model, effects=effects)
+
+
 def _require_usable(model: Model, where: str) -> None:
     numbers = {f"motor.{key}": getattr(model.motor, key) for key in ("a0", "a1")}
     if model.body is not None:
@@ -145,10 +161,25 @@ def _require_usable(model: Model, where: str) -> None:
             raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
     if not math.isfinite(model.motor.a2):
         raise BadInputError(f"{where}: motor.a2 is {model.motor.a2}, must be finite")
+    for term in model.effects:
+        if not term.source:
+            _require_known(term, where)
     if model.vehicle_profile is not None:
         require_physical(model.vehicle_profile, f"{where}: vehicle_profile")
     if model.body is None and model.arx is None:
         raise BadInputError(f"{where}: holds neither body nor arx: nothing to simulate")
+
+
+def _require_known(term: EffectTerm, where: str) -> None:
+    if term.name not in EFFECTS:
+        raise BadInputError(
+            f"{where}: effect {term.name!r}: there are {', '.join(EFFECTS)};"
+            " an effect of your own needs the file that defines it as 'source'"
+        )
+    try:
+        EFFECTS[term.name].values({name: one.value for name, one in term.parameters.items()})
+    except BadInputError as error:
+        raise BadInputError(f"{where}: {error}") from error
 
 
 THESIS = Model(

@@ -48,13 +48,15 @@ def simulate(
     period_s: float = SAMPLE_PERIOD_S,
     substeps: int = 1,
     disturbance: ArrayLike | None = None,
+    supply_mv: ArrayLike | None = None,
 ) -> Array:
     """States (k + 1, 17) of one craft, the initial one first.
 
     craft: record of shape (1,). initial: (17,). voltage_mv: (k, 4), row i acts from sample i to
     i + 1. disturbance: (k, 6), accelerations about the body axes (rad/s^2) and along the inertial
     axes (m/s^2). substeps: integration steps per period; one of 2 ms leaves an error of
-    1e-9 rad over a second of ordinary flight.
+    1e-9 rad over a second of ordinary flight. supply_mv: (k,) from which the voltages were made,
+    needed where the craft has supply_sag.
 
     Raises ValueError for shapes that do not fit.
     """
@@ -66,6 +68,7 @@ def simulate(
         period_s=period_s,
         substeps=substeps,
         disturbance=None if disturbance is None else np.asarray(disturbance)[None],
+        supply_mv=supply_mv,
     )[0]
 
 
@@ -78,11 +81,13 @@ def simulate_batch(
     period_s: float = SAMPLE_PERIOD_S,
     substeps: int = 1,
     disturbance: ArrayLike | None = None,
+    supply_mv: ArrayLike | None = None,
 ) -> Array:
     """States (m, k + 1, 17) of m flights, over parameters and over seeds, on every core.
 
     crafts: (m,) or (1,); initial: (m, 17) or (1, 17); voltage_mv: (m, k, 4), (1, k, 4) or
     (k, 4); disturbance: (m, k, 6), from as many seeds as wanted. What has length 1 is shared.
+    supply_mv: (k,), shared by all.
     """
     from groundstation.dynamics.kernels import fly
 
@@ -90,7 +95,12 @@ def simulate_batch(
     voltage = np.asarray(voltage_mv, np.float64)
     voltage = np.ascontiguousarray(voltage[None] if voltage.ndim == 2 else voltage)
     push = np.zeros((1, 1, 6)) if disturbance is None else np.asarray(disturbance, np.float64)
+    supply = np.zeros(0) if supply_mv is None else np.asarray(supply_mv, np.float64)
     _require_shapes(crafts, starts, voltage, push)
+    if (crafts["sag_ohm"] != 0.0).any() and len(supply) != voltage.shape[1]:
+        raise ValueError("a craft with supply_sag needs supply_mv, one for each row of voltage_mv")
+    if model is not BodyModel.NEWTON_EULER and any(map(_beyond_rigid, crafts)):
+        raise ValueError(f"{model.name} knows the rigid body only; fly effects on NEWTON_EULER")
     runs = max(len(crafts), len(starts), len(voltage), len(push))
     steps = voltage.shape[1]
     if model is not BodyModel.NEWTON_EULER:
@@ -103,10 +113,10 @@ def simulate_batch(
             crafts[index % len(crafts)],
             starts[index % len(starts)],
             voltage[index % len(voltage)],
+            supply,
             push[index % len(push)],
             period_s,
             substeps,
-            np.empty((3, starts.shape[1])),
             states[index],
         )
 
@@ -121,13 +131,21 @@ def simulate_batch(
 def specific_force(craft: Crafts, states: ArrayLike) -> Array:
     """What an accelerometer at the centre of gravity feels, (..., 3) m/s^2 in body axes.
 
-    Only thrust acts on the modelled body beside gravity, so it lies along z (thesis eq. 3.14).
+    Thrust along z (thesis eq. 3.14), and what the craft's named effects add.
     """
+    from groundstation.dynamics.kernels import specific_forces
+
     state = np.asarray(states, np.float64)
-    force = np.zeros((*state.shape[:-1], 3))
-    scale = float(craft[0]["thrust"] / craft[0]["mass"])
-    force[..., 2] = scale * (state[..., ROTOR] ** 2).sum(-1)
-    return force
+    rows = np.ascontiguousarray(state.reshape(-1, STATES))
+    force = np.empty((len(rows), 3))
+    specific_forces(craft[0], rows, force)
+    return force.reshape(*state.shape[:-1], 3)
+
+
+def _beyond_rigid(craft: np.void) -> bool:
+    """Whether an effect acts that only Newton-Euler has."""
+    names = ("rate_damping", "quadratic_damping", "yaw_damping", "gravity_x", "gravity_y")
+    return any(craft[name] != 0.0 for name in (*names, "air", "ground_gain", "law"))
 
 
 def _require_shapes(crafts: Crafts, starts: Array, voltage: Array, push: Array) -> None:

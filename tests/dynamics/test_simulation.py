@@ -103,7 +103,9 @@ def test_without_torque_energy_and_angular_momentum_stay():
 def test_the_gyroscopic_torque_does_no_work():
     """Equal voltages on rotors of unequal speeds: a large omega, no torque but the rotors' own."""
     craft = craft_of_vehicle(CRAZYFLIE, coupling=False, spin_up=False)
-    craft["thrust"], craft["drag"], craft["rotor_inertia"] = 0.0, 0.0, 4e-7
+    craft["thrust"], craft["drag"] = 0.0, 0.0
+    craft["gyroscopic"] *= 10
+    craft["spin_up"] *= 10
     start = craft_state(rates=(3.0, -1.0, 2.0), rotor_rev_s=(300, 0, 300, 0))
     states = simulate(craft, start, np.zeros((500, 4)), substeps=32)
     energy = 0.5 * (states[:, RATE] ** 2 @ craft["inertia"][0])
@@ -114,7 +116,9 @@ def test_the_gyroscopic_torque_does_no_work():
 def test_rotors_and_body_keep_their_total_angular_momentum_without_air():
     """Gyroscopic and spin-up torques together are the conservation of momentum about every axis."""
     craft = craft_of_vehicle(CRAZYFLIE)
-    craft["thrust"], craft["drag"], craft["rotor_inertia"] = 0.0, 0.0, 4e-7
+    craft["thrust"], craft["drag"] = 0.0, 0.0
+    craft["gyroscopic"] *= 10
+    craft["spin_up"] *= 10
     start = craft_state(
         attitude=(0.2, 0.1, 0.4), rates=(2.0, 1.0, -1.5), rotor_rev_s=(100, 300, 200, 50)
     )

@@ -459,14 +459,3 @@ LISTED: tuple[Effect, ...] = (
 
 EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in LISTED}
 """The same by name."""
-
-
-def find_effect(name: str, own: Mapping[str, Effect] | None = None) -> Effect:
-    """An effect by name, from the list or from a user's own (see ``own.load_effects``).
-
-    Raises BadInputError with the names there are.
-    """
-    known = {**EFFECTS, **(own or {})}
-    if name not in known:
-        raise BadInputError(f"effect {name!r}: there are {', '.join(known)}")
-    return known[name]

@@ -1,0 +1,343 @@
+"""What a model expects a few rows ahead, from all that was measured until then.
+
+The craft is unstable, so a model is judged over short horizons: an observer keeps the state
+(``observer``), and from any row the model flies on the recorded inputs alone. Every effect of
+the model acts, in the observer and in the prediction. Arrays in, arrays out; rows of the past
+never see those of the future, so a live stream can be fed in pieces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.dynamics.craft import Crafts, craft_of_model
+from groundstation.dynamics.effects.observer import Gains, Noise, gains_of, mount_of
+from groundstation.dynamics.effects.sensors import reading_lag_s, sensors_of_model, supply_behind
+from groundstation.dynamics.model import Model
+from groundstation.dynamics.motor import armature_mv
+from groundstation.dynamics.rotations import quaternion_of_attitude
+from groundstation.dynamics.state import QUATERNION
+from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+TURNING = 0.1
+"""Duty above which a motor turns."""
+LIFTED, LANDED = 1.0, 0.85
+"""Thrust over weight at which a craft has left the ground, or has come back to it."""
+SETTLE_S = 0.5
+
+
+class Flown(Protocol):
+    """The channels of a run (``identification.runs.Run`` is one); see there for units."""
+
+    @property
+    def period_s(self) -> float: ...
+    @property
+    def duty(self) -> Array: ...
+    @property
+    def supply_v(self) -> Array: ...
+    @property
+    def gyro(self) -> Array: ...
+    @property
+    def accelerometer(self) -> Array: ...
+    @property
+    def attitude(self) -> Array: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A model on a run's inputs: all that does not depend on what was measured.
+
+    speed: (2 n - 1, 4) rev/s at every row less the dead time and half-way between; torques: the
+    same points (5: thrust, roll, pitch, yaw, momentum); kick: (n - 1,) torque of the rotors'
+    acceleration.
+    """
+
+    craft: Crafts
+    sensor: NDArray[np.void]
+    period_s: float
+    speed: Array
+    torques: Array
+    kick: Array
+
+    @property
+    def rotor_rev_s(self) -> Array:
+        """Rotor speeds (n, 4) behind each row."""
+        return np.ascontiguousarray(self.speed[::2])
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """The state behind every row of a run.
+
+    states: (n, 17); lags: (n, 3) low-passed rates; filters: (n, 10) of the on-board filter.
+    innovations: (n, 9) one-row prediction errors of gyro, accelerometer and attitude (as a
+    rotation), 0 where nothing new was measured. flying: (n,) in the air by the model's thrust.
+    fresh: (n,) rows with a new attitude.
+    """
+
+    drive: Drive
+    gains: Gains
+    states: Array
+    lags: Array
+    filters: Array
+    innovations: Array
+    flying: Mask
+    fresh: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """Predictions, from each of ``rows`` (m,) for every horizon (g,).
+
+    gyro (m, g, 3) rad/s, accelerometer (m, g, 3) m/s^2, attitude (m, g, 3) rad, as the telemetry
+    would report them at ``rows + horizon``.
+    """
+
+    rows: Rows
+    horizons: Rows
+    gyro: Array
+    accelerometer: Array
+    attitude: Array
+
+    def errors(self, run: Flown) -> Array:
+        """Measured less predicted, (m, g, 9): gyro, accelerometer, roll pitch yaw (wrapped)."""
+        at = self.rows[:, None] + self.horizons
+        turn = run.attitude[at] - self.attitude
+        return np.concatenate(
+            [
+                run.gyro[at] - self.gyro,
+                run.accelerometer[at] - self.accelerometer,
+                np.angle(np.exp(1j * turn)),
+            ],
+            axis=2,
+        )
+
+
+def predict_ahead(
+    model: Model,
+    run: Flown,
+    horizons: ArrayLike = (10, 25),
+    *,
+    stride: int = 2,
+    height_m: Array | None = None,
+    noise: Noise | None = None,
+) -> Ahead:
+    """Predict a run ``horizons`` rows ahead, from every ``stride``-th row that is in the air.
+
+    A row counts from ``SETTLE_S`` after the take-off (or after the run's start) on, if the craft
+    is still in the air at the longest horizon. height_m: (n,) above ground, for ground_effect;
+    by default reckoned by ``height_of``. noise: sets the observer's gains.
+
+    Raises BadInputError where PWM, battery voltage or gyro are missing.
+    """
+    seen = observe_run(model, run, height_m=height_m, noise=noise)
+    steps = np.unique(np.atleast_1d(np.asarray(horizons, np.int64)))
+    return fly_ahead(run, seen, airborne(seen, int(steps[-1]))[::stride], steps)
+
+
+def drive_run(model: Model, run: Flown) -> Drive:
+    """The motors of a model on a run's inputs.
+
+    They start settled at the first row's voltage, which is forgotten after half a second.
+
+    Raises BadInputError where PWM or battery voltage are missing.
+    """
+    from groundstation.dynamics.effects.kernels import drives, spin
+
+    for name in ("duty", "supply_v"):
+        if not np.isfinite(getattr(run, name)).all():
+            raise BadInputError(f"{name} is missing in some rows; a model cannot fly on them")
+    if len(run.duty) < 2:
+        raise BadInputError("a run of one row cannot be flown; give at least two")
+    craft, sensor = craft_of_model(model), sensors_of_model(model)
+    supply = supply_behind(1000.0 * run.supply_v, reading_lag_s(model), run.period_s)
+    duty = np.ascontiguousarray(run.duty, np.float64)
+    first = armature_mv(duty[:1], supply[:1] / 1000.0)[0] - craft[0]["dead_mv"]
+    start = np.array([model.motor.steady_rev_s(max(u, 0.0)) for u in first])
+    speed = np.empty((2 * len(duty) - 1, 4))
+    spin(craft[0], duty, supply, run.period_s, float(sensor[0]["delay"]), start, speed)
+    torques, kick = np.empty((len(speed), 5)), np.empty(len(duty) - 1)
+    drives(craft[0], speed, run.period_s, torques, kick)
+    return Drive(craft, sensor, run.period_s, speed, torques, kick)
+
+
+def observe_run(
+    model: Model, run: Flown, *, height_m: Array | None = None, noise: Noise | None = None
+) -> Observed:
+    """The state behind every row, from measurements up to that row.
+
+    Raises BadInputError where PWM, battery voltage or the whole gyro are missing.
+    """
+    from groundstation.dynamics.effects.kernels import observe
+
+    if not np.isfinite(run.gyro).any():
+        raise BadInputError("the gyro is missing; the craft's state cannot be followed without it")
+    drive = drive_run(model, run)
+    gains = gains_of(model, run.period_s, noise)
+    n = len(run.duty)
+    flying = _flying(run, drive)
+    fresh = fresh_rows(run.attitude)
+    if height_m is None:
+        near = drive.craft[0]["ground_gain"] != 0.0
+        height_m = height_of(run, flying) if near else np.full(n, np.nan)
+    states, lags = np.empty((n, 17)), np.empty((n, 3))
+    filters, innovations = np.empty((n, 10)), np.zeros((n, 9))
+    observe(
+        drive.craft[0],
+        drive.sensor[0],
+        mount_of(drive.sensor),
+        drive.torques,
+        drive.kick,
+        drive.speed,
+        run.period_s,
+        np.ascontiguousarray(run.gyro),
+        np.ascontiguousarray(run.accelerometer),
+        np.ascontiguousarray(run.attitude),
+        fresh,
+        flying,
+        height_m,
+        gains.fresh,
+        gains.stale,
+        states,
+        lags,
+        filters,
+        innovations,
+    )
+    return Observed(drive, gains, states, lags, filters, innovations, flying, fresh)
+
+
+def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) -> Ahead:
+    """From the observed state at each of ``rows`` on the inputs alone, to every horizon."""
+    from groundstation.dynamics.effects.kernels import coast
+
+    starts = np.asarray(rows, np.int64)
+    steps = np.atleast_1d(np.asarray(horizons, np.int64))
+    if len(steps) == 0 or steps[0] < 1 or (np.diff(steps) <= 0).any():
+        raise ValueError(f"horizons {steps.tolist()}: need rows ahead, 1 or more, ascending")
+    if len(starts) and (starts.min() < 0 or starts.max() + steps[-1] >= len(run.duty)):
+        raise ValueError("rows plus the longest horizon leave the run")
+    drive = seen.drive
+    reported = run.attitude[starts]
+    unknown = ~np.isfinite(reported).all(axis=1)
+    shown = quaternion_of_attitude(np.where(unknown[:, None], 0.0, reported))
+    shown[unknown] = seen.states[starts][unknown, QUATERNION]
+    measured = np.empty((len(starts), len(steps), 9))
+    coast(
+        drive.craft[0],
+        drive.sensor[0],
+        mount_of(drive.sensor),
+        drive.torques,
+        drive.kick,
+        drive.speed,
+        drive.period_s,
+        seen.fresh,
+        starts,
+        steps,
+        seen.states[starts],
+        seen.lags[starts],
+        seen.filters[starts],
+        np.ascontiguousarray(shown),
+        measured,
+        np.empty((len(starts), 20)),
+    )
+    return Ahead(
+        starts,
+        steps,
+        measured[..., 0:3],
+        measured[..., 3:6],
+        np.ascontiguousarray(measured[..., 6:9]),
+    )
+
+
+def airborne(seen: Observed, rows_ahead: int) -> Rows:
+    """Rows from which ``rows_ahead`` more are flown, and whose state has settled."""
+    settle = round(SETTLE_S / seen.drive.period_s)
+    flown = np.concatenate([[0], np.cumsum(seen.flying)])
+    rows = np.arange(len(seen.flying) - rows_ahead)
+    first = np.maximum(rows - settle, 0)
+    full = flown[rows + rows_ahead + 1] - flown[first] == rows + rows_ahead + 1 - first
+    return rows[full & (rows >= settle)]
+
+
+def fresh_rows(attitude: Array) -> Mask:
+    """Rows (n,) in which the attitude was computed anew: firmware does so every second row.
+
+    Where the values do not tell a rhythm of two, every row counts as new.
+    """
+    moved = np.any(np.diff(attitude, axis=0) != 0, axis=1)
+    changed: Mask = np.concatenate([[True], moved])
+    for first in (0, 1):
+        mine, other = changed[first::2].mean(), changed[1 - first :: 2].mean()
+        if mine > 0.2 and other < 0.02 + 2.0 / len(changed):
+            fresh = np.zeros(len(changed), np.bool_)
+            fresh[first::2] = True
+            return fresh
+    return np.ones(len(changed), np.bool_)
+
+
+def height_of(run: Flown, flying: Mask) -> Array:
+    """Height above ground (n,) in m by integrating the accelerometer between take-off and landing.
+
+    Between the two the vertical acceleration's mean and slope are set so that height and speed
+    are zero at both ends; a flight that has only one of them is integrated from there, and one
+    that has neither is far from the ground (infinite).
+    """
+    height = np.full(len(flying), np.inf)
+    roll, pitch = run.attitude[:, 0], run.attitude[:, 1]
+    x, y, z = run.accelerometer.T
+    up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
+    up = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0)
+    height[~flying] = 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flying.astype(np.int8), [0]])))
+    for first, last in edges.reshape(-1, 2):
+        starts, ends = first > 0, last < len(flying)
+        rise = up[first:last] * run.period_s
+        t = np.arange(1, last - first + 1) * run.period_s
+        speed = np.cumsum(rise)
+        if starts and ends:
+            track = np.cumsum(speed) * run.period_s
+            # v - a t - b t^2/2 and its integral vanish at the end.
+            end = t[-1]
+            system = np.array([[end, end**2 / 2], [end**2 / 2, end**3 / 6]])
+            a, b = np.linalg.solve(system, [speed[-1], track[-1]])
+            track = track - a * t**2 / 2 - b * t**3 / 6
+        elif starts:
+            track = np.cumsum(speed) * run.period_s
+        elif ends:
+            back = np.cumsum(-rise[::-1])
+            track = -np.cumsum(back)[::-1] * run.period_s
+        else:
+            continue
+        height[first:last] = np.maximum(track, 0.0)
+    return height
+
+
+def _flying(run: Flown, drive: Drive) -> Mask:
+    """Rows in the air: from the first thrust above the weight until thrust has gone for good."""
+    turning = np.asarray((run.duty > TURNING).all(axis=1))
+    one = drive.craft[0]
+    lift = drive.torques[::2, 0] / (one["mass"] * one["gravity"])
+    flying = np.zeros(len(turning), np.bool_)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
+    for first, last in edges.reshape(-1, 2):
+        if first > 0:
+            up = np.flatnonzero(lift[first:last] > LIFTED)
+            if len(up) == 0:
+                continue
+            first += up[0]
+        if last < len(turning):
+            low = np.flatnonzero(lift[first:last] < LANDED)
+            high = np.flatnonzero(lift[first:last] > LANDED)
+            if len(low) and len(high):
+                last = first + high[-1] + 1
+        flying[first:last] = True
+    return flying
