@@ -62,6 +62,7 @@ def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
     ports = ("--viewer-port", free_port(), "--web-port", free_port())
     with Terminal(tmp_path, "run", "--viewer", viewer, *ports) as terminal:
         until(lambda: terminal.shows("Ctrl-C stops and finishes the recording"), "introduced")
+        until(lambda: terminal.shows("streaming"), "telemetry")
         until(lambda: terminal.shows("samples/s  0.00 % lost"), "the operator is informed")
         if viewer == "serve":
             until(lambda: terminal.shows("serving at http://127.0.0.1:"), "the view is served")
