@@ -55,13 +55,14 @@ class Gaps:
 class AttitudeRows:
     """Everything (m, 3) unless said otherwise, one row per new attitude after the first.
 
-    stride: rows of the run between two of them. to_euler: (m, 3, 3) from body to Euler rates
-    (thesis eq. 3.11). rate: measured Euler rates. gyro: mean of the gyro over the stride.
-    timing: its last row less that mean. slope: its mean slope, rad/s^2. lean: the rate by which
+    stride: rows of the run between two of them; first: the run's row of the first. to_euler:
+    (m, 3, 3) from body to Euler rates (thesis eq. 3.11). rate: measured Euler rates. gyro: mean
+    of the gyro over the stride. timing: its last row less that mean. slope: its mean slope, rad/s^2. lean: the rate by which
     a Mahony filter at firmware gains would turn the estimate, rad/s.
     """
 
     stride: int
+    first: int
     gaps: Gaps
     to_euler: Array
     rate: Array
@@ -93,6 +94,7 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
     now = run.gyro[ends]
     return AttitudeRows(
         stride,
+        int(ends[0]),
         Gaps(~there[1:]),
         _to_euler(0.5 * (angles[1:] + angles[:-1])),
         np.diff(angles, axis=0) / seconds,

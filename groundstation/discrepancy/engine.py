@@ -4,31 +4,82 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from groundstation.discrepancy.findings import (
     CHANNELS,
     Alternative,
     Candidate,
+    ChannelResidual,
     Findings,
     FoundEffect,
-    Leftover,
+    NotShown,
     Verdict,
 )
 from groundstation.discrepancy.flight import Flight, prepare
-from groundstation.discrepancy.problem import Problem
-from groundstation.discrepancy.search import Outcome, search
+from groundstation.discrepancy.leftover import leftover
+from groundstation.discrepancy.physics import spin_rotors
+from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem
+from groundstation.discrepancy.search import Accepted, Outcome, Scored, search
 from groundstation.discrepancy.unknowns import (
     ABSENT,
+    EFFECT_KEYS,
+    LOW_PASS,
     VARIANTS,
     Variant,
     model_of,
     parameters_of,
     point_of,
 )
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.dynamics.model import Estimate, Model
+from groundstation.errors import BadInputError
+from groundstation.identification.estimate import inverse
 from groundstation.identification.runs import Run, hold_out
 
+Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
+
+SHOWN = 5.0
+"""An effect can be shown when its usual size is so many standard errors."""
+HARDLY_MOVED = 0.5
+"""Standard error over value of c0, c1, c2 from which a recording tells nothing."""
+OTHER_CRAFT = 0.6
+USUAL: dict[str, float] = {
+    LOW_PASS: 1 / (2 * np.pi * 30.0),
+    "motor_braking_asymmetry.factor": 0.4,
+    **{f"rotor_mismatch.{i}": 0.05 for i in (1, 2, 3, 4)},
+    **{f"centre_of_gravity_offset.{a}_m": 5e-4 for a in "xy"},
+    **{f"gyro_bias.{a}_dps": 1.0 for a in "xyz"},
+    **{f"accelerometer_bias.{a}_g": 0.03 for a in "xyz"},
+    **{f"imu_misalignment.{a}_deg": 2.0 for a in ("roll", "pitch", "yaw")},
+    **{f"imu_lever_arm.{a}_m": 0.003 for a in "xyz"},
+}
+"""Sizes worth finding where the catalogue's default is not one."""
+NEEDS_ACCELEROMETER = (
+    "accelerometer_bias",
+    "rotor_drag",
+    "velocity_moment",
+    "climb_inflow",
+    "imu_lever_arm",
+    "ground_effect",
+    "attitude_filter_lean",
+)
+NEEDS_ATTITUDE = (
+    "gyro_bias",
+    "attitude_filter_lean",
+    "rotor_drag",
+    "velocity_moment",
+    "climb_inflow",
+)
+NEEDS_MODELLED_ROTORS = (
+    "motor_dead_voltage",
+    "motor_braking_asymmetry",
+    "supply_sag",
+    "battery_reading_lag",
+)
 
 
 def find_effects(
@@ -42,18 +93,67 @@ def find_effects(
     """Find, name and fit the effects that ``model`` is missing in ``flights``.
 
     flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
-    validation: rows that no fit sees; None: the last third of the flights.
+    validation: rows that no fit sees; None: the last third of the flights. seed: kept for what
+    is drawn; nothing in the search is.
+
+    Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
+    craft.
     """
     report: Progress = progress or (lambda what, share: None)
     if validation is None:
         flights, validation = hold_out(flights)
+    report("preparing the flights", 0.0)
     fit_on, held = prepare(flights), prepare(validation)
     start = point_of(model)
     problem = Problem(fit_on, model, start)
     problem.settle_filters()
+    lost = _lost([*fit_on, *held])
     known = [v for v in VARIANTS if any(start.get(k, ABSENT[k]) != ABSENT[k] for k in v.keys)]
-    outcome = search(problem, held, known, VARIANTS, report)
-    return _findings(outcome, problem, held, model, known)
+    candidates = [v for v in VARIANTS if v.effect not in lost]
+    outcome = search(problem, held, known, candidates, report)
+    _require_told(outcome, problem)
+    report("judging what is left", 0.95)
+    return _findings(outcome, problem, held, model, known, lost)
+
+
+def _lost(flights: Sequence[Flight]) -> dict[str, str]:
+    """Effects that no recording can show for want of a channel."""
+    lost: dict[str, str] = {}
+    if not any(f.has_accelerometer for f in flights):
+        lost |= dict.fromkeys(NEEDS_ACCELEROMETER, "accelerometer")
+    if not any(f.attitude is not None for f in flights):
+        lost |= dict.fromkeys(NEEDS_ATTITUDE, "attitude")
+    if all(f.rotor_measured for f in flights):
+        lost |= dict.fromkeys(
+            NEEDS_MODELLED_ROTORS, "rotor speeds are measured: the motors' part is in them"
+        )
+    return lost
+
+
+def _require_told(outcome: Outcome, problem: Problem) -> None:
+    """Refuse recordings without motion, and a model of another craft."""
+    names = ", ".join(sorted({f.run.name for f in problem.flights}))
+    total, linear = outcome.first_quadratic, outcome.first_linear
+    at = linear.place(BASE_KEYS)
+    errors = np.sqrt(np.diag(inverse(total.normal[np.ix_(at, at)])))
+    still = [
+        axis
+        for axis, key in zip(("roll", "pitch", "yaw"), ("c0", "c1", "c2"), strict=True)
+        if errors[BASE_KEYS.index(key)] > HARDLY_MOVED * abs(linear.point[key])
+    ]
+    if still:
+        raise BadInputError(
+            f"{names}: {', '.join(still)} hardly moved; these recordings cannot show what the"
+            " model is missing: fly doublets or random steps about every axis"
+        )
+    fitted = {key: outcome.final.point[key] / problem.start[key] for key in ("c0", "c1", "c2")}
+    strange = {key: r for key, r in fitted.items() if abs(np.log(max(r, 1e-3))) > OTHER_CRAFT}
+    if strange:
+        words = ", ".join(f"{key} would be {r:.2f} of the model's" for key, r in strange.items())
+        raise BadInputError(
+            f"{names}: the model does not belong to this craft ({words}); give the model that was"
+            " fitted for it, and the right --vehicle"
+        )
 
 
 def _findings(
@@ -62,51 +162,144 @@ def _findings(
     held: Sequence[Flight],
     model: Model,
     known: Sequence[Variant],
+    lost: dict[str, str],
 ) -> Findings:
-    base_keys = tuple(key for v in known for key in v.keys)
+    final, errors = outcome.final, outcome.final.stderr()
+    vehicle = problem.frame.vehicle
+    speeds = [spin_rotors(f, final.point, vehicle).end[f.rows].mean() for f in problem.flights]
+    residual = leftover(problem, final, held, float(np.mean(speeds)))
+    keys = tuple(key for v in known for key in v.keys)
     effects = []
-    errors = outcome.final.stderr()
-    keys = base_keys
     for number, one in enumerate(outcome.accepted):
         keys = (*keys, *one.variant.keys)
-        effects.append(
-            FoundEffect(
-                name=one.variant.effect,
-                order=number + 1,
-                parameters=parameters_of(
-                    one.variant.effect, outcome.final.point, errors, one.variant.keys
-                ),
-                evidence={
-                    "likelihood_ratio": one.evidence.drop,
-                    "t": one.evidence.t,
-                    "held_out": one.evidence.held_out,
-                },
-                alternatives=tuple(Alternative(name, margin, "") for name, margin in one.rivals),
-                gap_before=one.gap[0],
-                gap_after=one.gap[1],
-                channels=tuple(CHANNELS[c] for c in one.evidence.channels),
-                model=model_of(one.fit.point, one.fit.stderr(), keys, model),
-            )
+        effects.append(_effect(one, number + 1, final, keys, model))
+    warnings = []
+    if not problem.known_motor:
+        warnings.append(
+            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
+            " effects of voltage are taken for it"
         )
+    verdict = Verdict.EFFECTS_FOUND
+    if not effects and residual.verdict == "structured":
+        verdict = Verdict.UNEXPLAINED
+    elif not effects:
+        verdict = Verdict.NO_DISCREPANCY
     return Findings(
-        verdict=Verdict.EFFECTS_FOUND if effects else Verdict.NO_DISCREPANCY,
+        verdict=verdict,
         effects=tuple(effects),
         base=model,
-        model=model_of(outcome.final.point, errors, keys, model),
-        candidates=tuple(
-            Candidate(
-                s.variant.label,
-                {},
-                s.drop,
-                s.t,
-                outcome.held_out.get(s.variant.label, 0.0),
-                False,
-                outcome.reasons.get(s.variant.label, ""),
-            )
-            for s in outcome.first
-        ),
-        not_shown=(),
-        lost={},
-        channels={},
-        residual=Leftover("white"),
+        model=model_of(final.point, errors, keys, model),
+        candidates=_candidates(outcome),
+        not_shown=tuple(_not_shown(outcome.first)),
+        lost=lost,
+        channels=_channels(problem, outcome, held),
+        residual=residual,
+        warnings=tuple(warnings),
     )
+
+
+def _effect(
+    one: Accepted, order: int, final: Fit, keys: tuple[str, ...], model: Model
+) -> FoundEffect:
+    name, evidence = one.variant.effect, one.evidence
+    return FoundEffect(
+        name=name,
+        order=order,
+        parameters=parameters_of(name, final.point, final.stderr(), one.variant.keys),
+        evidence={
+            "likelihood_ratio": evidence.drop,
+            "t": evidence.t,
+            "held_out": evidence.held_out,
+            "held_out_expected": evidence.expected,
+            "axes": evidence.spread(1)[0],
+            "recordings": evidence.spread(0)[0],
+        },
+        alternatives=tuple(
+            Alternative(other, margin, _manoeuvre(name, other)) for other, margin in one.rivals
+        ),
+        gap_before=one.gap[0],
+        gap_after=one.gap[1],
+        channels=tuple(CHANNELS[c] for c in evidence.channels),
+        model=model_of(one.fit.point, one.fit.stderr(), keys, model),
+    )
+
+
+def _manoeuvre(name: str, other: str) -> str:
+    """What separates two effects, from the catalogue, whichever of the two knows it."""
+    for one, two in ((name, other), (other, name)):
+        for confusion in EFFECTS[one].confused_with:
+            if confusion.other == two:
+                return confusion.manoeuvre
+    return EFFECTS[other].excited_by
+
+
+def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
+    accepted = {one.variant.label for one in outcome.accepted}
+    found = []
+    for one in outcome.first:
+        label = one.variant.label
+        parameters = {
+            key.partition(".")[2]: Estimate(float(size + ABSENT[key]), float(error), "")
+            for key, size, error in zip(one.variant.keys, one.values, one.errors, strict=False)
+        }
+        reason = "" if label in accepted else outcome.reasons.get(label, "")
+        found.append(
+            Candidate(
+                label,
+                parameters,
+                one.drop,
+                one.t,
+                outcome.held_out.get(label, 0.0),
+                label in accepted,
+                reason,
+            )
+        )
+    return tuple(found)
+
+
+def _not_shown(scores: Sequence[Scored]) -> list[NotShown]:
+    """Effects whose usual size would be lost in the noise of these recordings."""
+    found = []
+    for one in scores:
+        effect = EFFECTS[one.variant.effect]
+        for key, error in zip(one.variant.keys, one.errors.tolist(), strict=False):
+            name = key.partition(".")[2]
+            usual = USUAL.get(key)
+            if usual is None:
+                usual = effect.parameter(name).default
+            if SHOWN * error > usual:
+                units = {p.name: p.unit for p in effect.parameters}
+                found.append(
+                    NotShown(
+                        effect.name, name, error, usual, units.get(name, ""), effect.excited_by
+                    )
+                )
+    return found
+
+
+def _channels(
+    problem: Problem, outcome: Outcome, held: Sequence[Flight]
+) -> dict[str, ChannelResidual]:
+    """Whitened RMS on held-out rows (fitted ones where nothing was held out)."""
+    rows = held or problem.flights
+    _, before, freedom = problem.cost(problem.start, rows)
+    _, after, _ = problem.cost(outcome.final.point, rows)
+    floor = _saturated(problem, outcome, rows)
+    return {
+        CHANNELS[c]: ChannelResidual(
+            *(float(np.sqrt(part[c] / freedom[c])) for part in (before, after, floor))
+        )
+        for c in sorted(freedom)
+    }
+
+
+def _saturated(problem: Problem, outcome: Outcome, rows: Sequence[Flight]) -> dict[int, float]:
+    """Whitened power of each channel with every effect at once, as fitted to the fitted rows."""
+    change = inverse(outcome.quadratic.normal) @ outcome.quadratic.gradient
+    linear = problem.linear(outcome.linear.point, (*BASE_KEYS, *EFFECT_KEYS), rows)
+    power: dict[int, float] = {}
+    for s in linear.spectra:
+        left = s.residual - change[s.place] @ s.columns
+        own = float((s.weight / problem.noise[s.channel].at(s.hz) * left**2).sum())
+        power[s.channel] = power.get(s.channel, 0.0) + own
+    return power

@@ -37,10 +37,10 @@ class Flight:
     """One uninterrupted airborne stretch with everything around it.
 
     run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
-    airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,) above the take-off point where it can be
-    told, otherwise infinite. whole: the airborne rows, from rest and to rest where the flight
-    began or ended on the ground; rests says whether it did.
-    rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
+    airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,)
+    above the take-off point where it can be told, otherwise infinite. whole: the airborne rows,
+    from rest and to rest where the flight began or ended on the ground; rests says whether it
+    did. rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
     mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
     None without accelerometer or attitude.
     """

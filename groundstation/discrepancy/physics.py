@@ -104,6 +104,11 @@ def rate_errors(
     return np.array([evaluation.find_rates((gain, gain, gain)) for gain in gains])
 
 
+def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) -> dict[str, Array]:
+    """Signals (n,) that something unknown may go with: words -> values at every row."""
+    return _Evaluation(flight, frame, point).generic()
+
+
 def spin_rotors(flight: Flight, point: Mapping[str, float], vehicle: Vehicle) -> Rotors:
     """Rotor speeds of a flight: measured, or simulated with the point's motor effects."""
     run = flight.run
@@ -382,6 +387,32 @@ class _Evaluation:
             out[:, 0], out[:, 1] = self.velocity[:, 1], -self.velocity[:, 0]
         return out
 
+    def generic(self) -> dict[str, Array]:
+        """See ``generic_signals``."""
+        p, q, r = self.rates.T
+        mean, _, total, _ = self.torques(self.rotors)
+        w, spun = self.spin_of(self.rotors)
+        found = {"a constant": np.ones(len(p))}
+        for name, rate in zip(ANGLES, (p, q, r), strict=True):
+            found[f"the {name} rate"] = rate
+            found[f"the {name} rate times its magnitude"] = rate * np.abs(rate)
+        found["pitch rate times yaw rate"] = q * r
+        found["roll rate times yaw rate"] = p * r
+        found["roll rate times pitch rate"] = p * q
+        for name, torque in zip(ANGLES, mean.T, strict=True):
+            found[f"the {name} torque"] = torque
+        found["the total thrust"] = total
+        found["the change of thrust"] = np.diff(total, prepend=total[:1])
+        found["the rotors' acceleration"] = spun
+        found["pitch rate times rotor speeds"] = q * w
+        found["roll rate times rotor speeds"] = p * w
+        if self.flight.up is not None:
+            for name, speed in zip(("forward", "leftward", "upward"), self.velocity.T, strict=True):
+                found[f"the {name} velocity"] = speed
+            found["the roll angle"] = np.sin(self.flight.run.attitude[:, 0])
+            found["the pitch angle"] = np.sin(self.flight.run.attitude[:, 1])
+        return found
+
     # Residuals and columns.
 
     def series(self, keys: Sequence[str]) -> Series:
@@ -529,7 +560,7 @@ class _Evaluation:
             self._put_attitude(out, self.flight.attitude.slope)
 
     def _thrust_column(self, effect: str, parameter: str, out: Columns) -> None:
-        mean, last, mean_sum, last_sum = self.torques(self.rotors)
+        mean, _, mean_sum, last_sum = self.torques(self.rotors)
         angular, force = np.zeros_like(mean), np.zeros_like(mean)
         if effect == "centre_of_gravity_offset":
             axis, sign = (1, 1.0) if parameter == "x_m" else (0, -1.0)

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.physics import Series
+from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.physics import ATTITUDE, Series
 
 Array = NDArray[np.float64]
 TAPER = 0.03
@@ -106,6 +107,17 @@ def transform(
     return found
 
 
+def transform_channel(signals: Mapping[str, Array], channel: int, flight: Flight) -> Array:
+    """Spectra (k, 2 m) of signals that are given for all rows, as a channel's columns."""
+    period, rows = flight.period_s, flight.rows
+    attitude = flight.attitude
+    if channel >= ATTITUDE and attitude is not None:
+        ends = np.arange(len(attitude.rate)) * attitude.stride + attitude.first
+        stack = np.stack([values[ends] for values in signals.values()])
+        return _fourier(stack, period * attitude.stride)[0]
+    return _fourier(np.stack([values[rows] for values in signals.values()]), period)[0]
+
+
 def _fourier(stack: Array, step_s: float) -> tuple[Array, Array, Array]:
     from scipy.fft import next_fast_len, rfft
 
@@ -166,7 +178,7 @@ def quadratic(
     verticals: Sequence[Vertical],
     count: int,
 ) -> Quadratic:
-    """-2 log L (without its constant) of whitened residuals as a quadratic of ``count`` unknowns."""
+    """-2 log L (without its constant) of residuals as a quadratic of ``count`` unknowns."""
     normal, gradient, value = np.zeros((count, count)), np.zeros(count), 0.0
     parts: dict[tuple[int, int], tuple[Array, Array, float, float]] = {}
     for s in spectra:

@@ -1,0 +1,176 @@
+"""What no effect explains: whether residuals are structured, where, and what they go with.
+
+Two tests, because each is blind to what the other sees. A scan regresses every channel's residual
+on generic signals (rates, their products, rotor sums, velocity, tilt); a resonance or a push from
+outside goes with none of them, but rises above the smooth spectrum of coloured noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.findings import CHANNELS, Leftover
+from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.physics import generic_signals
+from groundstation.discrepancy.problem import Fit, Linear, Problem
+from groundstation.discrepancy.spectra import Spectrum, transform_channel
+from groundstation.identification.estimate import inverse
+
+Array = NDArray[np.float64]
+
+SCAN_DROP = 45.0
+"""Drop of -2 log L from which a generic signal counts: 6.7 standard deviations."""
+HELD_SHARE = 0.25
+FINE_HZ = 0.25
+BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
+"""The smooth spectrum is a running median over this share of the frequency, or this far."""
+EXCESS, CHANCE = 1.7, 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A generic signal that shows in a channel: drop of -2 log L, on fitted and held-out rows."""
+
+    channel: int
+    words: str
+    drop: float
+    held_out: float
+
+
+def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz: float) -> Leftover:
+    """Judge what a fit leaves. rotor_hz: mean rotor speed, to tell vibration by its fold."""
+    signals = [s for s in scan(problem, fit, validation) if s.drop > SCAN_DROP]
+    signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
+    peaks = rises(problem.linear(fit.point, (), problem.flights))
+    if not signals and not peaks:
+        return Leftover("white")
+    by_channel: dict[int, float] = {}
+    for signal in signals:
+        by_channel[signal.channel] = max(by_channel.get(signal.channel, 0.0), signal.drop)
+    for channel, _, ratio, freedom in peaks:
+        gained = freedom * (ratio - 1.0 - np.log(ratio))
+        by_channel[channel] = max(by_channel.get(channel, 0.0), gained)
+    worst = max(by_channel, key=lambda c: by_channel[c])
+    mine = sorted((p for p in peaks if p[0] == worst), key=lambda p: -p[2])
+    best = max((s for s in signals if s.channel == worst), key=lambda s: s.drop, default=None)
+    words = best.words if best is not None else ""
+    period = problem.flights[0].period_s
+    fold = abs(rotor_hz - round(rotor_hz * period) / period)
+    if mine and abs(mine[0][1] - fold) < 0.08 * rotor_hz:
+        words = words or "the rotors' speed, folded at the sample rate: a propeller out of balance"
+    elif mine and not words:
+        words = "an oscillation that no recorded signal goes with"
+    return Leftover(
+        "structured",
+        CHANNELS[worst],
+        tuple(round(p[1], 2) for p in mine[:5]),
+        words,
+        max((p[2] for p in mine), default=1.0),
+    )
+
+
+def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signal]:
+    """Every generic signal against every channel's residual, best first.
+
+    What the fitted unknowns can imitate is taken out by fitting them along, channel by channel.
+    """
+    every = _with_signals(problem, fit, problem.flights)
+    held = _with_signals(problem, fit, validation)
+    found = []
+    channels = sorted({s.channel for s in every[0].spectra})
+    for channel in channels:
+        own = [s for s in every[0].spectra if s.channel == channel]
+        known = len(fit.keys)
+        normal, gradient = _sums(problem, own, known + len(every[1]))
+        inner = inverse(normal[:known, :known] + np.diag(_floor(normal, known)))
+        cross = normal[known:, :known]
+        left = np.diag(normal)[known:] - np.einsum("ij,jk,ik->i", cross, inner, cross)
+        slope = gradient[known:] - cross @ (inner @ gradient[:known])
+        alive = left > 1e-6 * np.maximum(np.diag(normal)[known:], 1e-300)
+        drops = np.where(alive, slope**2 / np.where(alive, left, 1.0), 0.0)
+        sizes = np.where(alive, slope / np.where(alive, left, 1.0), 0.0)
+        other = [s for s in held[0].spectra if s.channel == channel]
+        if other:
+            there, pull = _sums(problem, other, known + len(every[1]))
+            gains = 2 * sizes * pull[known:] - sizes**2 * np.diag(there)[known:]
+        else:
+            gains = np.zeros(len(sizes))
+        found += [
+            Signal(channel, words, float(drop), float(gain))
+            for words, drop, gain in zip(every[1], drops, gains, strict=True)
+        ]
+    return sorted(found, key=lambda s: -s.drop)
+
+
+def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
+    """(channel, Hz, power over that of smooth coloured noise, degrees of freedom) of what rises
+    above it."""
+    from scipy.stats import chi2
+
+    found = []
+    for channel in sorted({s.channel for s in linear.spectra}):
+        own = [s for s in linear.spectra if s.channel == channel]
+        top = max(s.hz.max() for s in own)
+        edges = np.arange(0.0, top + FINE_HZ, FINE_HZ)
+        power, freedom = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+        for s in own:
+            band = np.minimum((s.hz / FINE_HZ).astype(np.int64), len(power) - 1)
+            power += np.bincount(band, s.weight * s.residual**2, len(power))
+            freedom += 0.5 * np.bincount(band, s.weight, len(power))
+        middle = edges[:-1] + 0.5 * FINE_HZ
+        level = power / np.maximum(freedom, 1e-9)
+        for i in range(1, len(level) - 1):
+            reach = max(BASELINE_SHARE * middle[i], BASELINE_HZ)
+            near = level[(np.abs(middle - middle[i]) < reach) & (freedom > 0)]
+            ratio = float(level[i] / np.median(near))
+            # The median of a few degrees of freedom lies below their mean.
+            count = freedom[i]
+            ratio *= float(chi2.ppf(0.5, count)) / count if count > 0 else 0.0
+            limit = float(chi2.isf(CHANCE / len(level), count)) / count if count > 1 else np.inf
+            if ratio > max(EXCESS, limit):
+                found.append((channel, float(middle[i]), ratio, float(count)))
+    return found
+
+
+def _with_signals(
+    problem: Problem, fit: Fit, flights: Sequence[Flight]
+) -> tuple[Linear, list[str]]:
+    """The fit's linearisation with the generic signals as more columns of every channel."""
+    linear = problem.linear(fit.point, fit.keys, flights)
+    words: list[str] = []
+    wider: list[Spectrum] = []
+    for number, flight in enumerate(flights):
+        signals = generic_signals(flight, problem.frame, fit.point)
+        words = list(signals)
+        places = np.arange(len(fit.keys), len(fit.keys) + len(words))
+        for s in linear.spectra:
+            if s.flight == number:
+                columns = transform_channel(signals, s.channel, flight)
+                wider.append(
+                    replace(
+                        s,
+                        columns=np.concatenate([s.columns, columns]),
+                        place=np.concatenate([s.place, places]),
+                    )
+                )
+    return replace(linear, spectra=wider), words
+
+
+def _sums(problem: Problem, spectra: Sequence[Spectrum], count: int) -> tuple[Array, Array]:
+    normal, gradient = np.zeros((count, count)), np.zeros(count)
+    for s in spectra:
+        root = np.sqrt(s.weight / problem.noise[s.channel].at(s.hz))
+        white = s.columns * root
+        normal[np.ix_(s.place, s.place)] += white @ white.T
+        gradient[s.place] += white @ (s.residual * root)
+    return normal, gradient
+
+
+def _floor(normal: Array, known: int) -> Array:
+    """A little of the diagonal, for unknowns that one channel alone does not show."""
+    diagonal = np.diag(normal)[:known]
+    return np.where(diagonal > 0, 1e-9 * diagonal, 1.0)
