@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 GROUNDSTATION_LOCAL_DATA ?= local-data
 
-.PHONY: run test test-usb check-local lint bench clean
+.PHONY: run test test-usb check-local lint bench soak clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
@@ -38,6 +38,10 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio]'
 	touch $@
+
+# A day of telemetry through the real daemon, every file verified: `make soak ARGS="--hours 2"`.
+soak: $(VENV)/.ready-dev
+	$(BIN)/python -m bench.soak $(ARGS)
 
 clean:
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -162,6 +162,12 @@ class McapRecorder:
                 text=self._text,
             )
 
+    @property
+    def fullness(self) -> float:
+        """How full the queue is, 0..1."""
+        with self._lock:
+            return self._queued_bytes / self._queue_bytes
+
     def finish(self) -> RecorderStatus:
         """Write what is queued, finish the file and sync it. Safe to call twice."""
         self._finishing.set()

@@ -25,6 +25,7 @@ from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
 ANNOUNCE_S = 2.0
 """Preparing takes longer than this where something has to be compiled."""
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
+BUSY_S = 0.005
 
 _ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
 
@@ -41,7 +42,7 @@ class Receiver:
     """Turns what a link delivers into packets and samples for whoever wants them.
 
     telling: told of what happens. on_raw, on_samples: given every batch. fast: whether more can
-    come than any craft sends.
+    come than any craft sends; such a source waits while ``busy``.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Receiver:
         on_raw: Callable[[RawBatch], None],
         on_samples: Callable[[SampleBatch], None],
         fast: bool,
+        busy: Callable[[], bool] = lambda: False,
     ) -> None:
         self.link = link
         self.decoder = Decoder()
@@ -60,6 +62,7 @@ class Receiver:
         self._telling = telling
         self._on_raw, self._on_samples = on_raw, on_samples
         self._fast = self._compiled = fast
+        self._busy = busy
         self._meter = LinkMeter(link.clock())
         self._newest_ns = 0  # the latest host stamp
         self._ready_made = 0  # samples of a source that needs no decoder
@@ -256,6 +259,8 @@ class Receiver:
 
     async def _read(self) -> None:
         while True:
+            while self._fast and self._busy():
+                await asyncio.sleep(BUSY_S)
             batch = await self.link.read()
             self._away = None
             if batch is None:

@@ -147,6 +147,12 @@ class Sessions:
         if recorder := self._recorder:
             recorder.command(entry)
 
+    @property
+    def fullness(self) -> float:
+        """How full the recorder's queue is, 0..1."""
+        recorder = self._recorder
+        return recorder.fullness if recorder else 0.0
+
     def status(self) -> dict[str, Any]:
         """file, bytes, samples of the present recording, or of the last one, and its state."""
         recorder = self._recorder

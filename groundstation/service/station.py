@@ -45,6 +45,8 @@ from groundstation.viewer.viewer import Viewer, ViewerMode
 
 EVENTS_KEPT = 1000
 STATISTICS_S = 1.0
+QUEUE_MOST = 0.5
+"""A source that can wait does so while the recorder's queue is fuller than this."""
 
 
 class Station:
@@ -111,6 +113,7 @@ class Station:
             on_raw=self._take_raw,
             on_samples=self._take_samples,
             fast=config.link.speed == "max",
+            busy=lambda: self.sessions.fullness > QUEUE_MOST,
         )
         self.supervisor = Supervisor(lambda text, name: self.fault(text, source=name))
         self.health = Health()
