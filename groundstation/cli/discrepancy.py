@@ -132,9 +132,10 @@ def _write(files: _Outputs, findings: Findings, proof: Proof, report: Discrepanc
 
         discrepancy_page(findings, proof, report).write(files.html)
     if files.rerun is not None:
-        from groundstation.discrepancy.rerun_overlay import write_overlay
+        from groundstation.discrepancy.rerun_overlay import overlay_of
+        from groundstation.viewer.overlay import write_overlay
 
-        write_overlay(proof, files.rerun)
+        write_overlay(overlay_of(proof, report), files.rerun)
 
 
 def _improved(model: Model, report: DiscrepancyReport) -> Model:

@@ -6,10 +6,12 @@ packets (every copy as received) stay in the MCAP recording.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import warnings
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +52,24 @@ def write_rrd(recording: Recording, path: Path) -> None:
     Raises BadInputError when ``path`` exists or its folder does not, RecordingError when the
     file could not be written completely; nothing half-written is left behind.
     """
+    with fresh_rrd(path) as part:
+        _write(recording, part)
+
+
+@contextlib.contextmanager
+def fresh_rrd(path: Path) -> Iterator[Path]:
+    """Within the block, write to the file it gives; in the end that becomes the new ``path``.
+
+    Raises as ``write_rrd`` does.
+    """
     if path.exists():
         raise BadInputError(f"{path} exists already: choose another name or remove it")
     if not path.parent.is_dir():
         raise BadInputError(f"{path.parent} is not a folder: create it first")
+    os.environ.setdefault("RUST_LOG", "off")  # what goes wrong is raised, and said once
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        _write(recording, part)
+        yield part
         _require_footer(part)
         os.link(part, path)  # unlike a rename, fails when the name was taken meanwhile
     except FileExistsError as error:
@@ -121,7 +134,6 @@ def _recording(path: Path, entities: dict[str, Columns]) -> Recording:
 
 
 def _write(recording: Recording, path: Path) -> None:
-    os.environ.setdefault("RUST_LOG", "off")  # what goes wrong is raised, and said once
     import rerun as rr
 
     from groundstation.viewer.blueprint import pilot_blueprint

@@ -1,0 +1,109 @@
+"""An .rrd file that shows what a model was missing: measured, before and after, by channel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
+from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
+from groundstation.viewer.rrd import fresh_rrd
+
+COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
+"""Measured, model, improved model: on the viewer's dark ground."""
+ROWS_PER_CHUNK = 4096
+FINDINGS, GAP, FLIGHTS = "/findings", "/gap", "/flights"
+
+
+def write_overlay(overlay: Overlay, path: Path) -> None:
+    """Write it with its layout into a new file.
+
+    Raises as ``rrd.write_rrd`` does, and leaves nothing half-written behind.
+    """
+    with fresh_rrd(path) as part:
+        _write(overlay, part, path.name)
+
+
+def _write(overlay: Overlay, path: Path, name: str) -> None:
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION, recording_id=name)
+    stream.save(path, default_blueprint=_blueprint(overlay))
+    stream.send_recording_name(name)
+    text = rr.TextDocument(overlay.text, media_type=rr.MediaType.MARKDOWN)
+    stream.log(FINDINGS, text, static=True, strict=True)
+    for channel, (_, values) in overlay.channels.items():
+        _lines(stream, _entity(channel), SERIES, COLORS)
+        # A row whose prediction is missing would break the measured line as well: each series
+        # is an entity of its own.
+        for column, series in enumerate(SERIES):
+            _send(stream, f"{_entity(channel)}/{series}", overlay.time_s, values[:, column])
+    _lines(stream, GAP, SERIES[1:], COLORS[1:])
+    for column, series in enumerate(SERIES[1:]):
+        _send(stream, f"{GAP}/{series}", overlay.gap_time_s, overlay.gap[:, column])
+    for begin, flight in overlay.flights:
+        stream.set_time(DEVICE_TIME, duration=begin)
+        stream.log(FLIGHTS, rr.TextLog(f"{flight} begins"), strict=True)
+    stream.flush()
+    stream.disconnect()
+
+
+def _entity(channel: str) -> str:
+    return f"/channels/{channel}"
+
+
+def _lines(stream: Any, entity: str, names: tuple[str, ...], colors: Any) -> None:
+    import rerun as rr
+
+    for name, color in zip(names, colors, strict=True):
+        width = 2.0 if name == SERIES[0] else 1.2
+        lines = rr.SeriesLines(names=name, colors=color, widths=width)
+        stream.log(f"{entity}/{name}", lines, static=True, strict=True)
+
+
+def _send(stream: Any, entity: str, time_s: Any, values: Any) -> None:
+    import rerun as rr
+
+    known = np.flatnonzero(np.isfinite(values))
+    for first in range(0, len(known), ROWS_PER_CHUNK):
+        rows = known[first : first + ROWS_PER_CHUNK]
+        times = np.rint(time_s[rows] * 1e9).astype("timedelta64[ns]")
+        stream.send_columns(
+            entity,
+            indexes=[rr.TimeColumn(DEVICE_TIME, duration=times)],
+            columns=rr.Scalars.columns(scalars=values[rows]),
+            strict=True,
+        )
+
+
+def _blueprint(overlay: Overlay) -> Any:
+    import rerun.blueprint as rrb
+
+    def plot(name: str, origin: str) -> Any:
+        return rrb.TimeSeriesView(
+            name=name,
+            origin=origin,
+            contents=[f"{origin}/**"],
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+        )
+
+    plots = [
+        plot(f"{channel.replace('_', ' ')} ({unit})", _entity(channel))
+        for channel, (unit, _) in overlay.channels.items()
+    ]
+    left = rrb.Vertical(
+        rrb.TextDocumentView(name="What was found", origin=FINDINGS, contents=[FINDINGS]),
+        plot("Gap over all channels (1: noise)", GAP),
+        row_shares=[3, 2],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Grid(*plots, grid_columns=3), column_shares=[2, 7]),
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
