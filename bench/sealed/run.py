@@ -28,6 +28,12 @@ from bench.sealed.flights import (
 from bench.sealed.judge import judge
 
 PATIENCE_S = 600.0
+SENSOR_NOISE = {
+    "gyro": np.radians(0.1),
+    "accelerometer": 0.01 * 9.80665,
+    "attitude": np.radians(0.02),
+}
+"""Of the reduced plant at its nominal noise."""
 SETTLE = str(Path(__file__).with_name("settle.toml"))
 
 
@@ -88,14 +94,15 @@ def run(
     command: tuple[str, ...] = (),
     keep: bool = False,
 ) -> Iterator[dict[str, Any]]:
-    """Judge every case that ``results`` does not hold yet, and append it there.
+    """Judge every case that ``results`` does not hold yet, and append it there; what failed is
+    tried again.
 
     results: a folder, with ``results.jsonl`` and the base models' families. keep: leave the
     folders of wrong cases there.
     """
     results.mkdir(parents=True, exist_ok=True)
     path = results / "results.jsonl"
-    done = {line["case"] for line in read_results(results)}
+    done = {line["case"] for line in read_results(results) if "error" not in line}
     generator = Generator(results / "families")
     lock, local = threading.Lock(), threading.local()
     searches: list[Search] = []
@@ -144,7 +151,8 @@ def _judged(
         line = {"case": case.name, "group": case.group, "counted": True, "right": False}
         hidden = sealed.hidden if sealed else {}
         return {**line, "hidden": hidden, "condition": case.condition, "error": str(error)}
-    line = judge(case, sealed, json.loads((folder / "report.json").read_text())) | answer
+    line = judge(case, sealed, json.loads((folder / "report.json").read_text()))
+    line |= {"seconds": answer["seconds"], "peak_mb": answer["peak_mb"]}
     if line["listed"]:
         line["right"] = line["settled"] = _settled(case, sealed, search, folder)
     if case.group == "single" and line["right"]:
@@ -168,15 +176,22 @@ def _settled(case: Case, sealed: Sealed, search: Search, folder: Path) -> bool:
 def _flown(case: Case, sealed: Sealed, folder: Path) -> dict[str, float]:
     """How far the stand-in that flies the base and the improved model strays from the hidden craft.
 
-    The same references, the same noise: RMS differences of the rates (deg/s) and angles (deg).
+    The same references, the same noise: what the nine channels differ by, RMS in units of their
+    sensors' noise.
     """
-    seed = {"seed": flight_seed(case, 2), "plant": "reduced"}
-    _, truth = flown({**sealed.craft, **seed}, FLIGHT_S)
+    seed = {"seed": flight_seed(case, 2)}
+    hidden, _ = flown({**sealed.craft, **seed}, FLIGHT_S)
     out = {}
     for label, model in (("base", "model.json"), ("improved", "improved.json")):
         settings = {**sealed.craft, **seed, "effects": {}, "craft": str(folder / model)}
-        _, other = flown(settings, FLIGHT_S)
-        rows = min(len(truth), len(other))
-        rate = other["rate_rad_s"][:rows] - truth["rate_rad_s"][:rows]
-        out[f"{label}_dps"] = round(float(np.degrees(np.sqrt(np.mean(rate**2)))), 4)
+        other, _ = flown(settings, FLIGHT_S)
+        rows = min(len(hidden), len(other))
+        squares = []
+        for channel, noise in SENSOR_NOISE.items():
+            one = getattr(other, channel)[:rows].astype(np.float64)
+            difference = one - getattr(hidden, channel)[:rows]
+            if channel == "attitude":
+                difference = (difference + np.pi) % (2 * np.pi) - np.pi
+            squares.append(np.mean((difference / noise) ** 2))
+        out[label] = round(float(np.sqrt(np.mean(squares))), 3)
     return out

@@ -112,8 +112,8 @@ def _proof(lines: list[Line]) -> str:
         )
     flights = [x["flown"] for x in some if "flown" in x]
     if flights:
-        closer = [f["improved_dps"] < f["base_dps"] for f in flights]
-        ratio = np.median([f["improved_dps"] / max(f["base_dps"], 1e-9) for f in flights])
+        closer = [f["improved"] < f["base"] for f in flights]
+        ratio = np.median([f["improved"] / max(f["base"], 1e-9) for f in flights])
         rows.append(
             f"| flying the improved model comes closer (median distance x {ratio:.2f}) |"
             f" {np.mean(closer):.0%} | {len(closer)} |"
