@@ -64,7 +64,7 @@ class Comparison:
 
     def with_model(self, model: Model) -> Comparison:
         """Another model on the same runs, beside the same floor."""
-        errors = tuple(ahead_errors(one.run, model) for one in self.errors)
+        errors = tuple(ahead_errors(one.recorded, model, one.motion) for one in self.errors)
         return Comparison(model, errors, self.floors, self.black_box)
 
 

@@ -1,11 +1,11 @@
 """The noise floor of each channel: what a predictor without any physics of its own leaves.
 
-A perfect model still errs by the sensors' noise at both ends and by the torques and pushes that
-nobody measured. That much is found without a perfect model: the base model's one-step errors are
+A perfect model still errs by the sensors' noise and by the torques and pushes that nobody
+measured. That much is found without a perfect model: the base model's one-step errors are
 regressed on every generic signal (``floor_signals``) that clearly shows in them, weighted by the
-inverse noise spectrum; what is left is predicted from its own past by a long autoregression that
-may not look at the row the prediction starts from; and the rest is summed up to 20 and 50 ms, as
-errors add up in any model that starts at the measured row.
+inverse noise spectrum; of what is left, a long autoregression foretells what it can from the
+rows up to the one the prediction starts from (that is what a model's observer does with noise);
+and the rest is summed up to 20 and 50 ms.
 
 One step at a time, because in closed loop the inputs answer to the disturbances within 50 ms: a
 direct regression at that horizon would take the controller's answer for the cause and come out
@@ -327,17 +327,17 @@ def _series(
 
 
 def _unforeseen(left: Array, weights: Array, predictor: ChannelPredictor) -> Array:
-    """Sum of ``weights[j] left[k - j]``, less what the rows before the start foretell of it."""
+    """Sum of ``weights[j] left[k - j]``, less what the rows up to the start foretell of it."""
     summed = _weighted(left[:, None], weights)[:, 0]
     whitener = predictor.noise.whitener
     if not predictor.use_past or len(whitener) < 2:
         return summed
     ahead: Array = -whitener[1:]
     total = np.zeros(len(whitener) - 1)
-    for weight in weights[::-1]:  # the first step after the start lies two after the last seen row
-        ahead = np.append(ahead[1:], 0.0) - ahead[0] * whitener[1:]
+    for weight in weights[::-1]:
         total += weight * ahead
-    delay = np.zeros(len(weights) + 1)
+        ahead = np.append(ahead[1:], 0.0) - ahead[0] * whitener[1:]
+    delay = np.zeros(len(weights))
     return np.asarray(summed - _weighted(left[:, None], np.concatenate([delay, total]))[:, 0])
 
 

@@ -9,15 +9,15 @@ nothing is left to explain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.ahead import base_ahead
 from groundstation.discrepancy.findings import CHANNELS
 from groundstation.discrepancy.recordings import without_gaps
 from groundstation.discrepancy.regimes import Motion, motion_of
+from groundstation.dynamics.effects.ahead import predict_ahead
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -41,12 +41,13 @@ class AheadErrors:
     """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
     order of ``CHANNELS`` and in the row they are judged at.
 
-    run: lost rows filled in. step: at the shortest horizon, ``step_rows`` (9,): one row, but two
-    where the attitude is refreshed every second row only; NaN outside flight. horizons: one for
-    each of ``HORIZONS_S``, which are ``rows`` (9,) each; NaN where the first or last row is
-    outside flight or was not measured afresh.
+    recorded: the run as it is, run: lost rows filled in. step: at the shortest horizon,
+    ``step_rows`` (9,): one row, but two where the attitude is refreshed every second row only.
+    horizons: one for each of ``HORIZONS_S``, which are ``rows`` (9,) each. NaN where the first or
+    last row is outside flight or was not measured afresh.
     """
 
+    recorded: Run
     run: Run
     motion: Motion
     step_rows: NDArray[np.int64]
@@ -55,34 +56,45 @@ class AheadErrors:
     rows: tuple[NDArray[np.int64], ...]
 
 
-def ahead_errors(run: Run, model: Model) -> AheadErrors:
+def ahead_errors(run: Run, model: Model, motion: Motion | None = None) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
+
+    motion: that of another model, so that the same rows are judged; None: of this one.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
     whole = without_gaps(run)
-    motion = motion_of(whole, model)
+    moved = motion_of(whole, model) if motion is None else motion
     fresh, every = fresh_attitude(whole.attitude)
-    flown = np.repeat(motion.flown[:, None], 9, axis=1)
-    flown[:, ATTITUDE] &= fresh[:, None]
-    known = flown & np.isfinite(_measured(run))
+    known = np.isfinite(_measured(run)) & moved.flown[:, None]
+    known[:, ATTITUDE] &= fresh[:, None]
     step_rows = np.array([1] * 6 + [every] * 3)
     horizons = [max(round(horizon / run.period_s), every) for horizon in HORIZONS_S]
     rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
-    made: dict[int, Array] = {}
+    # The model flies on every input; what was not measured must not look measured.
+    driven = replace(run, duty=whole.duty, supply_v=whole.supply_v)
+    counts = np.unique(np.concatenate([step_rows, *rows]))
+    ahead = predict_ahead(model, driven, counts, stride=1)
+    made = ahead.errors(driven)
 
-    def errors(counts: NDArray[np.int64], usable: Mask) -> Array:
-        error = np.full(usable.shape, np.nan)
+    def errors(wanted: NDArray[np.int64]) -> Array:
+        error = np.full(known.shape, np.nan)
         for part in (slice(0, 6), ATTITUDE):
-            count = int(counts[part][0])
-            if count not in made:
-                made[count] = _measured(whole) - base_ahead(whole, motion, count)
-            valid = usable[count:, part] & usable[:-count, part]
-            error[count:, part] = np.where(valid, made[count][count:, part], np.nan)
+            count = int(wanted[part][0])
+            at = ahead.rows + count
+            values = made[:, int(np.searchsorted(counts, count)), part]
+            error[at, part] = np.where(known[at, part] & known[ahead.rows, part], values, np.nan)
         return error
 
-    at = tuple(errors(counts, known) for counts in rows)
-    return AheadErrors(whole, motion, step_rows, errors(step_rows, flown), at, rows)
+    return AheadErrors(
+        run,
+        whole,
+        moved,
+        step_rows,
+        errors(step_rows),
+        tuple(errors(one) for one in rows),
+        rows,
+    )
 
 
 def fresh_attitude(attitude: Array) -> tuple[Mask, int]:
