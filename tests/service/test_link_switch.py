@@ -1,0 +1,173 @@
+"""Another link takes over while the daemon runs: real replays and a real stand-in."""
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+import pytest
+from installed import RECORDINGS
+
+from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.recording.open_recording import open_recording
+from groundstation.service.api import permitted_link
+from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
+from groundstation.service.station import Station
+
+FLIGHT = RECORDINGS / "stand_in_flight.mcap"
+WITHOUT_DATA_MOST_S = 0.5
+
+
+def run(tmp_path, conversation, *, link="stand-in", **options):
+    """Runs a conversation with a recording station; the station and what it recorded."""
+
+    async def session():
+        station = Station(
+            Config(
+                link=LinkConfig(name=link),
+                recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
+                **options,
+            )
+        )
+        running = asyncio.create_task(station.run())
+        try:
+            await samples(station, 200)
+            await conversation(station)
+        finally:
+            station.stop()
+            await running
+        return station
+
+    station = asyncio.run(session())
+    (path,) = (tmp_path / "sessions").glob("*.mcap")
+    return station, open_recording(path, raw=True)
+
+
+async def samples(station, count):
+    """Wait until the present link has given so many samples."""
+    async with asyncio.timeout(60):
+        while station.receiver.decoder.counts().samples + station.receiver._ready_made < count:
+            await asyncio.sleep(0.01)
+
+
+def silence_s(recording):
+    """The longest time without a packet around a change of segment."""
+    host, segment = recording.samples.host_time_ns, recording.samples.segment
+    return max(np.diff(host)[np.diff(segment) != 0]) * 1e-9
+
+
+def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp_path):
+    async def conversation(station):
+        for name in (f"replay:{FLIGHT}", "stand-in", f"replay:{RECORDINGS / 'microsd_log16'}"):
+            await station.switch_link(name)
+            assert station.status()["link"]["name"] == name
+            await samples(station, 300)
+
+    _, recording = run(tmp_path, conversation)
+    assert recording.damage == []
+    segment = recording.samples.segment
+    assert np.unique(segment).tolist() == [0, 1, 2, 3]
+    assert (np.diff(segment) >= 0).all(), "nothing of a link comes after its successor"
+    replayed = recording.samples[segment == 1]
+    source = open_recording(FLIGHT).samples
+    np.testing.assert_array_equal(replayed.ticks, source.ticks[: len(replayed)])
+    np.testing.assert_array_equal(replayed.gyro, source.gyro[: len(replayed)])
+    for number in (0, 2):
+        ticks = recording.samples.ticks[segment == number]
+        assert np.diff(ticks).max() < 1.5 * np.median(np.diff(ticks)), "the stand-in lost nothing"
+    told = [event["text"] for event in recording.events if event["kind"] == "link"]
+    assert told[0] == f"switched from stand-in to replay:{FLIGHT}"
+    assert len(told) == 3
+    print(f"without data for {silence_s(recording):.3f} s at most")
+    assert silence_s(recording) < WITHOUT_DATA_MOST_S
+
+
+def test_where_the_other_link_cannot_be_opened_the_present_one_stays(tmp_path):
+    async def conversation(station):
+        for name, says in (
+            ("replay:nowhere.mcap", "nowhere"),
+            ("serial:/dev/nothing", "nothing"),
+            ("usb", "USB"),
+            ("stand-in", "already"),
+            ("banana", "not known"),
+        ):
+            with pytest.raises(GroundStationError, match=says):
+                await station.switch_link(name)
+        before = station.receiver.decoder.counts().samples
+        await samples(station, before + 200)
+        assert (
+            station.status()["link"] | {"name": "stand-in", "state": "streaming"}
+            == (station.status()["link"])
+        )
+
+    _, recording = run(tmp_path, conversation)
+    assert set(recording.samples.segment) == {0}
+    ticks = recording.samples.ticks
+    assert np.diff(ticks).max() < 1.5 * np.median(np.diff(ticks))
+
+
+def test_while_a_client_commands_the_link_stays(tmp_path, monkeypatch):
+    async def conversation(station):
+        monkeypatch.setattr(type(station.commander), "client", "pilot")
+        with pytest.raises(TakenError, match="pilot is commanding; it must release first"):
+            await station.switch_link(f"replay:{FLIGHT}")
+
+    run(tmp_path, conversation)
+
+
+def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tmp_path):
+    from installed import free_port
+
+    async def conversation(station):
+        async with asyncio.timeout(60):
+            while station.status()["recording"]["state"] != "finished":
+                await asyncio.sleep(0.02)
+            await station.switch_link("stand-in")
+            await samples(station, 200)
+        assert station.status()["recording"]["state"] == "recording"
+
+    async def session():
+        viewer = ViewerConfig(mode="serve", port=free_port(), web_port=free_port())
+        station = Station(
+            Config(
+                link=LinkConfig(name=f"replay:{RECORDINGS / 'thesis_excerpt.csv'}"),
+                recording=RecordingConfig(folder=str(tmp_path), low_space_mb=0),
+                viewer=viewer,
+            )
+        )
+        running = asyncio.create_task(station.run())
+        try:
+            await conversation(station)
+        finally:
+            station.stop()
+            await running
+
+    asyncio.run(session())
+    first, second = sorted(tmp_path.glob("*.mcap"))
+    assert len(open_recording(first).samples) == 25
+    assert len(open_recording(second).samples) >= 200
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed"),
+    [
+        ("stand-in", True),
+        ("usb", True),
+        ("replay:flight.mcap", True),
+        ("replay:sub/flight.mcap", True),
+        ("replay:../flight.mcap", False),
+        ("replay:/etc/passwd", False),
+        ("replay:escape/passwd", False),
+        ("replay:a\0b", False),
+        ("serial:/dev/ttyUSB0", True),
+        ("serial:/etc/passwd", False),
+        ("serial:/dev/../etc/passwd", False),
+    ],
+)
+def test_no_path_of_a_request_leaves_the_recordings_folder(tmp_path, name, allowed):
+    (tmp_path / "escape").symlink_to("/etc")
+    if allowed:
+        kind, _, argument = permitted_link(name, tmp_path).partition(":")
+        assert kind != "replay" or Path(argument).is_relative_to(tmp_path.resolve())
+    else:
+        with pytest.raises(BadInputError):
+            permitted_link(name, tmp_path)

@@ -1,0 +1,179 @@
+"""Rotation, resuming and retention, on a flying stand-in."""
+
+import asyncio
+import os
+
+import numpy as np
+import pytest
+
+from groundstation.errors import BadInputError
+from groundstation.recording.catalogue import catalogue
+from groundstation.recording.open_recording import open_recording
+from groundstation.service import recording_manager
+from groundstation.service.config import Config, LinkConfig, RecordingConfig
+from groundstation.service.recording_manager import delete_oldest
+from groundstation.service.station import Station
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Runs a conversation with a station that looks after its recordings ten times as often."""
+    monkeypatch.setattr(recording_manager, "CHECK_S", 0.05)
+
+    def running(conversation, *, speed=1.0, **recording):
+        async def session():
+            options = {"folder": str(tmp_path / "sessions"), "low_space_mb": 0, **recording}
+            station = Station(
+                Config(link=LinkConfig(speed=speed), recording=RecordingConfig(**options))
+            )
+            task = asyncio.create_task(station.run())
+            try:
+                await until(lambda: recorded(station) > 100)
+                await conversation(station)
+            finally:
+                station.stop()
+                await task
+            return station
+
+        return asyncio.run(session())
+
+    return running
+
+
+def recorded(station):
+    return station.status()["recording"]["samples"]
+
+
+async def until(condition):
+    async with asyncio.timeout(60):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def files(tmp_path):
+    return sorted((tmp_path / "sessions").glob("*.mcap"))
+
+
+def require_nothing_lost(station, paths):
+    """Put together, the files hold everything that arrived, once and in order."""
+    parts = [open_recording(path, raw=True) for path in paths]
+    assert [part.damage for part in parts] == [[]] * len(parts)
+    ticks = np.concatenate([part.samples.ticks for part in parts])
+    steps = np.diff(ticks)
+    assert steps.min() > 0.5 * np.median(steps)
+    assert steps.max() < 1.5 * np.median(steps)
+    assert len(ticks) == station.statistics.samples
+    assert sum(len(part.raw) for part in parts) == station.statistics.packets
+    return parts
+
+
+@pytest.mark.parametrize(
+    "limit", [{"rotate_mb": 0.05}, {"rotate_minutes": 0.01, "rotate_mb": 0}], ids=["size", "time"]
+)
+def test_a_file_that_is_long_enough_is_followed_by_another_and_nothing_is_lost(
+    run, tmp_path, limit
+):
+    async def conversation(station):
+        await until(lambda: station.recordings.rotations >= 3)
+
+    station = run(conversation, **limit)
+    assert len(files(tmp_path)) == 1 + station.recordings.rotations
+    parts = require_nothing_lost(station, files(tmp_path))
+    names = [part.metadata["session"] for part in parts]
+    assert {name["session"] for name in names} == {files(tmp_path)[0].stem}
+    assert [name["part"] for name in names] == [str(k + 1) for k in range(len(parts))]
+
+
+def test_as_fast_as_possible_rotation_loses_nothing_either(run, tmp_path):
+    async def conversation(station):
+        await until(lambda: station.recordings.rotations >= 3)
+
+    station = run(conversation, speed="max", rotate_mb=2)
+    assert sum(entry.samples for entry in catalogue(tmp_path / "sessions")) == (
+        station.statistics.samples
+    )
+    assert sum(entry.raw_packets for entry in catalogue(tmp_path / "sessions")) == (
+        station.statistics.packets
+    )
+    assert station.status()["recording"]["dropped"] == 0
+
+
+def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, tmp_path):
+    async def conversation(station):
+        files(tmp_path)[0].unlink()
+        gone_s = asyncio.get_running_loop().time()
+        await until(lambda: station.recordings.resumed == 1)
+        print(f"recording again after {asyncio.get_running_loop().time() - gone_s:.2f} s")
+        await until(lambda: station.status()["recording"]["samples"] > 100)
+        assert station.status()["recording"]["state"] == "recording"
+        assert station.status()["recording"]["wanted"]
+
+    run(conversation)
+    (path,) = files(tmp_path)
+    assert open_recording(path).damage == []
+    assert open_recording(path).metadata["session"]["part"] == "2"
+
+
+def test_what_an_operator_stopped_is_not_resumed(run, tmp_path):
+    async def conversation(station):
+        await station.stop_recording()
+        await asyncio.sleep(0.3)
+        with pytest.raises(BadInputError, match="nothing is being recorded"):
+            station.mark("too late", {})
+        with pytest.raises(BadInputError, match="nothing is being recorded"):
+            await station.stop_recording()
+
+    station = run(conversation, rotate_minutes=0.02)
+    assert station.recordings.resumed == 0
+    assert station.status()["recording"]["state"] == "finished"
+
+
+def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    (folder / "flight.mcap").write_bytes(b"x" * 10**6)
+    (folder / "notes.txt").write_text("precious")
+    (folder / "2000-01-01T00-00-00-000Z_usb.mcap").write_bytes(b"x" * 10**6)
+
+    async def conversation(station):
+        await until(lambda: station.recordings.deleted >= 3)
+
+    station = run(conversation, rotate_mb=0.05, keep_mb=0.2)
+    names = {path.name for path in folder.iterdir()}
+    assert {"flight.mcap", "notes.txt"} <= names
+    assert "2000-01-01T00-00-00-000Z_usb.mcap" not in names
+    ours = [path for path in files(tmp_path) if path.name != "flight.mcap"]
+    assert len(ours) == 2 + station.recordings.rotations - station.recordings.deleted
+    assert all(open_recording(path).damage == [] for path in ours)
+    told = [event.text for event in station.events if event.kind == "deleted"]
+    assert len(told) == station.recordings.deleted
+
+
+def test_a_link_that_points_elsewhere_is_never_followed_to_delete(tmp_path):
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    outside = tmp_path / "2000-01-01T00-00-00-000Z_usb.mcap"
+    outside.write_bytes(b"x" * 100)
+    os.symlink(outside, folder / outside.name)
+    assert delete_oldest(folder, 0, set()) == []
+    assert outside.exists()
+
+
+def test_the_catalogue_tells_finished_torn_and_growing_files_apart(run, tmp_path):
+    async def conversation(station):
+        station.mark("step 1", {"axis": "roll"})
+        (entry,) = await asyncio.to_thread(station.recordings.entries)
+        assert entry["state"] == "recording"
+
+    station = run(conversation)
+    (path,) = files(tmp_path)
+    torn = path.with_name("torn.mcap")
+    torn.write_bytes(path.read_bytes()[:-100])
+    whole, cut = catalogue(tmp_path / "sessions")
+    assert (cut.state, cut.samples) == ("torn", None)
+    recording = open_recording(path, raw=True)
+    assert (whole.state, whole.link, whole.marks, whole.part) == ("finished", "stand-in", 1, 1)
+    assert (whole.samples, whole.raw_packets) == (len(recording.samples), len(recording.raw))
+    span_s = np.ptp(recording.samples.host_time_ns) * 1e-9
+    assert abs(whole.duration_s - span_s) < 1.5
+    assert station.statistics.samples == whole.samples
