@@ -108,6 +108,7 @@ def identify_arx(
             residuals(chosen, other[0]),
             f"{axis} u'",
             other[0].inputs[-len(residuals(chosen, other[0])) :],
+            sum(len(part.outputs) for part in one),
         )
         tests.append(test)
         traces.append(_trace(axis, channel, chosen, other[0]))

@@ -85,7 +85,8 @@ def identify_body(
     fit = fit_body(fit_on, vehicle, names, tie_roll_pitch, covariance)
     progress(0.8, "judging it on held-out data")
     naive = fit_free_run(fit_on, vehicle)
-    traces, residuals = _pictures(validate_on, fit)
+    rows = sum(len(stretch) for stretch in fit_on)
+    traces, residuals = _pictures(validate_on, fit, rows)
     warnings = [*judged.lines, *fit.warnings]
     if covariance is None and not measured:
         warnings.append(
@@ -96,7 +97,7 @@ def identify_body(
         "what": "body",
         "method": "prediction error, autoregressive noise",
         "rotor_speed": "measured" if measured else "modelled",
-        "samples": sum(len(stretch) for stretch in fit_on),
+        "samples": rows,
         "selection": str(selection),
         "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
@@ -167,7 +168,9 @@ def _swapped(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
     return {"roll_model_on_pitch": float(errors[1]), "pitch_model_on_roll": float(errors[0])}
 
 
-def _pictures(stretches: Sequence[Stretch], fit: BodyFit) -> tuple[list[Trace], list[ResidualTest]]:
+def _pictures(
+    stretches: Sequence[Stretch], fit: BodyFit, fitted_rows: int
+) -> tuple[list[Trace], list[ResidualTest]]:
     """Rates predicted 20 ms ahead where they are liveliest, vertical force, and residuals."""
     stretch = max(stretches, key=len)
     period = stretch.run.period_s
@@ -189,16 +192,17 @@ def _pictures(stretches: Sequence[Stretch], fit: BodyFit) -> tuple[list[Trace], 
         )
     force, squares = vertical([stretch], fit.model, fit.values)
     if len(force):
-        rows = liveliest(squares, period, 2 * DRAWN_S)
         width = max(1, round(SHAKEN_S / period))
         force, squares = (
-            np.convolve(one, np.ones(width) / width, "same") for one in (force, squares)
+            np.convolve(one, np.ones(width) / width, "valid") for one in (force, squares)
         )
+        times = stretch.run.time_s[stretch.rows][width // 2 :] - stretch.run.recording_start_s
+        rows = liveliest(squares, period, 2 * DRAWN_S)
         traces.append(
             Trace(
                 "vertical specific force",
                 "m/s^2",
-                stretch.run.time_s[stretch.rows][rows] - stretch.run.recording_start_s,
+                times[rows],
                 force[rows],
                 fit.body.thrust_per_mass * squares[rows],
                 "from the rotors alone; both averaged over 50 ms, as the rotors shake the sensor",
@@ -210,6 +214,12 @@ def _pictures(stretches: Sequence[Stretch], fit: BodyFit) -> tuple[list[Trace], 
     for axis, name in enumerate(AXES):
         good = np.isfinite(left[:, axis])
         residuals.append(
-            residual_test(f"{name} rate", left[good, axis], f"{name} u'", torque[good, axis])
+            residual_test(
+                f"{name} rate",
+                left[good, axis],
+                f"{name} u'",
+                torque[good, axis],
+                fitted_rows,
+            )
         )
     return traces, residuals

@@ -98,11 +98,12 @@ class Identified:
     evidence: Evidence
 
 
-def residual_test(channel: str, left: Array, against: str, inputs: Array) -> ResidualTest:
-    """Both tests of residuals (n,) and the input (n,) behind them."""
-    return ResidualTest(
-        channel, against, whiteness_test(left), cross_correlation_test(left, inputs)
-    )
+def residual_test(
+    channel: str, left: Array, against: str, inputs: Array, fitted_rows: int
+) -> ResidualTest:
+    """Both tests of held-out residuals (n,) and the input (n,) behind them."""
+    cross = cross_correlation_test(left, inputs, fitted_rows=fitted_rows)
+    return ResidualTest(channel, against, whiteness_test(left), cross)
 
 
 def effect_terms(estimates: Estimates, units: Callable[[str, str], str]) -> list[EffectTerm]:
@@ -137,8 +138,14 @@ def fitted_effects(names: Sequence[str], model: Model, known: Sequence[str]) -> 
 
 
 def liveliest(signal: Array, period_s: float, seconds: float) -> slice:
-    """The rows of ``seconds`` in which a signal (n,) varies most: what is worth drawing."""
-    width = min(len(signal), max(2, round(seconds / period_s)))
-    sums = np.concatenate([[0.0], np.cumsum(np.square(np.diff(signal, prepend=signal[:1])))])
-    first = int(np.argmax(sums[width:] - sums[:-width])) if len(signal) > width else 0
+    """The rows of ``seconds`` in which a signal (n,) varies most: what is worth drawing.
+
+    Vibration, which is everywhere, does not count: changes of the mean over 50 ms do.
+    """
+    smooth = max(1, round(0.05 / period_s))
+    sums = np.concatenate([[0.0], np.cumsum(signal)])
+    means = (sums[smooth:] - sums[:-smooth]) / smooth if len(signal) >= smooth else signal
+    width = min(len(means), max(2, round(seconds / period_s)))
+    moved = np.concatenate([[0.0], np.cumsum(np.square(np.diff(means, prepend=means[:1])))])
+    first = int(np.argmax(moved[width:] - moved[:-width]))
     return slice(first, first + width)

@@ -101,7 +101,7 @@ def identify_motor(
     progress(0.8, "judging it on held-out data")
     delay = fit.estimates["delay_s"]
     figures = [(run.name, *validate_motor(run, fit.motor, delay, fit.values)) for run in driven]
-    traces, residuals = _pictures(driven, fit)
+    traces, residuals = _pictures(driven, fit, sum(len(run) for run in fit_on))
     terms = [*effect_terms(fit.estimates, unit_of), *supply_terms(supplied, supplies, vehicle)]
     account = {
         "what": "motor",
@@ -161,7 +161,9 @@ def _motor_runs(runs: Sequence[Run], motor: int, measured: bool) -> list[MotorRu
     return [bench_run(run, motor) for run in runs]
 
 
-def _pictures(runs: Sequence[MotorRun], fit: MotorFit) -> tuple[list[Trace], list[ResidualTest]]:
+def _pictures(
+    runs: Sequence[MotorRun], fit: MotorFit, fitted_rows: int
+) -> tuple[list[Trace], list[ResidualTest]]:
     """Measured and simulated speed, and the residuals, of the first held-out runs."""
     traces, residuals = [], []
     for run in runs[:4]:
@@ -186,6 +188,7 @@ def _pictures(runs: Sequence[MotorRun], fit: MotorFit) -> tuple[list[Trace], lis
                 run.rev_s[good] - model[good],
                 "armature voltage",
                 run.voltage_mv[good],
+                fitted_rows,
             )
         )
     return traces, residuals

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from groundstation.dynamics.model import Model
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.evidence import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.residual_tests import CorrelationTest
+from groundstation.identification.segments import EVERYTHING
 from groundstation.report.figure import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES, figure
 from groundstation.report.page import Page
 
@@ -24,10 +25,11 @@ TITLES = {"motor": "Motor", "body": "Body", "arx": "ARX models"}
 def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     """The whole page. account: as the model file keeps it, with its recordings."""
     names = ", ".join(one["file"] for one in account["recordings"])
+    chosen = "" if account["selection"] == str(EVERYTHING) else f", {account['selection']}"
     page = Page(
         f"{TITLES[account['what']]} of {model.vehicle}",
-        f"{account['method']}, {account['samples']} samples of {names}"
-        f" ({account['selection']}); made by {model.created_by}",
+        f"{account['method']}, {account['samples']} samples of {names}{chosen}; made by"
+        f" {model.created_by}",
     )
     page.verdict(*_verdict(account, evidence))
     if account["warnings"]:
@@ -116,7 +118,7 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
                 100 * error / abs(value) if value else None,
                 float(interval[i, 0]),
                 float(interval[i, 1]),
-                expected.get(name),
+                *([expected.get(name)] if expected else []),
             ]
         )
     page.table(
@@ -127,7 +129,7 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
             "%",
             "95 % from",
             "to",
-            "% expected before the fit",
+            *(["% expected before the fit"] if expected else []),
         ],
         rows,
         "Expected: from the recorded inputs and the noise of a black-box predictor, against the"
@@ -137,8 +139,10 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
     )
     if len(estimates.names) > 1:
         page.figure(
-            _correlation(estimates),
-            "Correlation of the estimates: near +1 or -1, the data tell the two only together.",
+            _certainty(estimates, expected),
+            "Left: correlation of the estimates; near +1 or -1, the data tell the two only"
+            " together. Right: standard error as a share of the value"
+            + (" (bars), and as it was expected before the fit (marks)." if expected else "."),
         )
 
 
@@ -204,7 +208,7 @@ def _trace(trace: Trace) -> Figure:
     above.legend(loc="upper right", ncols=2)
     below.plot(trace.time_s, trace.measured - trace.modelled, color=NEUTRAL)
     below.set_ylabel(f"error\n{trace.unit}")
-    below.set_xlabel("time in the recording, s")
+    below.set_xlabel("time, s")
     return made
 
 
@@ -234,26 +238,32 @@ def _residual_text(test: ResidualTest) -> str:
     return f"{test.channel}: {white}, {input_}."
 
 
-def _correlation(estimates: Estimates) -> Figure:
+def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
     labels = [name.replace(".", "\n") for name in estimates.names]
-    size = max(2.6, 0.55 * len(labels))
-    made, (axes,) = figure(width=min(9.0, size + 3.4), height=size + 0.7)
-    shown = axes.imshow(estimates.correlation, cmap="coolwarm", vmin=-1, vmax=1)
+    made, (left, right) = figure(
+        height=max(2.8, 0.5 * len(labels) + 1.0), columns=2, width_ratios=[1.0, 1.1]
+    )
+    left.imshow(estimates.correlation, cmap="coolwarm", vmin=-1, vmax=1, aspect="auto")
     ticks = range(len(labels))
-    axes.set_xticks(ticks, labels, rotation=60, ha="right", fontsize=7.5)
-    axes.set_yticks(ticks, labels, fontsize=7.5)
-    axes.grid(visible=False)
+    left.set_xticks(ticks, labels, rotation=60, ha="right", fontsize=7)
+    left.set_yticks(ticks, labels, fontsize=7)
+    left.grid(visible=False)
+    left.set_title("correlation")
     for i in ticks:
         for j in ticks:
             value = estimates.correlation[i, j]
-            axes.text(
-                *(j, i, f"{value:.2f}"),
-                ha="center",
-                va="center",
-                fontsize=7.5,
-                color="white" if abs(value) > 0.7 else MEASURED,
-            )
-    made.colorbar(shown, ax=axes, shrink=0.8)
+            color = "white" if abs(value) > 0.7 else MEASURED
+            left.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=color)
+    shares = 100 * estimates.stderr / np.maximum(np.abs(estimates.values), 1e-300)
+    right.barh(ticks, shares, color=SERIES[0], height=0.6)
+    for i, name in enumerate(estimates.names):
+        if name in expected:
+            right.plot(expected[name], i, "|", color=MODELLED, markersize=14, markeredgewidth=2.5)
+    right.set_xscale("log")
+    right.invert_yaxis()
+    right.set_yticks(ticks, labels, fontsize=7)
+    right.set_xlabel("standard error, % of the value")
+    right.set_title("uncertainty")
     return made
 
 
@@ -272,7 +282,8 @@ def _steps(steps: Sequence[Step]) -> Figure:
                 linestyle="-" if step.plausible else "--",
                 label=step.label,
             )
-        axes.set_ylim(-1.3, 1.6)
+        lowest = min(float(step.output.min()) / reach for step in here)
+        axes.set_ylim(max(1.2 * lowest, -1.3) - 0.6, 1.6)
         axes.set_title(name)
         axes.set_xlabel("time, s")
         axes.legend(loc="lower left")

@@ -43,12 +43,14 @@ def whiteness_test(residual: ArrayLike, lags: int = LAGS) -> CorrelationTest:
 
 
 def cross_correlation_test(
-    residual: ArrayLike, inputs: ArrayLike, lags: int = LAGS
+    residual: ArrayLike, inputs: ArrayLike, lags: int = LAGS, fitted_rows: int | None = None
 ) -> CorrelationTest:
     """Correlation of residuals with the input 0..lags rows before them.
 
     In closed loop later inputs do follow from residuals, through the controller: only
     non-negative lags speak about the model. The bound allows for colour in both signals.
+    fitted_rows: where the residuals are of held-out data, how many rows the model was fitted on:
+    what it does not know exactly for want of them is the input's part too, and widens the bound.
     """
     e, u = _centred(residual), _centred(inputs)
     if e.shape != u.shape:
@@ -59,6 +61,8 @@ def cross_correlation_test(
     auto_e = np.array([e[k:] @ e[: len(e) - k] for k in range(span)]) / (e @ e)
     auto_u = np.array([u[k:] @ u[: len(u) - k] for k in range(span)]) / (u @ u)
     variance = 1.0 + 2.0 * float(auto_e[1:] @ auto_u[1:])
+    if fitted_rows is not None:
+        variance = max(variance, 0.05) * (1.0 + len(e) / fitted_rows)
     bound = _quantile() * np.sqrt(max(variance, 0.05) / len(e))
     return CorrelationTest(np.arange(lags + 1), values, float(bound))
 
