@@ -57,8 +57,9 @@ class AttitudeRows:
 
     stride: rows of the run between two of them; first: the run's row of the first. to_euler:
     (m, 3, 3) from body to Euler rates (thesis eq. 3.11). rate: measured Euler rates. gyro: mean
-    of the gyro over the stride. timing: its last row less that mean. slope: its mean slope, rad/s^2. lean: the rate by which
-    a Mahony filter at firmware gains would turn the estimate, rad/s.
+    of the gyro over the stride. timing: its last row less that mean. slope: its mean slope,
+    rad/s^2. lean: the rate by which a Mahony filter at firmware gains would turn the estimate,
+    rad/s.
     """
 
     stride: int

@@ -14,6 +14,7 @@ from groundstation.discrepancy.findings import (
     ChannelResidual,
     Findings,
     FoundEffect,
+    Leftover,
     NotShown,
     Verdict,
 )
@@ -47,6 +48,8 @@ SHOWN = 5.0
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 OTHER_CRAFT = 0.6
+DROWNED = 0.05
+"""An effect that explains less than this share of the structure that is left is not believed."""
 USUAL: dict[str, float] = {
     LOW_PASS: 1 / (2 * np.pi * 30.0),
     "motor_braking_asymmetry.factor": 0.4,
@@ -113,7 +116,32 @@ def find_effects(
     outcome = search(problem, held, known, candidates, report)
     _require_told(outcome, problem)
     report("judging what is left", 0.95)
-    return _findings(outcome, problem, held, model, known, lost)
+    residual = _what_is_left(outcome, problem, held, known)
+    return _findings(outcome, problem, held, model, known, lost, residual)
+
+
+def _what_is_left(
+    outcome: Outcome, problem: Problem, held: Sequence[Flight], known: Sequence[Variant]
+) -> Leftover:
+    """Judge the residual; effects that are small beside an unexplained structure are taken back.
+
+    A pendulum under the craft, say, also looks a little like a lever arm: a name for a hundredth
+    of what is wrong is no explanation.
+    """
+    vehicle = problem.frame.vehicle
+    while True:
+        final = outcome.final
+        speeds = [spin_rotors(f, final.point, vehicle).end[f.rows].mean() for f in problem.flights]
+        residual, slow = leftover(problem, final, held, float(np.mean(speeds)))
+        drowned = [one for one in outcome.accepted if one.evidence.drop < DROWNED * slow]
+        if not drowned:
+            return residual
+        for one in drowned:
+            outcome.accepted.remove(one)
+            outcome.reasons[one.variant.label] = "small beside a structure that nothing explains"
+        gone = {key for one in drowned for key in one.variant.keys}
+        point = {key: number for key, number in final.point.items() if key not in gone}
+        outcome.final = problem.fit(point, [key for key in final.keys if key not in gone])
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:
@@ -163,11 +191,9 @@ def _findings(
     model: Model,
     known: Sequence[Variant],
     lost: dict[str, str],
+    residual: Leftover,
 ) -> Findings:
     final, errors = outcome.final, outcome.final.stderr()
-    vehicle = problem.frame.vehicle
-    speeds = [spin_rotors(f, final.point, vehicle).end[f.rows].mean() for f in problem.flights]
-    residual = leftover(problem, final, held, float(np.mean(speeds)))
     keys = tuple(key for v in known for key in v.keys)
     effects = []
     for number, one in enumerate(outcome.accepted):

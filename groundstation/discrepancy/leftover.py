@@ -29,6 +29,8 @@ FINE_HZ = 0.25
 BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
 """The smooth spectrum is a running median over this share of the frequency, or this far."""
 EXCESS, CHANCE = 1.7, 1e-5
+SLOW_HZ = 40.0
+"""Above it there is vibration, which hides no effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz:
     signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
     peaks = rises(problem.linear(fit.point, (), problem.flights))
     if not signals and not peaks:
-        return Leftover("white")
+        return Leftover("white"), 0.0
     by_channel: dict[int, float] = {}
     for signal in signals:
         by_channel[signal.channel] = max(by_channel.get(signal.channel, 0.0), signal.drop)
@@ -64,13 +66,15 @@ def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz:
         words = words or "the rotors' speed, folded at the sample rate: a propeller out of balance"
     elif mine and not words:
         words = "an oscillation that no recorded signal goes with"
-    return Leftover(
+    found = Leftover(
         "structured",
         CHANNELS[worst],
         tuple(round(p[1], 2) for p in mine[:5]),
         words,
         max((p[2] for p in mine), default=1.0),
     )
+    slow = sum(freedom * (ratio - 1.0) for _, hz, ratio, freedom in peaks if hz < SLOW_HZ)
+    return found, float(slow)
 
 
 def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signal]:
@@ -126,13 +130,13 @@ def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
         for i in range(1, len(level) - 1):
             reach = max(BASELINE_SHARE * middle[i], BASELINE_HZ)
             near = level[(np.abs(middle - middle[i]) < reach) & (freedom > 0)]
-            ratio = float(level[i] / np.median(near))
+            ratio = level[i] / float(np.median(near))
             # The median of a few degrees of freedom lies below their mean.
             count = freedom[i]
             ratio *= float(chi2.ppf(0.5, count)) / count if count > 0 else 0.0
             limit = float(chi2.isf(CHANCE / len(level), count)) / count if count > 1 else np.inf
             if ratio > max(EXCESS, limit):
-                found.append((channel, float(middle[i]), ratio, float(count)))
+                found.append((channel, float(middle[i]), float(ratio), float(count)))
     return found
 
 
