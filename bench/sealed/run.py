@@ -156,7 +156,10 @@ def _judged(
     if line["listed"]:
         line["right"] = line["settled"] = _settled(case, sealed, search, folder)
     if case.group == "single" and line["right"]:
-        line["flown"] = _flown(case, sealed, folder)
+        try:
+            line["flown"] = _flown(case, sealed, folder)
+        except ValueError as error:
+            line["not_flown"] = str(error)
     return line
 
 

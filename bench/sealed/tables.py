@@ -110,10 +110,10 @@ def _proof(lines: list[Line]) -> str:
             f"| top `where` row in a channel of what is hidden | {np.mean(pointed):.0%} |"
             f" {len(pointed)} |"
         )
-    flights = [x["flown"] for x in some if "flown" in x]
+    flights = [x.get("flown") for x in some if "flown" in x or "not_flown" in x]
     if flights:
-        closer = [f["improved"] < f["base"] for f in flights]
-        ratio = np.median([f["improved"] / max(f["base"], 1e-9) for f in flights])
+        closer = [f is not None and f["improved"] < f["base"] for f in flights]
+        ratio = np.median([f["improved"] / max(f["base"], 1e-9) for f in flights if f])
         rows.append(
             f"| flying the improved model comes closer (median distance x {ratio:.2f}) |"
             f" {np.mean(closer):.0%} | {len(closer)} |"
