@@ -261,7 +261,9 @@ class CascadeJudge:
         seconds: float,
         spare_s: float = 0.0,
         supply_mv: float = SUPPLY_MV,
+        band: float = 0.05,
     ) -> None:
+        self._band = band
         self._index, self._size = AXES.index(axis), STEP_RAD[axis]
         self._rows = round(seconds / SAMPLE_PERIOD_S)
         self._plants = tuple(plants)
@@ -294,7 +296,7 @@ class CascadeJudge:
                 peak[: len(left)], effort[: len(left)], compliance[: len(left)],
                 y[: len(left)],
             )  # fmt: skip
-            measure_many(y[: len(left)], SAMPLE_PERIOD_S, one)
+            measure_many(y[: len(left)], SAMPLE_PERIOD_S, self._band, one)
             here = one[: len(left)]
             here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
             here[:, 3] = np.abs(here[:, 3])

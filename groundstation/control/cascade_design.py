@@ -36,6 +36,8 @@ EFFORT = 0.15
 reserve for the height."""
 YIELDING = 2.0
 """A push moves the craft this much further at most than with the stiffest gains allowed."""
+DESIGN_BAND = 0.035
+"""Responses that settle only just within the 5 % are not looked for: noise would unsettle them."""
 BUDGET = Budget(first=250, population=24, generations=36)
 DRAWS = 1000
 
@@ -90,7 +92,7 @@ def design_cascade(
 
     def one(axis: str) -> AxisDesign:
         plants = [plant_of_model(other) for other in corners(model, axis)]
-        judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv)
+        judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
         kind = "yaw" if axis == "yaw" else "roll"
         low, high = np.array(LOW[kind]), np.array(HIGH[kind])
         design = optimise(

@@ -14,12 +14,13 @@ from numba import njit
 
 BAND = 0.05
 TAIL = 0.1
+"""The band of settling, and the share of the window over which the settled value is taken."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def measure(y: Any, period: float, out: Any) -> None:
+def measure(y: Any, period: float, band: float, out: Any) -> None:
     """Metrics (``metrics.py``) of a response to a unit step: fills rms, overshoot in percent,
-    settling (NaN: not settled), steady-state error."""
+    settling into a band (NaN: not settled), steady-state error."""
     rows = len(y)
     square, highest = 0.0, -math.inf
     for k in range(rows):
@@ -31,7 +32,7 @@ def measure(y: Any, period: float, out: Any) -> None:
         settled += y[k]
     settled /= tail
     last = rows - 1
-    while last >= 0 and abs(y[last] - settled) <= BAND:
+    while last >= 0 and abs(y[last] - settled) <= band:
         last -= 1
     out[0] = math.sqrt(square / rows)
     out[1] = max(0.0, 100.0 * (highest - 1.0))
@@ -42,10 +43,10 @@ def measure(y: Any, period: float, out: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def measure_many(y: Any, period: float, out: Any) -> None:
+def measure_many(y: Any, period: float, band: float, out: Any) -> None:
     """``measure`` of responses (m, k), into out (m, 4 or more)."""
     for m in range(len(y)):
-        measure(y[m], period, out[m])
+        measure(y[m], period, band, out[m])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -179,7 +180,7 @@ def judge_many(
             continue
         out[m, 4] = sensitivity_peak(plant, z, gains, period)
         direct_run(a, b, delay, gains, period, math.inf, False, reference, y, u)
-        measure(y, period, out[m])
+        measure(y, period, BAND, out[m])
         out[m, 5] = 0.0
         for k in range(rows):
             out[m, 5] = max(out[m, 5], abs(u[k]))

@@ -21,10 +21,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-BAND = 0.05
-TAIL = 0.1
-"""Share of the window over which the settled value is taken."""
-
 
 @dataclass(frozen=True, slots=True)
 class StepMetrics:
@@ -54,10 +50,10 @@ def step_metrics(response: ArrayLike, period_s: float, step: float = 1.0) -> Ste
     y = np.asarray(response, np.float64)
     if y.ndim != 1 or len(y) < 10 or step == 0:
         raise ValueError(f"response {y.shape} to a step of {step}: need 10 samples and a step")
-    from groundstation.control.kernels import measure
+    from groundstation.control.kernels import BAND, measure
 
     out = np.empty(4)
-    measure(np.ascontiguousarray(y / step), period_s, out)
+    measure(np.ascontiguousarray(y / step), period_s, BAND, out)
     settling = float(out[2])
     return StepMetrics(
         rms=float(out[0]) * abs(step),

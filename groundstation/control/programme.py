@@ -1,0 +1,138 @@
+"""What ``pid fly`` commands: steps or doublets, one axis after the other, 100 times a second.
+
+Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.control.pid import AXES
+from groundstation.errors import BadInputError
+
+Array = NDArray[np.float64]
+Shape = Literal["doublet", "step", "level"]
+SHAPES: tuple[Shape, ...] = ("doublet", "step", "level")
+
+RATE_HZ = 100
+SETTLE_S = 3.0
+"""Level flight before the first manoeuvre and after the last: the hover settles, the pilot too."""
+ANGLE_MOST_DEG, YAW_MOST_DPS = 25.0, 200.0
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True, slots=True)
+class Programme:
+    """shape: ``doublet`` (there, across, back), ``step`` (there and back) or ``level`` (hover,
+    or manual flight). hold_s, rest_s: of each level, and between manoeuvres. repeats: an axis;
+    the sign alternates, so that the craft comes back."""
+
+    shape: Shape = "doublet"
+    axes: tuple[str, ...] = AXES
+    angle_deg: float = 10.0
+    yaw_dps: float = 60.0
+    hold_s: float = 1.0
+    rest_s: float = 1.0
+    repeats: int = 4
+
+    def setpoints(self) -> Array:
+        """Roll (deg), pitch (deg), yaw rate (deg/s) of every 10 ms, (k, 3)."""
+        rows = [np.zeros((round(SETTLE_S * RATE_HZ), 3))]
+        hold, rest = round(self.hold_s * RATE_HZ), round(self.rest_s * RATE_HZ)
+        levels = {"doublet": (1.0, -1.0), "step": (1.0,), "level": ()}[self.shape]
+        for axis in self.axes:
+            index = AXES.index(axis)
+            size = self.yaw_dps if axis == "yaw" else self.angle_deg
+            for repeat in range(self.repeats):
+                part = np.zeros((hold * len(levels) + rest, 3))
+                for place, level in enumerate(levels):
+                    sign = level if repeat % 2 == 0 else -level
+                    part[place * hold : (place + 1) * hold, index] = sign * size
+                rows.append(part)
+        rows.append(np.zeros((round(SETTLE_S * RATE_HZ), 3)))
+        return np.vstack(rows)
+
+    @property
+    def seconds(self) -> float:
+        return len(self.setpoints()) / RATE_HZ
+
+    @property
+    def reach_m(self) -> float:
+        """How far a manoeuvre carries the craft, if nothing slows it down."""
+        acceleration = GRAVITY * math.tan(math.radians(self.angle_deg))
+        if self.shape == "level" or set(self.axes) == {"yaw"}:
+            return 0.0
+        return acceleration * self.hold_s**2 * (1.0 if self.shape == "doublet" else 0.5)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the mark in the recording."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+def require_flyable(programme: Programme) -> None:
+    """Raises BadInputError for what should not be flown, saying what may be."""
+    limits = (
+        ("--amplitude", programme.angle_deg, 1.0, ANGLE_MOST_DEG, "deg"),
+        ("--yaw-rate", programme.yaw_dps, 5.0, YAW_MOST_DPS, "deg/s"),
+        ("--hold", programme.hold_s, 0.2, 3.0, "s"),
+        ("--rest", programme.rest_s, 0.2, 10.0, "s"),
+        ("--repeat", programme.repeats, 1, 50, "times"),
+    )
+    for name, value, low, high, unit in limits:
+        if not low <= value <= high:
+            raise BadInputError(f"{name} {value:g}: must be {low:g}..{high:g} {unit}")
+    if programme.shape not in SHAPES:
+        raise BadInputError(f"--programme {programme.shape}: there are {', '.join(SHAPES)}")
+    for axis in programme.axes:
+        if axis not in AXES:
+            raise BadInputError(f"--axis {axis}: there are {', '.join(AXES)}")
+
+
+@dataclass(frozen=True, slots=True)
+class AbortLimits:
+    """Beyond any of these the motors are stopped.
+
+    tilt_deg, rate_dps: of the telemetry. battery_v: under load. silent_s: age of the newest
+    telemetry.
+    """
+
+    tilt_deg: float = 50.0
+    rate_dps: float = 800.0
+    battery_v: float = 3.0
+    silent_s: float = 0.25
+
+
+def reason_to_abort(answer: Mapping[str, Any], limits: AbortLimits = AbortLimits()) -> str:
+    """Why a flight must end now, from the daemon's answer to a setpoint; empty while all is well.
+
+    A value that is missing or no number is a reason: nothing is known then.
+    """
+    telemetry = answer.get("telemetry")
+    if answer.get("link_state") != "streaming" or telemetry is None:
+        return f"telemetry lost (link {answer.get('link_state')})"
+    age = telemetry["age_s"]
+    if not age <= limits.silent_s:
+        return f"no telemetry for {age:.2f} s"
+    tilt = _largest((telemetry["roll_deg"], telemetry["pitch_deg"]))
+    if not tilt <= limits.tilt_deg:
+        return f"tilt of {tilt:.0f} deg, {limits.tilt_deg:g} is the most"
+    rate = _largest(telemetry["gyro_dps"])
+    if not rate <= limits.rate_dps:
+        return f"rate of {rate:.0f} deg/s, {limits.rate_dps:g} is the most"
+    battery = telemetry["battery_v"]
+    if battery is None or not battery >= limits.battery_v:
+        return f"battery at {battery} V, {limits.battery_v:g} is the least"
+    return ""
+
+
+def _largest(values: Sequence[float | None]) -> float:
+    """The largest size; NaN where one is missing."""
+    if any(value is None for value in values):
+        return math.nan
+    return max(abs(float(value or 0.0)) for value in values)
