@@ -47,12 +47,12 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def until(condition, what, timeout_s=PATIENCE_S):
+def until(condition, what, timeout_s=PATIENCE_S, every_s=0.01):
     """Wait for ``condition`` to give something true; that."""
     deadline = time.monotonic() + timeout_s
     while not (value := condition()):
         assert time.monotonic() < deadline, f"never happened: {what}"
-        time.sleep(0.01)
+        time.sleep(every_s)
     return value
 
 

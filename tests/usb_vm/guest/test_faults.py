@@ -62,7 +62,9 @@ def require_right_bytes(flight, received):
         assert packet in sent, "a packet that was never sent, or out of order"
 
 
-def require_equal_counts(ours, theirs):
+def require_equal_counts(ours, theirs, what):
+    """Told as a row of the table in docs/usb.md."""
+    print(f"| {what} | {theirs.lost} | {ours.lost} |")
     assert ours.lost == theirs.lost
     assert ours.frames == theirs.good
     assert ours.packets == theirs.packets
@@ -90,7 +92,7 @@ def test_a_faulty_frame_costs_itself_and_is_counted(flight, kind):
     received, ours, theirs = stream_with(flight, faults)
     assert theirs.faulty == {kind: PIECES}
     assert getattr(ours, BY_STATUS[kind]) == PIECES
-    require_equal_counts(ours, theirs)
+    require_equal_counts(ours, theirs, f"{PIECES} frames with: {kind}")
     require_right_bytes(flight, received)
 
 
@@ -108,7 +110,7 @@ def test_a_halted_endpoint_is_cleared_and_the_stream_goes_on(flight):
     )
     assert theirs.halted > 0
     assert theirs.good > 900
-    require_equal_counts(ours, theirs)
+    require_equal_counts(ours, theirs, "the endpoint halted twice")
     require_right_bytes(flight, received)
 
 
@@ -131,7 +133,7 @@ def test_frames_that_nobody_asked_for_are_counted_though_nothing_reports_them(fl
     """A program that is away for longer than its transfers last."""
     received, ours, theirs = stream_with(flight, [], disturb=lambda: time.sleep(0.4))
     assert theirs.dry > 200
-    require_equal_counts(ours, theirs)
+    require_equal_counts(ours, theirs, "the program away for 0.4 s")
     require_right_bytes(flight, received)
 
 
@@ -143,7 +145,7 @@ def test_everything_at_once(flight):
     assert theirs.dry > 100
     assert theirs.halted > 0
     assert len(theirs.faulty) == len(kinds)
-    require_equal_counts(ours, theirs)
+    require_equal_counts(ours, theirs, "all of these mixed")
     require_right_bytes(flight, received)
 
 
@@ -170,6 +172,7 @@ def test_a_cable_that_is_pulled_in_a_frame_and_put_back_costs_no_count(flight):
     (first, second), theirs = asyncio.run(session())
     assert (first[1].errors, second[1].errors) == (0, 1)
     assert first[1].lost == 0
+    print(f"| unplugged and plugged in, one bad frame | {theirs.lost} | {second[1].lost} |")
     assert second[1].lost == theirs.lost == 1
     assert first[1].frames == 301 // FRAMES * FRAMES
     assert first[1].frames + second[1].frames == theirs.good
