@@ -13,8 +13,8 @@ run: $(VENV)/.ready
 test: $(VENV)/.ready-dev lint
 	$(BIN)/pytest -n auto $(ARGS)
 
-# The USB link through a real kernel, in a virtual machine: about six minutes, and qemu-system-x86,
-# busybox-static, kmod and cpio.
+# The USB link through a real kernel, in a virtual machine: about eight minutes, and qemu-system-x86,
+# busybox-static, kmod, cpio and usbip.
 test-usb: $(VENV)/.ready-dev
 	$(BIN)/pytest tests/usb_vm -s -v $(ARGS)
 
