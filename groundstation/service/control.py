@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import hmac
 import json
+import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from types import FrameType
 from typing import Any
@@ -216,6 +217,8 @@ class _TooLargeError(GroundStationError):
 
 
 def _server(app: ASGIApp) -> _Server:
+    # what strangers send is no news, and faults of ours are events
+    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     return _Server(
         uvicorn.Config(
             app,
