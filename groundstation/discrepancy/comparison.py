@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.floor import BlackBox, Floor, floor_errors, learn
+from groundstation.discrepancy.floor import BlackBox, Floor, floor_errors, learn, prepare
 from groundstation.discrepancy.gap import AheadErrors, ahead_errors, overall, pooled_rms
 from groundstation.discrepancy.where import Place, where
 from groundstation.dynamics.model import Model, model_vehicle
@@ -91,8 +91,9 @@ def compare(runs: Sequence[Run], model: Model, black_box: BlackBox | None = None
             f"{names}: {flown:.1f} s in the air, at least {LEAST_FLIGHT_S:.0f} s are needed;"
             " record a flight"
         )
-    learnt = black_box if black_box is not None else learn(errors, configuration)
-    floors = tuple(floor_errors(learnt, one, configuration) for one in errors)
+    prepared = [prepare(one, configuration) for one in errors]
+    learnt = black_box if black_box is not None else learn(prepared)
+    floors = tuple(floor_errors(learnt, one) for one in prepared)
     return Comparison(model, errors, floors, learnt)
 
 

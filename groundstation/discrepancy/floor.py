@@ -83,8 +83,8 @@ class Floor:
 
 
 @dataclass(frozen=True, slots=True)
-class _Prepared:
-    """One run: one-step errors (n, 9) per channel step, signals, and the stretches they cover."""
+class Prepared:
+    """One run: one-step errors (n, 9), signals for them by kind, and stretches in the air."""
 
     errors: AheadErrors
     step: Array
@@ -92,12 +92,19 @@ class _Prepared:
     stretches: tuple[slice, ...]
 
 
-def learn(errors: Sequence[AheadErrors], configuration: Configuration) -> BlackBox:
-    """Fit the black box on runs.
+def prepare(errors: AheadErrors, configuration: Configuration) -> Prepared:
+    """errors: of any base model on the run; its rows, its motion and its body are used."""
+    flown = np.concatenate([[0], errors.motion.flown.astype(np.int8), [0]])
+    edges = np.flatnonzero(np.diff(flown)).reshape(-1, 2)
+    stretches = tuple(
+        slice(int(first) + 2, int(last)) for first, last in edges if last - first > LEAST_ROWS
+    )
+    signals = signals_of(errors.run, errors.motion, configuration)
+    return Prepared(errors, _one_step(errors), signals, stretches)
 
-    errors: of any model on them; their runs, flown rows and motions are used.
-    """
-    prepared = [_prepare(one, configuration) for one in errors]
+
+def learn(prepared: Sequence[Prepared]) -> BlackBox:
+    """Fit the black box on runs."""
     found: list[ChannelPredictor | None] = []
     for channel in range(9):
         pieces = [
@@ -125,21 +132,10 @@ def learn(errors: Sequence[AheadErrors], configuration: Configuration) -> BlackB
     return best
 
 
-def floor_errors(black_box: BlackBox, errors: AheadErrors, configuration: Configuration) -> Floor:
-    """What the black box leaves of a run, in the rows of ``errors``."""
-    left = _left(_prepare(errors, configuration), black_box)
+def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
+    """What the black box leaves of a run, in the rows of its errors."""
+    left = _left(prepared, black_box)
     return Floor(left[1:], left[0])
-
-
-def _prepare(errors: AheadErrors, configuration: Configuration) -> _Prepared:
-    run, motion = errors.run, errors.motion
-    flown = np.concatenate([[0], motion.flown.astype(np.int8), [0]])
-    edges = np.flatnonzero(np.diff(flown)).reshape(-1, 2)
-    stretches = tuple(
-        slice(int(first) + 2, int(last)) for first, last in edges if last - first > LEAST_ROWS
-    )
-    signals = signals_of(run, motion, configuration)
-    return _Prepared(errors, _one_step(errors), signals, stretches)
 
 
 def _one_step(errors: AheadErrors) -> Array:
@@ -166,7 +162,7 @@ def _one_step(errors: AheadErrors) -> Array:
     return step
 
 
-def _rows(one: _Prepared, channel: int) -> list[NDArray[np.int64]]:
+def _rows(one: Prepared, channel: int) -> list[NDArray[np.int64]]:
     """Rows of each stretch in which the channel's one-step error is known."""
     found = []
     for stretch in one.stretches:
@@ -202,7 +198,7 @@ class _Bands:
         return np.asarray(total[np.ix_(keep, keep)])
 
 
-def _bands(prepared: Sequence[_Prepared], kind: str) -> _Bands:
+def _bands(prepared: Sequence[Prepared], kind: str) -> _Bands:
     from scipy.fft import next_fast_len, rfft
     from scipy.signal.windows import tukey
 
@@ -280,7 +276,7 @@ def _select(gram: Array) -> NDArray[np.int64]:
     return np.array(chosen, np.int64)
 
 
-def _left(one: _Prepared, black_box: BlackBox) -> tuple[Array, ...]:
+def _left(one: Prepared, black_box: BlackBox) -> tuple[Array, ...]:
     """Errors (n, 9) that the black box does not foresee: of the shortest horizon, and of each."""
     errors = one.errors
     series = [_series(one, channel, black_box) for channel in range(9)]
@@ -313,7 +309,7 @@ def _left(one: _Prepared, black_box: BlackBox) -> tuple[Array, ...]:
 
 
 def _series(
-    one: _Prepared, channel: int, black_box: BlackBox
+    one: Prepared, channel: int, black_box: BlackBox
 ) -> list[tuple[NDArray[np.int64], Array]]:
     """(rows, one-step errors less the share of the signals) of each stretch."""
     predictor = black_box[channel]

@@ -26,7 +26,7 @@ MOTOR_S = 0.05
 """A small motor with its propeller settles within about this time."""
 SLOW_S = 12.0
 """A second leak beside the usual one: together they bend to the craft's own speed."""
-GROUND_S = (0.25, 0.7)
+GROUND_S = (0.4,)
 AXES = ("roll", "pitch", "yaw")
 MIXED = (*AXES, "collective")
 
@@ -142,7 +142,7 @@ def _past_mean(values: Array) -> Array:
 
 
 def _ground(motion: Motion) -> Array:
-    """Fading closeness to take-off and landing, (n, 4)."""
+    """Fading closeness to take-off and landing, (n, 2)."""
     columns = []
     for away in (motion.since_start_s, motion.before_end_s):
         columns += [np.exp(-np.clip(away, 0.0, None) / fade) for fade in GROUND_S]

@@ -20,6 +20,10 @@ BLOCK_S = 0.25
 LEAST_S = 0.5
 """A regime that lasts less in all recordings together says nothing."""
 SPECTRUM_ROWS = 512
+RATE_OF = dict(zip(CHANNELS[6:], CHANNELS[:3], strict=True))
+SHARE, LEAST = 0.25, 3.0
+"""An angle integrates its rate: it names a place only where the rate says much less, as it does
+where gyro and attitude disagree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +106,21 @@ def where(
                     seconds,
                 )
             )
-    # Equal significance: the whole flight says less than a regime.
-    places.sort(key=lambda place: (-place.significance, place.regime == WHOLE))
-    return places[:most]
+    return _ranked(places)[:most]
+
+
+def _ranked(places: Sequence[Place]) -> list[Place]:
+    """The most significant first, but an angle behind the rate that already tells its error."""
+    rates = {(p.channel, p.regime): p.significance for p in places}
+
+    def key(place: Place) -> tuple[float, bool]:
+        rate = rates.get((RATE_OF.get(place.channel, ""), place.regime), 0.0)
+        follows = rate > max(SHARE * place.significance, LEAST)
+        told = min(place.significance, 0.99 * rate) if follows else place.significance
+        # Equal significance: the whole flight says less than a regime.
+        return -told, place.regime == WHOLE
+
+    return sorted(places, key=key)
 
 
 def worst_stretch(
