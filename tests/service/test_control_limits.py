@@ -77,9 +77,8 @@ def test_another_user_cannot_reach_the_socket(serve, path):
 
     def conversation(station):
         return subprocess.run(
-            [os.path.realpath(sys.executable), "-I", "-c", code, str(path)],
-            user=NOBODY, group=NOBODY, extra_groups=(), capture_output=True, text=True,
-        )  # fmt: skip
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True
+        )
 
     result = serve(conversation)
     assert result.stdout == "refused\n", result.stderr
