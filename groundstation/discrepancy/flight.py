@@ -27,6 +27,8 @@ CLEAR_M = 0.02
 CONTACT_S = 1.0
 """Left out at the start where height cannot be told; the ground may carry part of the torque."""
 REST_S = 0.2
+TOUCH_DOWN_S = 0.6
+"""From when the motors stop until the craft lies still: it may fall the last bit."""
 LOW_S = 6.0
 """How long height can be had from integrating the accelerometer."""
 LEAST_AIR_S = 4.0
@@ -117,7 +119,7 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
     for start, stop in edges.reshape(-1, 2).tolist():
         if (stop - start) * period < least_s:
             continue
-        rests = (start * period > REST_S, (len(run) - stop) * period > REST_S)
+        rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)
         height = np.full(len(run), np.inf)
         if has_accelerometer:
             _low_height(run, start, stop, rests, height)
@@ -125,7 +127,8 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         if (last - first) * period < least_s:
             continue
         attitude = attitude_rows(run, known, first, last) if has_attitude else None
-        whole = slice(start if rests[0] else first, stop if rests[1] else last)
+        settled = min(stop + round(TOUCH_DOWN_S / period), len(run))
+        whole = slice(start if rests[0] else first, settled if rests[1] else last)
         flights.append(
             Flight(
                 run,

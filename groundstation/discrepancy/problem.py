@@ -32,6 +32,8 @@ MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 TIMING_DOUBT = 0.5
 END_SPEED_M_S = 0.3
 """Vertical speed that a flight may end with when it does not end at rest."""
+REST_SPEEDS_M_S = (0.03, 0.15)
+"""What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
@@ -228,8 +230,8 @@ def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) 
         return []
     residual, slopes = series.vertical
     seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
-    free = sum(not rest for rest in flight.rests)
-    sigma = max(END_SPEED_M_S * np.sqrt(free), 0.05) / seconds
+    ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
+    sigma = np.hypot(*(still if rest else END_SPEED_M_S for rest, still in ends)) / seconds
     row = np.array([slopes.get(key, 0.0) for key in keys])
     return [Vertical(number, residual, row, float(sigma))]
 
