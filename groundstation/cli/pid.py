@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli import pid_fly
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
 from groundstation.errors import BadInputError
@@ -32,6 +33,7 @@ def add_commands(app: typer.Typer) -> None:
     )
     pid.command("evaluate")(evaluate)
     pid.command("design")(design)
+    pid.command("fly")(pid_fly.fly)
     app.add_typer(pid, name="pid")
 
 

@@ -105,7 +105,11 @@ class AbortLimits:
     tilt_deg: float = 50.0
     rate_dps: float = 800.0
     battery_v: float = 3.0
-    silent_s: float = 0.25
+    silent_s: float = 0.5
+
+
+LANDING = AbortLimits(tilt_deg=180.0, rate_dps=2100.0)
+"""Meeting the ground turns a craft faster than any flight; only what blinds is a reason then."""
 
 
 def reason_to_abort(answer: Mapping[str, Any], limits: AbortLimits = AbortLimits()) -> str:

@@ -9,8 +9,19 @@ import numpy as np
 
 from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design
 from groundstation.control.evaluate import AxisResult
+from groundstation.control.flown import Flown, FlownAxis
+from groundstation.control.metrics import StepMetrics
 from groundstation.control.printed import FINDING, PrintedCase
-from groundstation.report.figure import BAD, HEAT, IMPROVED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.report.figure import (
+    BAD,
+    HEAT,
+    IMPROVED,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    SERIES,
+    figure,
+)
 from groundstation.report.page import Page
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
@@ -114,6 +125,85 @@ def thesis_page(cases: Sequence[PrintedCase], responses: dict[tuple[str, str, in
             panel.set_ylim(-1, 4)
         panels[0].legend()
         page.figure(made, f"{axis}: the printed gains at two delays.")
+    return page
+
+
+FLIGHT_HEAD = (
+    "axis",
+    "steps",
+    "RMS measured",
+    "predicted",
+    "overshoot % measured",
+    "predicted",
+    "settling s measured",
+    "predicted",
+    "agree",
+)
+
+
+def flight_rows(flown: Flown) -> list[list[Any]]:
+    """Rows under ``FLIGHT_HEAD``."""
+
+    def cells(one: FlownAxis, metrics: StepMetrics | None) -> tuple[str, str, str]:
+        if metrics is None:
+            return "", "", ""
+        settling = metrics.settling_s
+        return (
+            f"{metrics.rms / one.step:.3f}",
+            f"{metrics.overshoot_pct:.1f}",
+            "not settled" if settling is None else f"{settling:.3f}",
+        )
+
+    rows: list[list[Any]] = []
+    for one in flown.axes:
+        measured, predicted = cells(one, one.measured), cells(one, one.predicted)
+        agree = "" if one.predicted is None else "; ".join(one.apart) or "yes"
+        pairs = [cell for pair in zip(measured, predicted, strict=True) for cell in pair]
+        rows.append([one.axis, one.edges, *pairs, agree])
+    return rows
+
+
+def flight_lines(flown: Flown) -> list[str]:
+    """The table for a terminal."""
+    table = [list(FLIGHT_HEAD), *([str(cell) for cell in row] for row in flight_rows(flown))]
+    widths = [max(len(row[i]) for row in table) for i in range(len(FLIGHT_HEAD))]
+    lines = [
+        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    ]
+    return [
+        *lines,
+        f"setpoints took effect {1e3 * flown.delay_s:.1f} ms after they were sent"
+        f" (middle half within {1e3 * flown.spread_s:.1f} ms), seen in the motors at"
+        f" {flown.found} of {flown.edges} edges",
+    ]
+
+
+def flight_page(flown: Flown, name: str, model: str | None) -> Page:
+    """A flown programme: measured beside predicted."""
+    page = Page(f"Flight {name}", f"predicted by {model}" if model else "no model given")
+    if model:
+        apart = [f"{one.axis}: {', '.join(one.apart)}" for one in flown.axes if one.apart]
+        page.verdict(
+            "Measured and predicted disagree. " + "; ".join(apart)
+            if apart
+            else "Measured and predicted agree within 15 %, 3 points or 20 ms.",
+            "bad" if apart else "good",
+        )
+    page.table(FLIGHT_HEAD, flight_rows(flown), DEFINITIONS)
+    made, panels = figure(rows=1, columns=len(flown.axes), height=3.0, sharey=True)
+    for panel, one in zip(panels, flown.axes, strict=True):
+        time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
+        panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
+        panel.plot(time, one.response, color=MEASURED, label=f"measured, {one.edges} steps")
+        if one.predicted_response is not None:
+            panel.plot(time, one.predicted_response, color=IMPROVED, label="predicted")
+        panel.set_title(one.axis)
+        panel.set_xlabel("s")
+        panel.legend(loc="lower right")
+    panels[0].set_ylabel("response / step")
+    page.figure(made, "Averages over all steps of the flight, in the device's time.")
+    page.text(flight_lines(flown)[-1] + ".")
     return page
 
 
