@@ -122,7 +122,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = {}
 
 
-RELOADABLE = ("recording.", "dead_man.", "log.")
+RELOADABLE = ("recording.", "dead_man.")
 """Keys that a running daemon takes over; a new recording folder from the next file on."""
 
 

@@ -1,9 +1,18 @@
+import json
 from pathlib import Path
 
 import pytest
 
 from groundstation.errors import BadInputError
-from groundstation.service.config import Config, link_speed, load_config, socket_path
+from groundstation.service.config import (
+    Config,
+    ConfigSource,
+    link_speed,
+    load_config,
+    settings,
+    socket_path,
+)
+from groundstation.service.station import Station
 
 
 def written(tmp_path, text):
@@ -71,3 +80,52 @@ def test_the_socket_is_the_configured_one_then_the_environments_then_the_users(m
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert socket_path().name == "control.sock"
     assert str(socket_path()).count("groundstation-") == 1
+
+
+def test_every_key_is_documented_with_its_default():
+    text = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text()
+    for setting in settings(Config()):
+        assert setting.text, f"{setting.name} has no explanation"
+        if setting.name != "stand_in":
+            row = f"| `{setting.name}` | `{json.dumps(setting.default)}` | {setting.text} |"
+            assert row in text
+
+
+def test_the_environment_overrides_the_file_and_the_command_line_both(tmp_path):
+    path = written(tmp_path, "[viewer]\nport = 1111\nweb_port = 2222\n[link]\nspeed = 3.0\n")
+    environment = {
+        "GROUNDSTATION_VIEWER_PORT": "3333",
+        "GROUNDSTATION_VIEWER_WEB_PORT": "4444",
+        "GROUNDSTATION_RECORDING_ENABLED": "false",
+        "GROUNDSTATION_LOCAL_DATA": "of somebody else",
+    }
+    config = ConfigSource(path, {"viewer.port": 5555}, environment).load()
+    assert (config.viewer.port, config.viewer.web_port) == (5555, 4444)
+    assert config.link.speed == 3.0
+    assert not config.recording.enabled
+
+
+def test_a_mistake_in_the_environment_names_the_variable_and_the_key():
+    source = ConfigSource(environment={"GROUNDSTATION_VIEWER_PORT": "web"})
+    with pytest.raises(BadInputError, match=r"GROUNDSTATION_VIEWER_PORT: .*viewer\.port"):
+        source.load()
+
+
+def test_a_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path):
+    path = written(tmp_path, "")
+    source = ConfigSource(path, {}, {})
+    station = Station(source.load(), source)
+    path.write_text(
+        f"[recording]\nfolder = '{tmp_path}'\nrotate_mb = 5\n[dead_man]\nstop_s = 0.9\n"
+        "[viewer]\nport = 1234\n"
+    )
+    assert station.reload() == {
+        "applied": ["recording.folder", "recording.rotate_mb", "dead_man.stop_s"],
+        "restart_needed": ["viewer.port"],
+    }
+    assert station.sessions.folder == tmp_path
+    assert station.commander.limits.stop_s == 0.9
+    path.write_text("[recording]\nrotate_mb = 'much'\n")
+    with pytest.raises(BadInputError, match=r"recording\.rotate_mb"):
+        station.reload()
+    assert station.config.recording.rotate_mb == 5
