@@ -110,6 +110,8 @@ PARAMETERS = np.dtype(
         ("ground_gain", "f8"),
         ("ground_height", "f8"),
         ("gyro_lag", "f8"),  # s
+        ("law", "i8"),  # address of a user's own effects, 0: none
+        ("law_values", "f8", (16,)),
         # effects that no list names
         ("load_mass", "f8"),
         ("load_length", "f8"),

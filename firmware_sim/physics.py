@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.effects.catalogue import apply_effects
+from firmware_sim.effects.own import apply_own
 from firmware_sim.layout import (
     ALL_STATES,
     CORE_STATES,
@@ -128,8 +129,12 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
         _sensor_timing(p, sensor, phase, ppm)
     chosen = {name: dict(values) for name, values in settings.effects.items()}
     for term in model.effects if model is not None else ():
+        if term.source:
+            continue
         chosen.setdefault(term.name, {k: e.value for k, e in term.parameters.items()})
     apply_effects(p, chosen)
+    if model is not None and any(term.source for term in model.effects):
+        apply_own(p, model)
     if p["pipeline_ns"] > MOST_DELAY_NS:
         raise ValueError(
             f"sensor delay_s and dead_time make {p['pipeline_ns'] * 1e-6:g} ms of delay,"

@@ -16,6 +16,7 @@ from typing import Any
 from firmware_sim.compiled import inner
 from firmware_sim.effects.air import drag_force, flapping_acceleration, ground_factor, inflow_loss
 from firmware_sim.effects.body import coupling_torque, damping_torque, gravity_offset_torque
+from firmware_sim.effects.own import own_acceleration
 from firmware_sim.effects.rotors import (
     acceleration_torque,
     armature_mv,
@@ -151,6 +152,15 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         force_x, force_y = drag_force(p, forward, left)
         moment_x, moment_y = flapping_acceleration(p, forward, left)
         force_z += p.mass * inflow_loss(p, climb)
+    twist = 0.0
+    if p.law != 0:
+        own = own_acceleration(p, y, dy)
+        moment_x += own[0]
+        moment_y += own[1]
+        twist = own[2]
+        force_x += p.mass * own[3]
+        force_y += p.mass * own[4]
+        force_z += p.mass * own[5]
     if p.states > CORE_STATES:
         for i in range(4):
             dy[PHASE + i] = y[ROTOR + i]
@@ -178,7 +188,7 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
 
     roll_acceleration = roll / p.inertia[0] + moment_x + s.noise[0]
     pitch_acceleration = pitch / p.inertia[1] + moment_y + s.noise[1]
-    yaw_acceleration = yaw / p.inertia[2] + s.noise[2]
+    yaw_acceleration = yaw / p.inertia[2] + twist + s.noise[2]
 
     if s.mode == FREE:
         if y[2] < 0.0:

@@ -45,7 +45,7 @@ def simulate(
                     done.rotor_rev_s,
                     np.degrees(done.gyro),
                     np.degrees(done.attitude),
-                    done.accelerometer_z / 9.80665,
+                    done.accelerometer[:, 2] / 9.80665,
                 ]
             )
         )

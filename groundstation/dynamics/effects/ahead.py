@@ -30,9 +30,11 @@ Mask = NDArray[np.bool_]
 
 TURNING = 0.1
 """Duty above which a motor turns."""
-LIFTED, LANDED = 1.0, 0.85
-"""Thrust over weight at which a craft has left the ground, or has come back to it."""
-SETTLE_S = 0.5
+LANDED = 0.85
+"""Thrust over weight at which a craft has come back to the ground."""
+SETTLE_S, LIFT_OFF_S = 0.5, 0.1
+CLIMB_S = 4.0
+"""From take-off on, or before landing, height can be reckoned for so long."""
 
 
 class Flown(Protocol):
@@ -99,7 +101,7 @@ class Ahead:
     """Predictions, from each of ``rows`` (m,) for every horizon (g,).
 
     gyro (m, g, 3) rad/s, accelerometer (m, g, 3) m/s^2, attitude (m, g, 3) rad, as the telemetry
-    would report them at ``rows + horizon``.
+    would report them at ``rows + horizon``. states: (m, 17) of the craft at the last horizon.
     """
 
     rows: Rows
@@ -107,6 +109,7 @@ class Ahead:
     gyro: Array
     accelerometer: Array
     attitude: Array
+    states: Array
 
     def errors(self, run: Flown) -> Array:
         """Measured less predicted, (m, g, 9): gyro, accelerometer, roll pitch yaw (wrapped)."""
@@ -227,10 +230,10 @@ def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) 
         raise ValueError("rows plus the longest horizon leave the run")
     drive = seen.drive
     reported = run.attitude[starts]
-    unknown = ~np.isfinite(reported).all(axis=1)
+    unknown = ~np.asarray(np.isfinite(reported).all(axis=1))
     shown = quaternion_of_attitude(np.where(unknown[:, None], 0.0, reported))
     shown[unknown] = seen.states[starts][unknown, QUATERNION]
-    measured = np.empty((len(starts), len(steps), 9))
+    measured, ends = np.empty((len(starts), len(steps), 9)), np.empty((len(starts), 20))
     coast(
         drive.craft[0],
         drive.sensor[0],
@@ -247,25 +250,24 @@ def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) 
         seen.filters[starts],
         np.ascontiguousarray(shown),
         measured,
-        np.empty((len(starts), 20)),
+        ends,
     )
-    return Ahead(
-        starts,
-        steps,
-        measured[..., 0:3],
-        measured[..., 3:6],
-        np.ascontiguousarray(measured[..., 6:9]),
-    )
+    gyro, accelerometer, attitude = (measured[..., i : i + 3].copy() for i in (0, 3, 6))
+    return Ahead(starts, steps, gyro, accelerometer, attitude, ends[:, :17].copy())
 
 
 def airborne(seen: Observed, rows_ahead: int) -> Rows:
-    """Rows from which ``rows_ahead`` more are flown, and whose state has settled."""
-    settle = round(SETTLE_S / seen.drive.period_s)
-    flown = np.concatenate([[0], np.cumsum(seen.flying)])
-    rows = np.arange(len(seen.flying) - rows_ahead)
+    """Rows from which ``rows_ahead`` more are flown, and whose state has settled.
+
+    From a take-off on the state is known; where a run starts in the air it takes ``SETTLE_S``.
+    """
+    flying = seen.flying
+    settle = round((SETTLE_S if flying[0] else LIFT_OFF_S) / seen.drive.period_s)
+    flown = np.concatenate([[0], np.cumsum(flying)])
+    rows = np.arange(len(flying) - rows_ahead)
     first = np.maximum(rows - settle, 0)
     full = flown[rows + rows_ahead + 1] - flown[first] == rows + rows_ahead + 1 - first
-    return rows[full & (rows >= settle)]
+    return np.asarray(rows[full & (rows >= settle)], np.int64)
 
 
 def fresh_rows(attitude: Array) -> Mask:
@@ -273,10 +275,10 @@ def fresh_rows(attitude: Array) -> Mask:
 
     Where the values do not tell a rhythm of two, every row counts as new.
     """
-    moved = np.any(np.diff(attitude, axis=0) != 0, axis=1)
-    changed: Mask = np.concatenate([[True], moved])
+    changed = np.ones(len(attitude), np.bool_)
+    changed[1:] = (attitude[1:] != attitude[:-1]).any(axis=1)
     for first in (0, 1):
-        mine, other = changed[first::2].mean(), changed[1 - first :: 2].mean()
+        mine, other = float(changed[first::2].mean()), float(changed[1 - first :: 2].mean())
         if mine > 0.2 and other < 0.02 + 2.0 / len(changed):
             fresh = np.zeros(len(changed), np.bool_)
             fresh[first::2] = True
@@ -285,52 +287,42 @@ def fresh_rows(attitude: Array) -> Mask:
 
 
 def height_of(run: Flown, flying: Mask) -> Array:
-    """Height above ground (n,) in m by integrating the accelerometer between take-off and landing.
+    """Height above ground (n,) in m, where a recording can tell it.
 
-    Between the two the vertical acceleration's mean and slope are set so that height and speed
-    are zero at both ends; a flight that has only one of them is integrated from there, and one
-    that has neither is far from the ground (infinite).
+    The accelerometer is integrated twice, from the motors' start until ``CLIMB_S`` after the
+    take-off, and back from a landing; by then it is wrong by some centimetres. Elsewhere the
+    height is not known and taken as infinite.
     """
-    height = np.full(len(flying), np.inf)
+    height = np.where(flying, np.inf, 0.0)
     roll, pitch = run.attitude[:, 0], run.attitude[:, 1]
     x, y, z = run.accelerometer.T
     up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
-    up = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0)
-    height[~flying] = 0.0
+    rise = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0) * run.period_s
+    rows = round(CLIMB_S / run.period_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flying.astype(np.int8), [0]])))
     for first, last in edges.reshape(-1, 2):
-        starts, ends = first > 0, last < len(flying)
-        rise = up[first:last] * run.period_s
-        t = np.arange(1, last - first + 1) * run.period_s
-        speed = np.cumsum(rise)
-        if starts and ends:
-            track = np.cumsum(speed) * run.period_s
-            # v - a t - b t^2/2 and its integral vanish at the end.
-            end = t[-1]
-            system = np.array([[end, end**2 / 2], [end**2 / 2, end**3 / 6]])
-            a, b = np.linalg.solve(system, [speed[-1], track[-1]])
-            track = track - a * t**2 / 2 - b * t**3 / 6
-        elif starts:
-            track = np.cumsum(speed) * run.period_s
-        elif ends:
-            back = np.cumsum(-rise[::-1])
-            track = -np.cumsum(back)[::-1] * run.period_s
-        else:
-            continue
-        height[first:last] = np.maximum(track, 0.0)
+        if first > 0:
+            standing = np.flatnonzero(~_turning(run)[:first])
+            start = standing[-1] + 1 if len(standing) else 0
+            part = slice(start, min(first + rows, last))
+            height[part] = np.maximum(np.cumsum(np.cumsum(rise[part])) * run.period_s, 0.0)
+        if last < len(flying):
+            part = slice(max(last - rows, first), last)
+            back = np.cumsum(np.cumsum(rise[part][::-1])) * run.period_s
+            height[part] = np.minimum(height[part], np.maximum(back[::-1], 0.0))
     return height
 
 
 def _flying(run: Flown, drive: Drive) -> Mask:
     """Rows in the air: from the first thrust above the weight until thrust has gone for good."""
-    turning = np.asarray((run.duty > TURNING).all(axis=1))
+    turning = _turning(run)
     one = drive.craft[0]
     lift = drive.torques[::2, 0] / (one["mass"] * one["gravity"])
     flying = np.zeros(len(turning), np.bool_)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
     for first, last in edges.reshape(-1, 2):
         if first > 0:
-            up = np.flatnonzero(lift[first:last] > LIFTED)
+            up = np.flatnonzero(lift[first:last] * (1.0 + one["ground_gain"]) > 1.0)
             if len(up) == 0:
                 continue
             first += up[0]
@@ -341,3 +333,7 @@ def _flying(run: Flown, drive: Drive) -> Mask:
                 last = first + high[-1] + 1
         flying[first:last] = True
     return flying
+
+
+def _turning(run: Flown) -> Mask:
+    return np.asarray((run.duty > TURNING).all(axis=1))

@@ -318,6 +318,8 @@ def coast(
         for i in range(4):
             held[i] = shown[k, i]
         row, since, g = rows[k], 0.0, 0
+        while not fresh[row - round(since / h)] and since < row * h:
+            since += h
         for ahead in range(1, horizons[-1] + 1):
             for i in range(13):
                 before[i] = y[i]
