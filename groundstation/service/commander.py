@@ -207,8 +207,8 @@ class Commander:
             await self.link.close()
 
     async def watch(self) -> None:
-        """The dead man: runs as long as the daemon."""
-        while True:
+        """The dead man: runs as long as the daemon, where there is anything to command."""
+        while self.link is not None:
             self.look(time.monotonic())
             await asyncio.sleep(WATCH_S)
 
