@@ -40,6 +40,10 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "counted": _counted(case, asked, wanted),
         "verdict": report["verdict"],
         "found": found,
+        "said": {
+            effect["name"]: {k: e["value"] for k, e in effect["parameters"].items()}
+            for effect in report["effects"]
+        },
         "false": false,
         "missed": missed,
         "right": not false and not missed,
