@@ -3,9 +3,8 @@
 A perfect model still errs by the sensors' noise and by the torques and pushes that nobody
 measured. That much is found without a perfect model: the base model's one-step errors are
 regressed on every generic signal (``floor_signals``) that clearly shows in them, weighted by the
-inverse noise spectrum; of what is left, a long autoregression foretells what it can from the
-rows up to the one the prediction starts from (that is what a model's observer does with noise);
-and the rest is summed up to 20 and 50 ms.
+inverse noise spectrum; what is left is summed up to 20 and 50 ms; and what fading memories of the
+rows up to the start foretell of that is taken off (a model's observer does the same to noise).
 
 One step at a time, because in closed loop the inputs answer to the disturbances within 50 ms: a
 direct regression at that horizon would take the controller's answer for the cause and come out
@@ -15,12 +14,12 @@ too low.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.discrepancy.floor_fit import ChannelPredictor, fit_signals
 from groundstation.discrepancy.floor_signals import Signals, signals_of
 from groundstation.discrepancy.gap import (
     ACCELEROMETER,
@@ -32,45 +31,37 @@ from groundstation.discrepancy.gap import (
 )
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
-from groundstation.identification.noise_model import NoiseModel, estimate_noise
 
 Array = NDArray[np.float64]
 
 SOURCE = (
     "black-box predictor on the same rows: generic signals that clearly show in the one-step"
-    " errors, then an autoregression of order up to 60 on the past, summed to 20 and 50 ms"
+    " errors, and what fading memories of the past errors foretell, summed to 20 and 50 ms"
 )
-CLEAR = 30.0
-"""Drop of the weighted sum of squares from which a signal is let in: 5.5 standard deviations, as
-some eighty are tried on nine channels."""
-NOISE_ORDER = 60
-WEIGHT_ORDER = 10
-"""Order of the spectrum that weights: the saturated fit takes some noise away where the signals
-are strong, at low frequency; a long autoregression would follow it there and in closed loop that
-is where the inputs mirror the disturbance."""
-ROUNDS = 4
-WORTH = 0.98
-"""The autoregression is used where it leaves at most this share of the error."""
+MEMORY_S = (0.008, 0.06, 0.3, 1.5)
+"""Fading times of the memories. They can filter noise and follow what acts slowly, as a model's
+observer can; they cannot foretell vibration, which is noise to any model of rigid flight."""
+SLOW = 1
+"""The accelerometer starts nothing, so only what acts longer than the first memory counts."""
+SMOOTH_S = 0.0033
+"""Standard deviation of the kernel that what the signals explain is smoothed by: 40 Hz."""
+WORTH = 0.985
+"""The past is used where it leaves at most this share of the error."""
 LEAST_ROWS = 200
 KINDS = ("torque", "force", "attitude")
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelPredictor:
-    """What the black box learnt about one channel's one-step error.
+class BlackBox:
+    """What was learnt.
 
-    columns: chosen signals, weights: theirs. noise: of what is left. use_past: whether the
-    autoregression pays.
+    channels: None where the recordings lack it. past: for the shortest horizon and each of
+    ``HORIZONS_S``, (9, m) weights of the channel's memories and of its rate's; zero where it
+    does not pay.
     """
 
-    columns: NDArray[np.int64]
-    weights: Array
-    noise: NoiseModel
-    use_past: bool = False
-
-
-BlackBox = tuple[ChannelPredictor | None, ...]
-"""One per channel; None where the recordings lack it."""
+    channels: tuple[ChannelPredictor | None, ...]
+    past: tuple[Array, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,36 +97,38 @@ def prepare(errors: AheadErrors, configuration: Configuration) -> Prepared:
 def learn(prepared: Sequence[Prepared]) -> BlackBox:
     """Fit the black box on runs."""
     found: list[ChannelPredictor | None] = []
-    for channel in range(9):
+    for first, kind in zip((0, 3, 6), KINDS, strict=True):
         pieces = [
-            (one.step[rows, channel], one.signals[_kind(channel)].values[rows])
+            (one.signals[kind].values[rows], one.step[rows, first : first + 3])
             for one in prepared
-            for rows in _rows(one, channel)
+            for rows in _rows(one, first)
         ]
-        if channel % 3 == 0 and pieces:
-            bands = _bands(prepared, _kind(channel))
-        found.append(_learn_channel(pieces, bands, channel % 3) if pieces else None)
-    best = tuple(
-        None if one is None else replace(one, columns=one.columns[:0], weights=one.weights[:0])
-        for one in found
-    )
-    # Never more than it knows without: a signal or a past that does not help there is left out.
-    for tried, worth in (
-        (tuple(found), 1.0),
-        (tuple(None if one is None else replace(one, use_past=True) for one in found), WORTH),
-    ):
-        before = _pooled([_left(one, best) for one in prepared])
-        after = _pooled([_left(one, tried) for one in prepared])
-        best = tuple(
-            tried[k] if after[k] <= worth * before[k] else one for k, one in enumerate(best)
-        )
-    return best
+        found += fit_signals(pieces) if pieces else [None] * 3
+    nothing = ChannelPredictor(np.zeros(0, np.int64), np.zeros(0))
+    without = tuple(None if one is None else nothing for one in found)
+    plain = [_unexplained(one, without) for one in prepared]
+    tried = [_unexplained(one, tuple(found)) for one in prepared]
+    # Never more than it knows without: signals that do not help at the horizons are left out.
+    worse = _pooled(tried) > _pooled(plain)
+    channels = tuple(without[k] if worse[k] else one for k, one in enumerate(found))
+    left = [_unexplained(one, channels) for one in prepared] if worse.any() else tried
+    return BlackBox(channels, _learn_past(prepared, left))
 
 
 def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
     """What the black box leaves of a run, in the rows of its errors."""
-    left = _left(prepared, black_box)
-    return Floor(left[1:], left[0])
+    left = _unexplained(prepared, black_box.channels)
+    memories = _memories(left.step, prepared.errors.run.period_s)
+    totals = []
+    for counts, total, weights in zip(_counts(prepared), left.totals, black_box.past, strict=True):
+        foretold = np.zeros_like(total)
+        for channel in range(9):
+            if weights[channel].any():
+                known = _remembered(memories, channel) @ weights[channel]
+                count = int(counts[channel])
+                foretold[count:, channel] = known[:-count]
+        totals.append(total - foretold)
+    return Floor(tuple(totals[1:]), totals[0])
 
 
 def _one_step(errors: AheadErrors) -> Array:
@@ -173,168 +166,110 @@ def _rows(one: Prepared, channel: int) -> list[NDArray[np.int64]]:
     return found
 
 
-def _kind(channel: int) -> str:
-    return KINDS[channel // 3]
-
-
 @dataclass(frozen=True, slots=True)
-class _Bands:
-    """Products of signals and errors of one kind, summed over narrow frequency bands.
+class _Unexplained:
+    """step: (n, 9) one-step errors less the signals' share, 0 where unknown. totals: what they
+    add up to at the shortest horizon and at each of ``HORIZONS_S``, (n, 9), NaN as in the
+    errors."""
 
-    gram: (bands, p + 3, p + 3) of p signals, scaled by ``scale`` (p,), and three errors.
-    frequency: (bands,) their middles in cycles per row.
-    """
-
-    gram: Array
-    frequency: Array
-    scale: Array
-
-    def weighted(self, noise: NoiseModel, axis: int) -> Array:
-        """R^T S^-1 R (p + 1, p + 1) of signals and one error, in units of the noise."""
-        z = np.exp(-2j * np.pi * self.frequency)
-        response = np.abs(np.polynomial.polynomial.polyval(z, noise.whitener)) ** 2
-        total: Array = np.tensordot(response / noise.variance, self.gram, axes=1)
-        keep = [*range(len(self.scale)), len(self.scale) + axis]
-        return np.asarray(total[np.ix_(keep, keep)])
+    step: Array
+    totals: tuple[Array, ...]
 
 
-def _bands(prepared: Sequence[Prepared], kind: str) -> _Bands:
-    from scipy.fft import next_fast_len, rfft
-    from scipy.signal.windows import tukey
-
-    first = 3 * KINDS.index(kind)
-    parts = [
-        (one.signals[kind].values[rows], one.step[rows, first : first + 3])
-        for one in prepared
-        for rows in _rows(one, first)
-    ]
-    power = sum(np.square(signals).sum(axis=0) for signals, _ in parts)
-    scale = np.sqrt(power / sum(len(signals) for signals, _ in parts))
-    scale[scale == 0.0] = 1.0
-    edges = np.concatenate([[0.0], np.geomspace(1e-3, 0.02, 15), np.linspace(0.026, 0.501, 80)])
-    gram = np.zeros((len(edges) - 1, len(scale) + 3, len(scale) + 3))
-    for signals, errors in parts:
-        size = next_fast_len(len(signals), real=True)
-        window = tukey(len(signals), 0.1)[:, None]
-        spectrum = rfft(np.hstack([signals / scale, errors]) * window, size, axis=0)
-        spectrum *= np.sqrt(2.0 / size)
-        spectrum[0] *= np.sqrt(0.5)
-        if size % 2 == 0:
-            spectrum[-1] *= np.sqrt(0.5)
-        places = np.searchsorted(np.arange(len(spectrum)) / size, edges)
-        for band, (low, high) in enumerate(pairwise(places)):
-            part = spectrum[low:high]
-            gram[band] += part.real.T @ part.real + part.imag.T @ part.imag
-    return _Bands(gram, 0.5 * (edges[1:] + edges[:-1]), scale)
-
-
-def _learn_channel(
-    pieces: Sequence[tuple[Array, Array]], bands: _Bands, axis: int
-) -> ChannelPredictor:
-    """The signals that clearly show, weighted by the spectrum of what they leave.
-
-    The first spectrum is that of a fit of all signals at once: one that still holds an effect
-    would hide it. That fit takes away some noise too, so that later rounds use the residual of
-    the chosen ones.
-    """
-    # From white noise: the spectrum of an error with an offset would forbid to see the offset.
-    noise = NoiseModel(np.ones(1), 1.0)
-    chosen = np.arange(len(bands.scale))
-    weights, left = np.zeros(0), [error for error, _ in pieces]
-    for turn in range(ROUNDS):
-        if turn > 0:
-            noise = estimate_noise(left, WEIGHT_ORDER)
-            chosen = _select(bands.weighted(noise, axis))
-        weights = _solve(bands.weighted(noise, axis), chosen) / bands.scale[chosen]
-        left = [error - signals[:, chosen] @ weights for error, signals in pieces]
-    return ChannelPredictor(chosen, weights, estimate_noise(left, NOISE_ORDER))
-
-
-def _solve(gram: Array, columns: NDArray[np.int64]) -> Array:
-    if not len(columns):
-        return np.zeros(0)
-    normal = gram[np.ix_(columns, columns)]
-    return np.asarray(np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ gram[columns, -1])
-
-
-def _select(gram: Array) -> NDArray[np.int64]:
-    """Forward selection: the strongest signal, given those before, until none is clear."""
-    left = gram.copy()
-    size = len(gram) - 1
-    start = np.diag(gram)[:size].copy()
-    chosen: list[int] = []
-    while len(chosen) < size:
-        diagonal = np.diag(left)[:size]
-        usable = diagonal > 1e-6 * start
-        drop = np.where(usable, left[:size, -1] ** 2 / np.where(usable, diagonal, 1.0), 0.0)
-        drop[chosen] = 0.0
-        best = int(np.argmax(drop))
-        if drop[best] < CLEAR:
-            break
-        chosen.append(best)
-        left -= np.outer(left[:, best], left[best]) / left[best, best]
-    return np.array(chosen, np.int64)
-
-
-def _left(one: Prepared, black_box: BlackBox) -> tuple[Array, ...]:
-    """Errors (n, 9) that the black box does not foresee: of the shortest horizon, and of each."""
-    errors = one.errors
-    series = [_series(one, channel, black_box) for channel in range(9)]
-
-    def reached(channel: int, weights: Array) -> Array:
-        total = np.zeros(len(one.step))
-        predictor = black_box[channel]
-        for rows, left in series[channel]:
-            if predictor is not None:
-                total[rows] = _unforeseen(left, weights, predictor)
-        return total
-
-    found = []
-    counts = (errors.step_rows, *errors.rows)
-    for count, error in zip(counts, (errors.step, *errors.horizons), strict=True):
-        total = np.zeros_like(error)
-        for channel in range(9):
-            steps = int(count[channel] // errors.step_rows[channel])
-            weights = np.ones(steps)
-            if channel in range(9)[ACCELEROMETER]:
-                weights[1:] = 0.0  # judged at the end only: nothing adds up
-            total[:, channel] = reached(channel, weights)
-        turned = [reached(axis, _angle_weights(int(count[6]))) for axis in range(3)]
-        total[:, ATTITUDE] += _turn(
-            errors.run.attitude, np.column_stack(turned) * errors.run.period_s
-        )
+def _unexplained(one: Prepared, channels: Sequence[ChannelPredictor | None]) -> _Unexplained:
+    errors, period = one.errors, one.errors.run.period_s
+    step = np.zeros_like(one.step)
+    for channel, predictor in enumerate(channels):
+        if predictor is None:
+            continue
+        share = _share(one, channel, predictor)
+        for rows in _rows(one, channel):
+            step[rows, channel] = one.step[rows, channel] - share[rows]
+    totals = []
+    for counts, error in zip(_counts(one), (errors.step, *errors.horizons), strict=True):
+        total = step.copy()  # specific force is judged at the end only: nothing adds up
+        for part in (GYRO, ATTITUDE):
+            total[:, part] = _weighted(step[:, part], np.ones(int(counts[part][0])))
+        turned = _weighted(step[:, GYRO], _angle_weights(int(counts[6])))
+        total[:, ATTITUDE] += _turn(errors.run.attitude, turned * period)
         total[~np.isfinite(error)] = np.nan
-        found.append(total)
+        totals.append(total)
+    return _Unexplained(step, tuple(totals))
+
+
+def _share(one: Prepared, channel: int, predictor: ChannelPredictor) -> Array:
+    """What the signals explain of a channel's one-step errors, (n,), without vibration.
+
+    Through the controller the inputs hold the vibration of the rows before, and noise-free sums
+    of them foretell the next row's. Smoothed on all rows, before an attitude of every second row
+    could fold it to low frequency.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    share = np.zeros(len(one.step))
+    if len(predictor.columns):
+        signals = one.signals[KINDS[channel // 3]].values
+        sigma = SMOOTH_S / one.errors.run.period_s
+        for stretch in one.stretches:
+            explained = signals[stretch, predictor.columns] @ predictor.weights
+            share[stretch] = gaussian_filter1d(explained, sigma, mode="nearest")
+    return share
+
+
+def _learn_past(prepared: Sequence[Prepared], left: Sequence[_Unexplained]) -> tuple[Array, ...]:
+    """Weights of the memories, by least squares at each horizon.
+
+    Memories end where the prediction starts, so that nothing in them answers to what follows.
+    """
+    memories = [
+        _memories(one.step, made.errors.run.period_s)
+        for one, made in zip(left, prepared, strict=True)
+    ]
+    found = []
+    for number, counts in enumerate(_counts(prepared[0])):
+        weights = np.zeros((9, 2 * len(MEMORY_S)))
+        for channel in range(9):
+            count = int(counts[channel])
+            parts, targets = [], []
+            for one, memory in zip(left, memories, strict=True):
+                target = one.totals[number][count:, channel]
+                known = np.isfinite(target)
+                parts.append(_remembered(memory, channel)[:-count][known])
+                targets.append(target[known])
+            past, target = np.vstack(parts), np.concatenate(targets)
+            scale = np.sqrt(np.mean(past**2, axis=0)) if len(past) else np.zeros(0)
+            used = np.flatnonzero(scale > 0)
+            if len(target) < LEAST_ROWS or not len(used):
+                continue
+            normal = (past[:, used] / scale[used]).T @ (past[:, used] / scale[used])
+            score = (past[:, used] / scale[used]).T @ target
+            fitted = np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ score
+            if 1.0 - float(score @ fitted) / float(target @ target) <= WORTH**2:
+                weights[channel, used] = fitted / scale[used]
+        found.append(weights)
     return tuple(found)
 
 
-def _series(
-    one: Prepared, channel: int, black_box: BlackBox
-) -> list[tuple[NDArray[np.int64], Array]]:
-    """(rows, one-step errors less the share of the signals) of each stretch."""
-    predictor = black_box[channel]
-    if predictor is None:
-        return []
-    found = []
-    for rows in _rows(one, channel):
-        signals = one.signals[_kind(channel)].values[np.ix_(rows, predictor.columns)]
-        found.append((rows, one.step[rows, channel] - signals @ predictor.weights))
-    return found
+def _memories(step: Array, period_s: float) -> Array:
+    """Fading sums of the past one-step errors, (n, 9, m), the row itself included."""
+    from scipy.signal import lfilter
+
+    fading = [np.exp(-period_s / memory) for memory in MEMORY_S]
+    return np.stack([lfilter([1.0], [1.0, -keep], step, axis=0) for keep in fading], axis=2)
 
 
-def _unforeseen(left: Array, weights: Array, predictor: ChannelPredictor) -> Array:
-    """Sum of ``weights[j] left[k - j]``, less what the rows up to the start foretell of it."""
-    summed = _weighted(left[:, None], weights)[:, 0]
-    whitener = predictor.noise.whitener
-    if not predictor.use_past or len(whitener) < 2:
-        return summed
-    ahead: Array = -whitener[1:]
-    total = np.zeros(len(whitener) - 1)
-    for weight in weights[::-1]:
-        total += weight * ahead
-        ahead = np.append(ahead[1:], 0.0) - ahead[0] * whitener[1:]
-    delay = np.zeros(len(weights))
-    return np.asarray(summed - _weighted(left[:, None], np.concatenate([delay, total]))[:, 0])
+def _remembered(memories: Array, channel: int) -> Array:
+    """The memories (n, 2 m) that a channel may use: its own, and an angle its rate's."""
+    own = memories[:, channel].copy()
+    rate = memories[:, channel - 6] if channel >= 6 else np.zeros_like(own)
+    if channel in (3, 4, 5):
+        own[:, :SLOW] = 0.0
+    return np.hstack([own, rate])
+
+
+def _counts(one: Prepared) -> tuple[NDArray[np.int64], ...]:
+    """Rows (9,) of the shortest horizon and of each of ``HORIZONS_S``."""
+    return (one.errors.step_rows, *one.errors.rows)
 
 
 def _weighted(values: Array, weights: Array) -> Array:
@@ -355,6 +290,6 @@ def _turn(attitude: Array, turned: Array) -> Array:
     return euler_rates(np.nan_to_num(attitude), turned)
 
 
-def _pooled(left: Sequence[tuple[Array, ...]]) -> Array:
+def _pooled(left: Sequence[_Unexplained]) -> Array:
     """RMS (9,) over runs and the judged horizons; NaN for a channel without a row."""
-    return pooled_rms([error for one in left for error in one[1:]])
+    return pooled_rms([error for one in left for error in one.totals[1:]])

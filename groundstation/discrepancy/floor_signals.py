@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 LAGS = (1, 2, 3, 4, 6, 8, 12, 18, 26)
 """Rows by which inputs may act later than the base model has it."""
 PAST_ROWS = 4
+PULL_S = 0.1
 MOTOR_S = 0.05
 """A small motor with its propeller settles within about this time."""
 SLOW_S = 12.0
@@ -66,7 +67,8 @@ def signals_of(run: Run, motion: Motion, configuration: Configuration) -> dict[s
     common.add("offset", ("constant",), np.ones((len(run), 1)))
     attitude = np.sin(np.nan_to_num(run.attitude[:, :2]))
     common.add("tilt", AXES[:2], _late(attitude, 4))
-    force = _past_mean(np.nan_to_num(run.accelerometer[:, :2]))
+    pull = np.nan_to_num(run.accelerometer[:, :2])
+    force = _late(_leaky(pull, PULL_S, run.period_s) / PULL_S, 1)
     common.add("specific force in the plane", ("forward", "left"), force)
     ways = ("forward", "left", "up")
     slow = _late(velocity_of(run, SLOW_S), 1)

@@ -71,8 +71,9 @@ def ahead_errors(run: Run, model: Model, motion: Motion | None = None) -> AheadE
     step_rows = np.array([1] * 6 + [every] * 3)
     horizons = [max(round(horizon / run.period_s), every) for horizon in HORIZONS_S]
     rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
-    # The model flies on every input; what was not measured must not look measured.
-    driven = replace(run, duty=whole.duty, supply_v=whole.supply_v)
+    # The model flies on every input; what was not measured afresh must not look measured.
+    shown = np.where(fresh[:, None], run.attitude, np.nan)
+    driven = replace(run, duty=whole.duty, supply_v=whole.supply_v, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
     ahead = predict_ahead(model, driven, counts, stride=1)
     made = ahead.errors(driven)
