@@ -62,6 +62,39 @@ CHANNELS: dict[str, tuple[str, ...]] = {
 """Channels (or their first word) in which each effect shows first: where ``where`` may point."""
 
 
+_TILTING = {"high roll or pitch rate", "roll or pitch torque", "turning about several axes"}
+_YAWING = {"high yaw rate", "after yaw commands", "turning about several axes"}
+_ROTORS = {"rotor acceleration", "rotors slowing down", "thrust change"}
+_THRUST = {"high thrust", "low thrust", "climb", "descent", "thrust change"}
+_STEADY = {"whole flight", "hover"}
+REGIMES: dict[str, set[str]] = {
+    "dead_time": _TILTING | _YAWING | _ROTORS | _STEADY,
+    "gyro_low_pass": _TILTING | _YAWING | _ROTORS | _STEADY,
+    "rotor_gyroscopic_torque": _YAWING,
+    "rotor_acceleration_torque": {*_YAWING, "rotor acceleration", "rotors slowing down"},
+    "inertia_coupling": _YAWING,
+    "rate_damping": _TILTING,
+    "quadratic_rate_damping": _TILTING,
+    "yaw_damping": _YAWING,
+    "centre_of_gravity_offset": _STEADY | _THRUST,
+    "rotor_mismatch": _STEADY | _THRUST,
+    "motor_dead_voltage": {*_STEADY, *_THRUST, *_ROTORS, "saturation", "low battery"},
+    "motor_braking_asymmetry": {*_ROTORS, *_TILTING, "after yaw commands", "low thrust"},
+    "supply_sag": {*_STEADY, *_THRUST, *_ROTORS, "saturation", "low battery"},
+    "battery_reading_lag": _THRUST | _ROTORS,
+    "gyro_bias": _STEADY,
+    "accelerometer_bias": _STEADY,
+    "imu_misalignment": _STEADY | _TILTING | _YAWING | _THRUST,
+    "rotor_drag": {"translation", "tilted"},
+    "velocity_moment": {"translation", "tilted"},
+    "climb_inflow": {"climb", "descent"},
+    "imu_lever_arm": {*_TILTING, *_YAWING, "rotor acceleration"},
+    "ground_effect": {"near ground"},
+    "attitude_filter_lean": {*_STEADY, "translation", "tilted"},
+}
+"""Regimes of the report that each listed effect excites."""
+
+
 def draw(name: str, generator: np.random.Generator) -> dict[str, float]:
     """Parameters of a hidden effect: log-uniform size in the acceptance's range, random sign."""
     return _DRAWS[name](generator)

@@ -7,7 +7,14 @@ from typing import Any
 
 from bench.sealed.cases import Case
 from bench.sealed.flights import Sealed
-from bench.sealed.hidden import CHANNELS, CONFUSABLE, LISTED, OUTSIDE, ROTOR_TORQUES
+from bench.sealed.hidden import (
+    CHANNELS,
+    CONFUSABLE,
+    LISTED,
+    OUTSIDE,
+    REGIMES,
+    ROTOR_TORQUES,
+)
 
 VISIBLE = 5.0
 """Standard errors from which a search is asked to find an effect."""
@@ -52,15 +59,23 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "explained": _explained(case, report),
         "loudness": _loudness(report),
         "where": [where.get("channel", ""), where.get("regime", "")],
-        "where_right": points_at(case, where.get("channel", "")),
+        "where_right": _excites(case, where.get("channel", ""), where.get("regime", "")),
     }
 
 
 def points_at(case: Case, channel: str) -> bool:
-    """Whether the top row of ``where`` names a channel in which something hidden shows."""
+    """Whether something hidden shows in a channel."""
     plain = channel.replace("_", " ")
     allowed = [name for hidden in case.names for name in CHANNELS[hidden]]
     return any(plain == name or plain.split(" ")[0] == name for name in allowed)
+
+
+def _excites(case: Case, channel: str, regime: str) -> bool:
+    """Whether something hidden shows in a channel in that regime; outside the list, in any."""
+    if not points_at(case, channel):
+        return False
+    known = [REGIMES[name] for name in case.names if name in REGIMES]
+    return not known or any(regime in some for some in known)
 
 
 def _asked(case: Case, sealed: Sealed) -> set[str]:

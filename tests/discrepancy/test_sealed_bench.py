@@ -13,13 +13,16 @@ from stand_in_bench import plant, slopes
 from bench.sealed.bound import significances
 from bench.sealed.cases import GROUPS, Case, matrix, named
 from bench.sealed.flights import CARRY, PROGRAMME, Sealed, flown, record
-from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, draw, planted, scaled
+from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, draw, planted, scaled
 from bench.sealed.judge import judge, points_at
 from bench.sealed.signals import Signals, effect_signals
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.effects.present import present_effects
 from firmware_sim.layout import TRUTH
 from firmware_sim.settings import StandInSettings
+from groundstation.discrepancy.regimes import motion_of, regimes_of
+from groundstation.dynamics.model import THESIS
+from groundstation.identification.runs import Run
 
 RANGES = {
     "dead_time": (1e-3, 12e-3),
@@ -235,7 +238,9 @@ def test_a_scaled_effect_is_scaled_in_significance(damped_flights):
     assert tenth == pytest.approx(0.1 * full, rel=1e-6)
 
 
-def report(*effects, verdict="effects_found", where="gyro x", **channels):
+def report(
+    *effects, verdict="effects_found", where="gyro x", regime="high roll or pitch rate", **channels
+):
     return {
         "verdict": verdict,
         "effects": [
@@ -249,7 +254,7 @@ def report(*effects, verdict="effects_found", where="gyro x", **channels):
             }
             for name, parameters, others in effects
         ],
-        "where": [{"channel": where, "regime": "moving", "rms": 2.0, "expected_rms": 1.0}],
+        "where": [{"channel": where, "regime": regime, "rms": 2.0, "expected_rms": 1.0}],
         "gap": {
             "channels": {
                 key.replace("_", " "): {"before": b, "after": a, "noise_floor": f}
@@ -324,6 +329,36 @@ def test_outside_the_list_any_name_is_wrong():
     assert not judge(case, sealed({}), report(("rotor_drag", {}, [])))["right"]
     assert points_at(case, "accelerometer_y")
     assert not points_at(case, "gyro z")
+
+
+@pytest.mark.parametrize(
+    ("channel", "regime", "right"),
+    [
+        ("gyro y", "roll or pitch torque", True),
+        ("gyro z", "roll or pitch torque", False),
+        ("gyro y", "near ground", False),
+    ],
+)
+def test_where_must_point_at_the_channel_and_the_regime(channel, regime, right):
+    said = report(("rate_damping", {}, []), where=channel, regime=regime)
+    assert judge(DAMPED, sealed(CERTAIN, **DAMPING), said)["where_right"] is right
+
+
+def test_every_regime_that_is_expected_is_one_that_reports_have():
+    flight = Run(
+        name="",
+        start_s=0.0,
+        period_s=0.002,
+        duty=np.full((3000, 4), 0.6),
+        supply_v=np.full(3000, 3.7),
+        gyro=np.zeros((3000, 3)),
+        accelerometer=np.tile([0.0, 0.0, 9.8], (3000, 1)),
+        attitude=np.zeros((3000, 3)),
+        rotor_rev_s=np.full((3000, 4), np.nan),
+        debug_s=np.zeros(3000),
+    )
+    assert set().union(*REGIMES.values()) <= set(regimes_of(flight, motion_of(flight, THESIS)))
+    assert set(REGIMES) == set(LISTED)
 
 
 def test_a_line_of_results_is_json():
