@@ -167,15 +167,34 @@ class BodyProblem:
         for _ in range(steps):
             slopes = self.slopes(theta)
             normal, gradient = self.normal_equations(slopes, self.residuals(theta), noise)
-            change = np.zeros(len(theta))
-            change[free] = inverse(normal[np.ix_(free, free)]) @ gradient[free]
+            low, high = np.maximum(-most, self.low - theta), np.minimum(most, self.high - theta)
+            change = bounded_step(normal, gradient, free, low, high)
             most = np.where(change * direction < 0.0, 0.5 * most, most)  # to and fro: shorter
             direction = change
-            change = np.clip(theta + np.clip(change, -most, most), self.low, self.high) - theta
             theta = theta + change
             if np.all(np.abs(change) * np.sqrt(np.diag(normal)) < SMALL):
                 break
         return theta, normal
+
+
+def bounded_step(
+    normal: Array, gradient: Array, free: NDArray[np.bool_], low: Array, high: Array
+) -> Array:
+    """The Gauss-Newton step whose parts stay within low..high; only ``free`` ones move.
+
+    A part that meets its limit stays there and the others are found anew: cut off afterwards,
+    they would answer to a step that was never taken.
+    """
+    step, open_ = np.zeros(len(gradient)), free.copy()
+    while open_.any():
+        right = gradient - normal @ np.where(open_, 0.0, step)
+        step[open_] = inverse(normal[np.ix_(open_, open_)]) @ right[open_]
+        outside = open_ & ((step < low) | (step > high))
+        if not outside.any():
+            break
+        step[outside] = np.clip(step, low, high)[outside]
+        open_ &= ~outside
+    return step
 
 
 def motor_steps(

@@ -29,7 +29,7 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
+SPIN: Array = np.array([-1.0, 1.0, -1.0, 1.0])
 LEAK_S = 2.0
 """Time constant with which the velocity, integrated from tilt, forgets."""
 SUPPLY_EFFECTS = ("battery_reading_lag", "supply_sag")
@@ -234,18 +234,16 @@ class BodyTerms:
     def _shifted(
         self, stretch: int, key: tuple[MotorConstants | None, float, float], delay_s: float
     ) -> _Late:
+        from groundstation.identification.body_kernel import shifted_rotors
+
         one = self._stretches[stretch]
         squares = self._rotors(id(one.run), stretch, key)
         period = one.run.period_s
-        at = np.arange(one.first - 1, one.last, dtype=np.float64) - delay_s / period
-        impulse = np.cumsum(squares.square, axis=0) * period
-        mean = np.diff(_hermite(impulse, squares.end * period, at), axis=0) / period
-        omega = (REVOLUTION * np.sqrt(squares.end) @ SPIN)[:, None]
-        return _Late(
-            mean,
-            _linear(omega, at[1:] - 0.5)[:, 0],
-            np.diff(_linear(omega, at), axis=0)[:, 0] / period,
+        mean, spin, up = np.empty((len(one), 4)), np.empty(len(one)), np.empty(len(one))
+        shifted_rotors(
+            *(squares.square, squares.end, one.first, delay_s / period, period, mean, spin, up)
         )
+        return _Late(mean, REVOLUTION * spin, REVOLUTION * up)
 
     def _velocity(self, stretch: int) -> Array:
         """Forward and left velocity (n, 2) in m/s, integrated from tilt with a leak.
@@ -304,26 +302,3 @@ def _lagged(acceleration: Array, lag_s: float, period_s: float) -> Array:
     start = (early - keep) * acceleration[:1] + keep * acceleration[:1]
     out, _ = lfilter([1.0 - early, early - keep], [1.0, -keep], acceleration, axis=0, zi=start)
     return np.asarray(out)
-
-
-def _linear(values: Array, at: Array) -> Array:
-    """Values between rows, held beyond the ends; values (n, m), at (k,) to (k, m)."""
-    place = np.clip(at, 0, len(values) - 1.0)
-    index = np.minimum(place.astype(np.int64), len(values) - 2)
-    share = (place - index)[:, None]
-    return np.asarray(values[index] + share * (values[index + 1] - values[index]))
-
-
-def _hermite(values: Array, slopes: Array, at: Array) -> Array:
-    """Cubic interpolation of an integral with known integrand (``slopes`` per row)."""
-    place = np.clip(at, 0, len(values) - 1.0)
-    index = np.minimum(place.astype(np.int64), len(values) - 2)
-    t = (place - index)[:, None]
-    one, other = values[index], values[index + 1]
-    rise, end = slopes[index], slopes[index + 1]
-    return np.asarray(
-        one * (1 + 2 * t) * (1 - t) ** 2
-        + rise * t * (1 - t) ** 2
-        + other * t**2 * (3 - 2 * t)
-        + end * t**2 * (t - 1)
-    )

@@ -260,6 +260,11 @@ def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
         if name in expected:
             right.plot(expected[name], i, "|", color=MODELLED, markersize=14, markeredgewidth=2.5)
     right.set_xscale("log")
+    right.set_xlim(
+        10.0 ** np.floor(np.log10(shares.min())), 10.0 ** np.ceil(np.log10(shares.max()))
+    )
+    right.xaxis.set_major_formatter("{x:g}")
+    right.xaxis.set_minor_formatter("")
     right.invert_yaxis()
     right.set_yticks(ticks, labels, fontsize=7)
     right.set_xlabel("standard error, % of the value")
