@@ -19,6 +19,7 @@ from groundstation.discrepancy.findings import (
     Verdict,
 )
 from groundstation.discrepancy.flight import Flight, prepare
+from groundstation.discrepancy.judge import negligible
 from groundstation.discrepancy.leftover import leftover
 from groundstation.discrepancy.physics import spin_rotors
 from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem
@@ -196,9 +197,10 @@ def _findings(
     final, errors = outcome.final, outcome.final.stderr()
     keys = tuple(key for v in known for key in v.keys)
     effects = []
-    for number, one in enumerate(outcome.accepted):
+    for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
-        effects.append(_effect(one, number + 1, final, keys, model))
+        if not negligible(one.variant, final.point):
+            effects.append(_effect(one, len(effects) + 1, final, keys, model))
     warnings = []
     if not problem.known_motor:
         warnings.append(

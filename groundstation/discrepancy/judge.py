@@ -27,6 +27,7 @@ LEAST_T = 4.5
 LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
 LEAST_HELD_OUT, HELD_OUT_SHARE = 3.0, 0.2
 BLOCK_S = 1.0
+LEAST_GYRO_BIAS_DPS = 0.1
 DISAGREE, DISAGREE_SHARE = 5.0, 0.4
 """Parts disagree where they lie this many standard errors and this share of the size apart."""
 
@@ -83,7 +84,7 @@ def judge(
             float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
             float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
         )
-    t, parts = _by_parts(problem, after, variant)
+    t, parts = by_parts(problem, after, variant)
     return Evidence(drop, held, expected, t, parts, gap, channels)
 
 
@@ -100,11 +101,31 @@ def refusal(variant: Variant, fit: Fit, evidence: Evidence) -> str:
         return f"not significant: {evidence.t:.1f} standard errors"
     if evidence.held_out < max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected):
         return "does not predict held-out rows better"
+    return ""
+
+
+def disagreement(evidence: Evidence) -> str:
+    """Whether channels or recordings tell different sizes; empty where they agree.
+
+    To be asked of the final fit: as long as something else is missing, its traces make any
+    effect's parts disagree.
+    """
     for by, what in ((1, "channels"), (0, "recordings")):
         errors, share = evidence.spread(by)
         if errors > DISAGREE and share > DISAGREE_SHARE:
             return f"{what} disagree on its size by {errors:.0f} standard errors"
     return ""
+
+
+def negligible(variant: Variant, point: Mapping[str, float]) -> bool:
+    """Whether a parameter that is surely not zero is too small to be called an effect.
+
+    The firmware subtracts a whole number of counts as the gyro's bias, so up to a count and a
+    half always lies between the gyro and the attitude.
+    """
+    if variant.effect != "gyro_bias":
+        return False
+    return float(np.linalg.norm([point[key] for key in variant.keys])) < LEAST_GYRO_BIAS_DPS
 
 
 def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
@@ -128,7 +149,7 @@ def _channels(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
     return tuple(sorted(c for c, p in power.items() if p > 0.02 * most))
 
 
-def _by_parts(
+def by_parts(
     problem: Problem, fit: Fit, variant: Variant
 ) -> tuple[float, dict[tuple[int, int], tuple[float, float]]]:
     """t of the whole effect from scores by blocks of time, and its size by flight and channel.
@@ -159,7 +180,7 @@ def _by_parts(
         strength = float((scale * column**2).sum())
         score = float((scale * column * s.residual).sum())
         information += strength
-        if strength > 9.0:
+        if strength > 9.0 and np.isin(s.place, own).any():
             parts[s.flight, s.channel] = (1.0 + score / strength, strength**-0.5)
         scores.setdefault(s.flight, []).append(_block_scores(s, column, problem, s.channel))
     for pieces in scores.values():

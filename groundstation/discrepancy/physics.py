@@ -34,7 +34,7 @@ Columns = dict[int, Array]
 GYRO, ACCELEROMETER, ATTITUDE = 0, 3, 6
 SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 SUBSTEPS = 2
-LEAK_S = 4.0
+LEAK_S = 16.0
 """Velocity is known over times shorter than this."""
 VOLTAGE_KEYS = (
     "motor_dead_voltage.voltage_mv",

@@ -9,13 +9,20 @@ whatever the newcomer made superfluous leaves.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.flight import Flight
-from groundstation.discrepancy.judge import Evidence, judge, plausible, refusal
+from groundstation.discrepancy.judge import (
+    Evidence,
+    by_parts,
+    disagreement,
+    judge,
+    plausible,
+    refusal,
+)
 from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem
 from groundstation.discrepancy.spectra import Quadratic
 from groundstation.discrepancy.unknowns import (
@@ -108,6 +115,7 @@ def search(
     first_linear: Linear | None = None
     first_quadratic: Quadratic | None = None
     tried: set[frozenset[str]] = set()
+    banned: set[str] = set()
     for number in range(MOST_ROUNDS):
         progress(
             "screening" if not accepted else f"screening after {len(accepted)} effects",
@@ -123,7 +131,8 @@ def search(
             now = problem.fit(_without(now.point, dropped.variant), _keys(base_keys, accepted))
             continue
         joined = {one.variant.effect for one in accepted} | {one.effect for one in known}
-        scores = screen(linear, total, now.keys, [v for v in candidates if v.effect not in joined])
+        able = [v for v in candidates if v.effect not in joined and v.label not in banned]
+        scores = screen(linear, total, now.keys, able)
         if first_quadratic is None:
             first, first_linear, first_quadratic = scores, linear, total
         newcomer = _round(
@@ -139,7 +148,15 @@ def search(
             progress,
         )
         if newcomer is None:
-            break
+            offender = _offender(problem, now, accepted)
+            if offender is None:
+                break
+            one, why = offender
+            accepted.remove(one)
+            banned.add(one.variant.label)
+            reasons[one.variant.label] = why
+            now = problem.fit(_without(now.point, one.variant), _keys(base_keys, accepted))
+            continue
         accepted.append(newcomer)
         reasons.pop(newcomer.variant.label, None)
         tried.add(frozenset(one.variant.label for one in accepted))
@@ -295,6 +312,22 @@ def _keys(base_keys: tuple[str, ...], accepted: Sequence[Accepted]) -> tuple[str
 
 def _without(point: Point, variant: Variant) -> Point:
     return {key: number for key, number in point.items() if key not in variant.keys}
+
+
+def _offender(
+    problem: Problem, now: Fit, accepted: Sequence[Accepted]
+) -> tuple[Accepted, str] | None:
+    """An accepted effect on whose size channels or recordings disagree in the end."""
+    worst: tuple[float, Accepted, str] | None = None
+    for one in accepted:
+        t, parts = by_parts(problem, now, one.variant)
+        evidence = replace(one.evidence, t=t, parts=parts)
+        one.evidence = evidence
+        why = disagreement(evidence)
+        errors = max(evidence.spread(0)[0], evidence.spread(1)[0])
+        if why and (worst is None or errors > worst[0]):
+            worst = errors, one, why
+    return None if worst is None else worst[1:]
 
 
 def _needless(
