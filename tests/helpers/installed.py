@@ -62,7 +62,9 @@ class Daemon:
     Used as a context it is never left behind.
     """
 
-    def __init__(self, folder, *arguments, socket_path=None, stdout=None, stderr=None):
+    def __init__(
+        self, folder, *arguments, socket_path=None, stdout=None, stderr=None, environment=None
+    ):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.socket = socket_path or self.folder / "control.sock"
@@ -74,7 +76,7 @@ class Daemon:
                 stdin=subprocess.DEVNULL,
                 stdout=stdout or out,
                 stderr=stderr or err,
-                env=_environment(self.socket),
+                env={**_environment(self.socket), **(environment or {})},
                 cwd=self.folder,
             )
 

@@ -186,7 +186,7 @@ def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
 def test_a_silent_client_on_the_ground_loses_its_lease_unless_it_keeps_it(fly, path):
     def conversation():
         with Pilot(path, "patient") as pilot:
-            for _ in range(6):
+            for _ in range(5):
                 time.sleep(0.25)
                 pilot.keep()
             time.sleep(1.3)
@@ -236,7 +236,7 @@ def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path):
     def conversation():
         with Pilot(path, "fast") as pilot:
             due_s = time.monotonic()
-            for _ in range(200):
+            for _ in range(150):
                 started_s = time.monotonic()
                 pilot.setpoint(1.0, 0.0, 0.0, 0)
                 took.append(time.monotonic() - started_s)
@@ -254,7 +254,7 @@ def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path):
     print(
         f"a setpoint took {1e3 * np.median(took):.2f} ms, p99 {1e3 * np.quantile(took, 0.99):.2f}"
     )
-    assert sum(entry["roll_deg"] == 1.0 for entry in setpoints(recording)) == 200
+    assert sum(entry["roll_deg"] == 1.0 for entry in setpoints(recording)) == 150
 
 
 def test_the_stream_carries_samples_events_and_marks(fly, path):

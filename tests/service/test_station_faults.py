@@ -296,3 +296,60 @@ def test_work_in_the_background_does_not_hold_up_the_end():
     assert asyncio.run(in_background(lambda: 7)) == 7
     with pytest.raises(ZeroDivisionError):
         asyncio.run(in_background(lambda: 1 / 0))
+
+
+def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time(
+    tmp_path, monkeypatch
+):
+    """A real serial line, closed and opened anew: descriptors, threads and memory stay."""
+    import psutil
+
+    from firmware_sim.craft import StandIn
+    from firmware_sim.serial_port import SerialPort
+    from firmware_sim.settings import Loss, StandInSettings
+
+    monkeypatch.setattr(receiver_module, "RETRY_FIRST_S", 0.01)
+    monkeypatch.setattr(receiver_module, "RETRY_MOST_S", 0.02)
+    name, cycles = tmp_path / "craft", 100
+    craft = StandIn(StandInSettings(loss=Loss(good_loss=0.0)))
+    used = []
+
+    async def session():
+        station = Station(
+            Config(
+                link=LinkConfig(name=f"serial:{name}"),
+                recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
+            )
+        )
+        running = asyncio.create_task(station.run())
+        process, flown_s = psutil.Process(), 0.0
+        for cycle in range(cycles):
+            with SerialPort(f"pty:{name}") as port:
+                await until(lambda: station.link.state in (LinkState.OPENING, LinkState.STREAMING))
+                wanted = station.receiver.decoder.counts().samples + 20
+                while station.receiver.decoder.counts().samples < wanted:
+                    flown_s += 0.01
+                    port.send(craft.advance(flown_s)[0])
+                    await asyncio.sleep(0.002)
+            await until(lambda: station.link_state() in (LinkState.LOST, LinkState.OPENING))
+            if cycle in (cycles // 5, cycles - 1):
+                memory = process.memory_info().rss / 1e6
+                used.append((process.num_fds(), process.num_threads(), memory))
+        station.stop()
+        await running
+        return station
+
+    station = asyncio.run(session())
+    (path,) = files(tmp_path)
+    recording = open_recording(path)
+    assert recording.damage == []
+    assert len(np.unique(recording.samples.segment)) == cycles
+    lost = [event for event in recording.events if event["kind"] == "lost"]
+    assert len(lost) == cycles
+    (early, late) = used
+    print(f"{cycles} losses: descriptors {early[0]} -> {late[0]}, threads {early[1]} -> {late[1]}, "
+          f"memory {late[2] - early[2]:+.1f} MB")  # fmt: skip
+    assert late[0] <= early[0] + 1
+    assert late[1] <= early[1] + 1
+    assert late[2] - early[2] < 10
+    assert station.faults == 0
