@@ -223,7 +223,7 @@ def _round(
     for one in _shortlist(scores, reasons):
         progress(f"fitting {one.variant.effect}", -1.0)
         keys = (*now.keys, *one.variant.keys)
-        fit = problem.fit(_started(before.point, one), keys)
+        fit = problem.fit(_started(now.point, one), keys)
         fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
     fits.sort(key=lambda item: item[0], reverse=True)
     if not fits:
