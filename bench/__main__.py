@@ -9,7 +9,9 @@ from pathlib import Path
 
 def main(names: list[str]) -> int:
     known = sorted(
-        path.stem for path in Path(__file__).parent.glob("*.py") if not path.stem.startswith("_")
+        path.stem
+        for path in Path(__file__).parent.glob("*.py")
+        if "\ndef rows(" in path.read_text()  # the others are run by themselves, for hours
     )
     unknown = [name for name in names if name not in known]
     if unknown:

@@ -1,0 +1,89 @@
+"""What the daemon costs at line rate, with everything on.
+
+The software craft in a process of its own on a pseudo-terminal, 2000 packets a second; the
+installed daemon records, feeds the viewer, serves one stream client, and is scraped every second.
+"""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket as sockets
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from groundstation.errors import GroundStationError
+from groundstation.service.client import Client, live
+
+Row = tuple[str, float, float, str]
+
+SETTLE_S, MEASURED_S = 15.0, 30.0
+
+
+def rows() -> Iterator[Row]:
+    """Processor share and memory of the daemon's own process; references are the limits."""
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        folder = Path(name)
+        craft = subprocess.Popen(
+            [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{folder / 'craft'}"],
+            stdout=subprocess.DEVNULL,
+        )
+        daemon = subprocess.Popen(
+            [Path(sys.executable).with_name("groundstation"), "run", "--viewer", "serve",
+             "--link", f"serial:{folder / 'craft'}", "--recordings", folder / "sessions",
+             "--viewer-port", "19876", "--web-port", "19090"],
+            env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            share, memory_mb, packets_hz, dropped = _measure(folder / "control.sock")
+        finally:
+            for process in (daemon, craft):
+                process.terminate()
+                process.wait(30)
+    yield "daemon with all on, packets a second (ref: sent)", packets_hz, 2000.0, "packets/s"
+    yield "the same, processor (ref: the limit)", share, 0.15, "core"
+    yield "the same, resident memory (ref: the limit)", memory_mb, 200.0, "MB"
+    yield "the same, dropped by recorder, stream and viewer", dropped, 0.0, "items"
+
+
+def _measure(socket: Path) -> tuple[float, float, float, float]:
+    """Processor share, memory in MB, packets a second, items dropped."""
+    listener = threading.Thread(target=_listen, args=(socket,), daemon=True)
+    time.sleep(SETTLE_S / 3)
+    listener.start()
+    time.sleep(SETTLE_S * 2 / 3)
+    with Client(socket) as client:
+        before, began_s = client.ask("GET", "/status"), time.monotonic()
+        while time.monotonic() - began_s < MEASURED_S:
+            _scrape(socket)
+            time.sleep(1.0)
+        lasted_s = time.monotonic() - began_s
+        after = client.ask("GET", "/status")
+    share = (after["health"]["cpu_s"] - before["health"]["cpu_s"]) / lasted_s
+    packets = after["statistics"]["packets"] - before["statistics"]["packets"]
+    dropped = sum(after[part]["dropped"] for part in ("recording", "stream", "viewer"))
+    return share, after["health"]["memory_mb"], packets / lasted_s, float(dropped)
+
+
+def _listen(socket: Path) -> None:
+    while True:
+        try:
+            for _ in live(socket):
+                pass
+        except GroundStationError:
+            time.sleep(0.2)
+
+
+def _scrape(socket: Path) -> None:
+    connection = http.client.HTTPConnection("localhost")
+    connection.sock = sockets.socket(sockets.AF_UNIX)
+    connection.sock.connect(str(socket))
+    connection.request("GET", "/metrics")
+    connection.getresponse().read()
+    connection.close()
