@@ -79,6 +79,7 @@ def design_cascade(
     limits: Limits,
     seed: int = 0,
     supply_mv: float = SUPPLY_MV,
+    budget: Budget = BUDGET,
     progress: Callable[[str, float], None] = lambda axis, share: None,
 ) -> list[AxisDesign]:
     """Gains for each axis of a fitted model, on every core.
@@ -96,7 +97,7 @@ def design_cascade(
         kind = "yaw" if axis == "yaw" else "roll"
         low, high = np.array(LOW[kind]), np.array(HIGH[kind])
         design = optimise(
-            judge, low, high, limits, seed, BUDGET, progress=lambda s: progress(axis, s)
+            judge, low, high, limits, seed, budget, progress=lambda s: progress(axis, s)
         )
         names = gain_names(axis)
         gains = {n: _rounded(v) for n, v in zip(names, design.gains, strict=True)}

@@ -166,6 +166,7 @@ def design_direct(
     limits: Limits,
     seconds: float = 2.0,
     seed: int = 0,
+    budget: Budget = Budget(),
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PidGains, Design, Margins]:
     """A PID in the thesis's form for an axis, the worst of several plants counting.
@@ -176,7 +177,7 @@ def design_direct(
     """
     low, high = direct_bounds(plants[0])
     judge = DirectJudge(plants, seconds, limits.delay_s)
-    design = optimise(judge, low, high, limits, seed, progress=progress)
+    design = optimise(judge, low, high, limits, seed, budget, progress=progress)
     gains = PidGains(*(float(g) for g in design.gains))
     return gains, design, direct_margins(plants[0], gains)
 

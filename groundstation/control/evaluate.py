@@ -38,8 +38,10 @@ Loop = Literal["direct", "whole", "firmware"]
 LOOPS: tuple[Loop, ...] = ("direct", "whole", "firmware")
 WHOLE_STEP_RAD = 0.2
 """Step of the whole simulation, in which a larger one saturates."""
-UNSTABLE = 3.0
-"""A response beyond so many steps has run away."""
+STEADY_S = 4.0
+"""Over so long a window a loop with motors shows whether it calms down."""
+STILL = 0.1
+"""A response that swings by less than this share of the step at its end is calm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +131,12 @@ def _whole(
     found = []
     for axis, one in gains.items():
         index = AXES.index(axis)
-        reference = np.zeros((round(seconds / SAMPLE_PERIOD_S), 3))
+        reference = np.zeros((round(max(seconds, STEADY_S) / SAMPLE_PERIOD_S), 3))
         reference[:, index] = WHOLE_STEP_RAD
         others = [gains.get(name, PidGains(0.0)) for name in AXES]
-        y = run_whole(model, others, reference, body, delay=delay).angles[:, index]
-        stable = bool(np.abs(y).max() < UNSTABLE * WHOLE_STEP_RAD)
+        long = run_whole(model, others, reference, body, delay=delay).angles[:, index]
+        y = long[: round(seconds / SAMPLE_PERIOD_S)]
+        stable = _calms(long / WHOLE_STEP_RAD)
         margins = whole_margins(model, one, axis, body, delay)
         found.append(
             AxisResult(
@@ -154,11 +157,7 @@ def _firmware(model: Model, gains: Mapping[str, float], axis: str, seconds: floa
     step = STEP_RAD[axis]
     y = step_response(plant, gains, axis, seconds)
     margins = cascade_margins(plant, gains, axis)
-    # a loop that is unstable grows from the first half of a long window to the second
-    long = step_response(plant, gains, axis, max(seconds, 4.0))
-    parts: Sequence[Array] = np.array_split(long[len(long) // 4 :], 3)
-    swing = [float(np.ptp(part)) for part in parts]
-    stable = math.isfinite(swing[2]) and (swing[2] < 0.1 or swing[2] <= swing[1])
+    stable = _calms(step_response(plant, gains, axis, max(seconds, STEADY_S)))
     return AxisResult(
         axis,
         {name: gains.get(name, STOCK[name]) for name in gain_names(axis)},
@@ -168,3 +167,13 @@ def _firmware(model: Model, gains: Mapping[str, float], axis: str, seconds: floa
         margins if stable else None,
         y,
     )
+
+
+def _calms(response: Array) -> bool:
+    """Whether a response over its step calms down: its last quarter swings little, or less than
+    the one before, and about the reference."""
+    parts: Sequence[Array] = np.array_split(response, 4)
+    swings = [float(np.ptp(part)) for part in parts]
+    if not math.isfinite(swings[3]):
+        return False
+    return swings[3] < STILL or (swings[3] < 0.8 * swings[2] and swings[3] < 1.0)

@@ -1,0 +1,271 @@
+"""Designs: on the front that an independent search finds, robust to what the fit is unsure of."""
+
+import json
+import warnings
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.optimize import differential_evolution
+from scipy.signal import lfilter
+
+from firmware_sim.craft import StandInSettings
+from firmware_sim.monte_carlo import fly_many
+from groundstation.control.cascade import CascadeJudge, gain_names
+from groundstation.control.cascade_design import (
+    DESIGN_BAND,
+    WINDOW_S,
+    cascade_limits,
+    design_cascade,
+    robustness,
+)
+from groundstation.control.design import (
+    OVERSHOOT,
+    SENSITIVITY,
+    SETTLING,
+    Limits,
+    design_direct,
+    direct_bounds,
+    rounding_corners,
+)
+from groundstation.control.direct import axis_plant, is_stable
+from groundstation.control.gains_file import gains_text, load_gains
+from groundstation.control.pid import PidGains
+from groundstation.control.plant import plant_of_model
+from groundstation.control.search import Budget, pareto_front
+from groundstation.control.uncertainty import corners, draws, moved, require_certain
+from groundstation.dynamics.model import THESIS, load_model, save_model
+from groundstation.errors import BadInputError
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.samples import RawBatch
+
+DATA = Path(__file__).parent / "data"
+MODEL = load_model(DATA / "body.json")
+TS = 0.002
+SMALL = Budget(first=200, population=16, generations=20)
+"""Enough to find good gains, not the best."""
+
+
+def independent(plant, gains, omega=np.geomspace(0.1, 1570, 300), rows=1000):
+    """Overshoot %, settling s, offset, maximum sensitivity, by polynomials and roots alone."""
+    kp, ki, kd = gains
+    law = np.array([kp + kd / TS, ki * TS - kp - 2 * kd / TS, kd / TS])
+    forward = np.concatenate([np.zeros(plant.nk), np.convolve(plant.b, law)])
+    alone = np.convolve([1.0, *plant.a], [1, -1])
+    whole = np.zeros(max(len(forward), len(alone)))
+    whole[: len(alone)] += alone
+    whole[: len(forward)] += forward
+    if np.abs(np.roots(whole)).max() >= 1:
+        return None
+    y = lfilter(forward, whole, np.ones(rows))
+    q = np.exp(-1j * omega * TS)
+    loop = np.polyval(forward[::-1], q) / np.polyval(alone[::-1], q)
+    end = y[-rows // 10 :].mean()
+    outside = np.flatnonzero(np.abs(y - end) > 0.05)
+    last = outside[-1] + 1 if len(outside) else 0
+    settling = last * TS if last < rows - rows // 10 else np.inf
+    return 100 * max(y.max() - 1, 0), settling, abs(1 - end), 1 / np.abs(1 + loop).min()
+
+
+def best_settling(plant, overshoot, seed):
+    """The fastest 5 % settling with at most some overshoot and maximum sensitivity 2."""
+    low, high = direct_bounds(plant)
+
+    def cost(logarithms):
+        found = independent(plant, np.exp(logarithms))
+        if found is None:
+            return 1e3
+        high_by, settling, offset, peak = found
+        missed = max(peak / 2 - 1, 0) + max(offset / 0.02 - 1, 0) + max(high_by / overshoot - 1, 0)
+        if not np.isfinite(settling):
+            return 100 + missed
+        return settling if missed == 0 else 10 + missed
+
+    bounds = list(zip(np.log(low), np.log(high), strict=True))
+    return differential_evolution(cost, bounds, seed=seed, maxiter=60, popsize=12, tol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [8, 2])
+def test_the_design_lies_on_the_front_of_an_independent_search(delay):
+    """(7.27): no gains with the same overshoot and robustness settle more than 5 % faster, or
+    two samples, which is what the search resolves. With eight samples an unstable pole costs
+    overshoot whatever the gains: known before this code and without it."""
+    plant = axis_plant(THESIS, "roll", delay)
+    gains, design, margins = design_direct([plant], Limits(delay_s=0.0))
+    assert margins.max_sensitivity <= 2.005
+    if delay == 8:
+        assert design.calmest == pytest.approx(69, abs=1)
+        assert design.fastest == pytest.approx(0.256, abs=0.004)
+    ours = independent(plant, gains.as_tuple())
+    assert ours[3] <= 2.005
+    assert ours[0] == pytest.approx(design.judgement[OVERSHOOT], rel=1e-6)
+    assert ours[1] == pytest.approx(design.judgement[SETTLING])
+    theirs = best_settling(plant, ours[0] * 1.0001, seed=1)
+    assert ours[1] <= max(1.05 * theirs.fun, theirs.fun + 2 * TS)
+
+
+def test_yaw_is_held_over_all_that_its_printed_digits_stand_for():
+    plants = rounding_corners(axis_plant(THESIS, "yaw", 8))
+    assert len(plants) == 9
+    assert {round(abs(p.a[0] + 1.995), 7) for p in plants[1:]} == {0.0005}
+    assert {round(abs(p.a[1] - 0.9949), 8) for p in plants[1:]} == {0.00005}
+    gains, design, _ = design_direct(plants, Limits(), budget=SMALL)
+    for plant in plants:
+        assert is_stable(plant, gains)
+        overshoot, settling, _, peak = independent(plant, gains.as_tuple())
+        assert peak <= 2.01
+        assert overshoot <= design.judgement[OVERSHOOT] + 1e-6
+        assert settling <= design.judgement[SETTLING] + TS
+
+
+def test_what_no_gains_can_do_is_refused_with_the_best_there_is():
+    with pytest.raises(BadInputError, match="smallest maximum sensitivity found is 1"):
+        design_direct([axis_plant(THESIS, "roll", 8)], Limits(sensitivity=1.3), budget=SMALL)
+    with pytest.raises(BadInputError, match="delay is too long"):
+        design_direct([axis_plant(THESIS, "roll", 80)], Limits(), budget=SMALL)
+
+
+def test_the_front_holds_what_nothing_beats():
+    generator = np.random.default_rng(0)
+    costs = generator.random((300, 3)).round(2)
+    front = set(pareto_front(costs).tolist())
+    for row, cost in enumerate(costs):
+        beaten = ((costs <= cost).all(axis=1) & (costs < cost).any(axis=1)).any()
+        first = np.flatnonzero((costs == cost).all(axis=1))
+        assert (row in front) == (not beaten) or (not beaten and front & set(first.tolist()))
+
+
+def test_a_design_for_the_firmware_keeps_its_limits_and_beats_stock_gains():
+    """Yaw alone, the cheapest; roll and pitch are designed by the same code in the bench."""
+    (one,) = design_cascade(MODEL, ["yaw"], cascade_limits(), budget=SMALL)
+    stock = CascadeJudge([plant_of_model(MODEL)], "yaw", WINDOW_S)(np.array([[50.0, 25.0]]))[0]
+    assert one.nominal[SENSITIVITY] <= 2.0
+    assert one.nominal[SETTLING] < 0.6 * stock[SETTLING]
+    assert one.nominal[OVERSHOOT] < stock[OVERSHOOT]
+    worst = [plant_of_model(other) for other in corners(MODEL, "yaw")]
+    judged = CascadeJudge(worst, "yaw", WINDOW_S, 0.002, band=DESIGN_BAND)
+    row = judged(np.array([list(one.gains.values())]))[0]
+    assert row[SENSITIVITY] <= 2.0
+    assert np.isfinite(row[SETTLING])
+    assert len(one.reasons) == len(one.gains) == 2
+    assert all(name in reason for name, reason in zip(one.gains, one.reasons, strict=True))
+
+
+def test_the_stored_gains_hold_on_models_drawn_from_the_covariance():
+    gains = load_gains(DATA / "gains.toml")
+    tried = robustness(MODEL, gains, ["roll", "pitch", "yaw"], count=60)
+    assert tried.stable == {"roll": 60, "pitch": 60, "yaw": 60}
+    assert all(table[:, SENSITIVITY].max() < 2.0 for table in tried.judgements.values())
+    assert robustness(THESIS, gains, ["roll"], count=5) is None
+
+
+def test_a_hundred_stand_ins_drawn_from_the_covariance_fly(tmp_path):
+    gains = load_gains(DATA / "gains.toml")
+    crafts = []
+    for number, model in enumerate(draws(MODEL, 100, seed=5)):
+        path = tmp_path / f"{number}.json"
+        save_model(msgspec.structs.replace(model, fit={}), path)
+        crafts.append(
+            StandInSettings(plant="reduced", craft=str(path), gains=dict(gains), seed=number)
+        )
+
+    def steady(craft, packets, heard_s):
+        samples, _ = decode_all(RawBatch(packets, np.rint(heard_s * 1e9).astype(np.int64)))
+        tilt = np.degrees(np.abs(samples.attitude[:, :2])).max()
+        return tilt < 35 and np.degrees(np.abs(samples.gyro)).max() < 400
+
+    assert sum(fly_many(crafts, 16.0, steady)) == 100
+
+
+def test_draws_have_the_covariance_of_the_fit():
+    several = draws(MODEL, 4000, seed=1)
+    table = np.array([[m.body.c0, m.body.c1, m.body.c2] for m in several])
+    names = MODEL.fit["body"]["estimates"]["names"]
+    rows = [names.index(name) for name in ("c0", "c1", "c2")]
+    covariance = np.array(MODEL.fit["body"]["estimates"]["covariance"])[np.ix_(rows, rows)]
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(np.cov(table.T))), np.sqrt(np.diag(covariance)), rtol=0.05
+    )
+    np.testing.assert_allclose(table.mean(axis=0), [0.004258, 0.004262, 0.000491], rtol=1e-3)
+
+
+def uncertain(name, share):
+    """The model with one standard error made a share of its value."""
+    fit = json.loads(json.dumps(MODEL.fit))
+    estimates = fit["body"]["estimates"]
+    place = estimates["names"].index(name)
+    size = share * abs(estimates["values"][place])
+    covariance = np.array(estimates["covariance"])
+    covariance[place, :] = covariance[:, place] = 0.0
+    covariance[place, place] = size**2
+    estimates["covariance"] = covariance.tolist()
+    return msgspec.structs.replace(MODEL, fit=fit)
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "advice"),
+    [
+        ("c0", "roll", "roll doublets"),
+        ("c2", "yaw", "yaw rate doublets"),
+        ("dead_time.delay_s", "roll", "--with dead_time"),
+    ],
+)
+def test_a_model_too_uncertain_is_refused_with_what_to_record(name, axis, advice):
+    with pytest.raises(BadInputError, match=advice) as refusal:
+        require_certain(uncertain(name, 0.9), [axis])
+    assert name in str(refusal.value)
+    require_certain(uncertain(name, 0.05), [axis])
+
+
+def test_a_model_without_covariance_cannot_be_drawn_from():
+    with pytest.raises(BadInputError, match="no covariance"):
+        draws(THESIS, 3)
+
+
+def test_a_moved_model_stays_physical():
+    far = moved(MODEL, {"c0": -1.0, "dead_time.delay_s": -1.0, "a2": 0.001})
+    assert far.body.c0 > 0
+    assert far.effects[0].parameters["delay_s"].value == 0.0
+    assert far.motor.a2 == pytest.approx(MODEL.motor.a2 + 0.001)
+
+
+def test_gains_survive_their_file(tmp_path):
+    path = tmp_path / "gains.toml"
+    firmware = {"pid_rate.roll_kp": 5.25, "pid_attitude.roll_kp": 1 / 3}
+    path.write_text(gains_text(firmware))
+    assert load_gains(path) == firmware
+    thesis = {"roll": PidGains(1.5e6, 0.0, 10200.0), "yaw": PidGains(1 / 7)}
+    path.write_text(gains_text(thesis))
+    assert load_gains(path) == thesis
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "no gains"),
+        ("roll = 3", "roll"),
+        ("[roll]\nkp = 1\nkq = 2", "kq"),
+        ("[roll]\nkp = nan", "nan"),
+        ("[height]\nkp = 1\n[roll]\nkp = 1", "no axis"),
+        ("pid_rate.roll_kp = 3", "with quotes"),
+        ('"pid_rate.roll_kp" = inf', "inf"),
+        ('"pid_rate.roll_kp" = "fast"', "no number"),
+        ('"pid_rate.roll_kp" = 5000.0', "0..1000"),
+        ("[roll\n", "cannot be read"),
+    ],
+)
+def test_a_bad_gains_file_is_refused_with_what_is_wrong(tmp_path, text, complaint):
+    path = tmp_path / "gains.toml"
+    path.write_text(text)
+    with pytest.raises(BadInputError, match=complaint):
+        load_gains(path)
+
+
+def test_designs_are_the_same_for_a_seed():
+    plant = axis_plant(THESIS, "roll", 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        first, again = (design_direct([plant], Limits(), 1.0, 4, SMALL)[0] for _ in range(2))
+    assert first == again
+    assert gain_names("yaw") == ("pid_rate.yaw_kp", "pid_rate.yaw_ki")
