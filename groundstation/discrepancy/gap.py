@@ -124,8 +124,8 @@ def pooled_rms(errors: Sequence[Array]) -> Array:
 
 
 def overall(rms: Array, floor: Array) -> float:
-    """One number for all channels: root mean square of error over noise floor, both (9,)."""
-    ratio = np.divide(rms, floor, out=np.full(9, np.nan), where=floor > 0)
+    """One number for all channels: root mean square of error over noise floor, (channels,)."""
+    ratio = np.divide(rms, floor, out=np.full(len(rms), np.nan), where=floor > 0)
     known = np.isfinite(ratio)
     return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any() else float("nan")
 
