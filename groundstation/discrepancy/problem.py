@@ -142,8 +142,21 @@ class Problem:
                 gradient[at] += weight @ away
         return Quadratic(normal, gradient, cost, found.parts)
 
-    def fit(self, point: Point, keys: Sequence[str], steps: int = STEPS) -> Fit:
-        """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help."""
+    def step(self, linear: Linear, total: Quadratic, keys: Sequence[str]) -> Fit:
+        """The minimum over ``keys`` of a quadratic, without evaluating anything there."""
+        at = linear.place(keys)
+        covariance = inverse(total.normal[np.ix_(at, at)])
+        change = covariance @ total.gradient[at]
+        cost = total.value - float(total.gradient[at] @ change)
+        return Fit(bounded(linear.point, keys, change), tuple(keys), cost, covariance)
+
+    def fit(
+        self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
+    ) -> Fit:
+        """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help.
+
+        settled: drop of -2 log L that is not worth another step.
+        """
         keys = tuple(keys)
         now = self.with_prior(self._again(point, keys))
         for _ in range(steps):
@@ -154,17 +167,17 @@ class Problem:
                 moved = bounded(point, keys, share * change)
                 step = np.array([moved[key] - value(point, key) for key in keys])
                 expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
-                if expected < SETTLED:
+                if expected < settled:
                     break
                 better = self.with_prior(self._again(moved, keys))
                 if better.value < now.value:
                     break
                 share *= 0.3
-            if expected < SETTLED or better.value >= now.value:
+            if expected < settled or better.value >= now.value:
                 break
             gained = now.value - better.value
             point, now = moved, better
-            if gained < SETTLED:
+            if gained < settled:
                 break
         return Fit(dict(point), keys, now.value, inverse(now.normal))
 

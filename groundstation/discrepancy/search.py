@@ -49,6 +49,8 @@ PENALTY = 8.0
 """For each parameter, in -2 log L."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves."""
+ROUGHLY = 0.5
+"""Drop of -2 log L at which a joint fit of a candidate ends."""
 MOST_ROUNDS = 16
 
 
@@ -138,6 +140,8 @@ def search(
         newcomer = _round(
             problem,
             validation,
+            linear,
+            total,
             now,
             scores,
             accepted,
@@ -208,6 +212,8 @@ def screen(
 def _round(
     problem: Problem,
     validation: Sequence[Flight],
+    linear: Linear,
+    total: Quadratic,
     now: Fit,
     scores: list[Scored],
     accepted: list[Accepted],
@@ -218,12 +224,12 @@ def _round(
     progress: Progress,
 ) -> Accepted | None:
     """Fit the best candidates and return the one to accept."""
-    before = problem.fit(now.point, now.keys, steps=2)
+    before = problem.step(linear, total, now.keys)
     fits: list[tuple[float, Scored, Fit]] = []
     for one in _shortlist(scores, reasons):
         progress(f"fitting {one.variant.effect}", -1.0)
         keys = (*now.keys, *one.variant.keys)
-        fit = problem.fit(_started(now.point, one), keys)
+        fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
         fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
     fits.sort(key=lambda item: item[0], reverse=True)
     if not fits:
