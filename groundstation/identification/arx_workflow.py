@@ -23,7 +23,7 @@ from groundstation.identification.arx import (
     search_arx,
     step_response,
 )
-from groundstation.identification.arx_data import ArxData, arx_data, input_shows
+from groundstation.identification.arx_data import ArxData, arx_data, input_shows, require_usable
 from groundstation.identification.body_problem import AXES
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.evidence import (
@@ -48,6 +48,8 @@ STEPS_DRAWN = 4
 AHEAD_S = (0.02, 0.05)
 DRAWN_S = 3.0
 LEAST_F = 3.0
+LONGEST_ROWS = 12
+"""Rows that the largest structure looks back."""
 UNITS = {"attitude": ("rad", "angle"), "gyro": ("rad/s", "rate")}
 
 
@@ -96,6 +98,9 @@ def identify_arx(
     traces: list[Trace] = []
     tests: list[ResidualTest] = []
     steps: list[Step] = []
+    for axis in AXES:
+        for part in (*data[axis][0], *data[axis][1]):
+            require_usable(part, data[axis][0][0].period_s, LONGEST_ROWS)
     for number, (axis, (one, other)) in enumerate(data.items()):
         progress(number / 3, f"searching models of {axis}")
         shown = _require_shown(axis, one)

@@ -135,6 +135,9 @@ def _parts(runs: list[Run], held: list[Run]) -> tuple[list[Run], list[Run]]:
 
 def _turning(runs: Sequence[Run], selection: Selection) -> list[Run]:
     """The stretches with turning motors, without their start; of these, what is selected."""
+    for run in runs:
+        if not np.isfinite(run.duty).all():
+            raise BadInputError(f"{run.name}: the PWM is missing in some rows")
     parts = [
         part[round(START_S / part.period_s) :] for run in runs for part in flying(run, PIECE_S)
     ]

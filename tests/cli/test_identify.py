@@ -109,6 +109,39 @@ def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):
     assert errors == sorted(errors)
 
 
+def test_arx_models_of_rates_are_searched_on_fewer_rows(files, tmp_path):
+    model = tmp_path / "arx.json"
+    run("fit", "arx", files["reduced"], "-o", model, "--gyro", "--decimate", 4)
+    loaded = load_model(model)
+    assert loaded.arx["roll"].ts == pytest.approx(0.008)
+    assert loaded.fit["arx"]["channel"] == "gyro"
+    assert "chosen by prediction" in loaded.fit["arx"]["method"]
+    assert set(loaded.fit["arx"]["axes"]["yaw"]["estimates"]) >= {"covariance", "correlation"}
+
+
+def test_a_fit_keeps_to_the_seconds_it_is_given_and_writes_a_report(files, tmp_path):
+    model, page = tmp_path / "body.json", tmp_path / "body.html"
+    run(
+        *("fit", "body", files["reduced"], "-o", model, "--html", page),
+        *("--segment", "10:22", "--segment", "26:44", "--select", "unsaturated"),
+    )
+    account = load_model(model).fit["body"]
+    assert account["selection"] == "unsaturated and in 10 to 22 s, 26 to 44 s"
+    assert account["samples"] == pytest.approx(2 / 3 * 30 * 500, abs=20)
+    text = page.read_text()
+    assert "unsaturated and in 10 to 22 s" in text
+    assert load_model(model).fit["body"]["recordings"][0]["sha256"] in text
+
+
+def test_a_report_that_exists_is_not_overwritten_and_nothing_is_fitted(files, tmp_path):
+    page = tmp_path / "body.html"
+    page.write_text("mine")
+    with pytest.raises(BadInputError, match="exists already"):
+        run("fit", "body", files["reduced"], "-o", tmp_path / "m.json", "--html", page)
+    assert page.read_text() == "mine"
+    assert not (tmp_path / "m.json").exists()
+
+
 def test_attitude_tells_drift_from_fusion(files, tmp_path):
     table = tmp_path / "angles.csv"
     report = json.loads(run("attitude", files["hand"], "-o", table, "--json"))
@@ -146,6 +179,9 @@ def test_axes_names_an_inverted_pitch(files, tmp_path):
         (("fit", "motor", "{bench}", "--with", "dead_time"), "the motor fit knows"),
         (("fit", "arx", "{reduced}", "--criterion", "luck"), "there are free_run, prediction"),
         (("fit", "body", "{reduced}", "--vehicle", "kite"), "neither built in"),
+        (("fit", "body", "{reduced}", "--segment", "5"), "two rising numbers"),
+        (("fit", "body", "{reduced}", "--segment", "200:300"), "choose less strictly"),
+        (("fit", "arx", "{reduced}", "--select", "sunny"), "there are hover, moving"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_and_leaves_no_model(files, tmp_path, arguments, text):

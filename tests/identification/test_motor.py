@@ -149,6 +149,62 @@ def test_a_sagging_lagging_battery_biases_the_plain_fit_and_the_supply_model_rem
     assert supply.cell_ohm == pytest.approx(0.2, rel=0.2)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "wrong"),
+    [
+        ({"motor_dead_voltage": {"voltage_mv": 200.0}}, 0.2),
+        ({"motor_braking_asymmetry": {"factor": 0.6}}, 0.2),
+        (
+            {
+                "motor_dead_voltage": {"voltage_mv": 100.0},
+                "motor_braking_asymmetry": {"factor": 0.8},
+            },
+            0.1,
+        ),
+    ],
+    ids=["dead voltage", "braking", "both"],
+)
+def test_dead_voltage_and_slow_braking_are_found_along_with_the_motor(hidden, wrong):
+    run, _ = bench(16.0, plant="reduced", supply_v=3.7, seed=103, effects=hidden)
+    plain, fit = fit_motor([bench_run(run)]), fit_motor([bench_run(run)], tuple(hidden))
+    assert np.abs(plain.estimates.values[:3] / TRUE - 1).max() > wrong
+    np.testing.assert_allclose(fit.estimates.values[:3], TRUE, rtol=0.01)
+    for effect, parameters in hidden.items():
+        for parameter, value in parameters.items():
+            place = fit.estimates.names.index(f"{effect}.{parameter}")
+            assert abs(fit.estimates.values[place] - value) < 4 * fit.estimates.stderr[place]
+    held = validate_motor(bench_run(run), fit.motor, fit.estimates["delay_s"], fit.values)
+    assert held[1] < 0.5 * plain.rms_rev_s[0]
+
+
+def test_effects_of_the_motor_that_are_not_there_come_out_as_absent(stiff):
+    run, _ = stiff
+    effects = ("motor_dead_voltage", "motor_braking_asymmetry")
+    fit = fit_motor([bench_run(run[:8000])], effects)
+    found, error = fit.estimates.values[4:], fit.estimates.stderr[4:]
+    assert abs(found[0]) < 4 * error[0]
+    assert abs(found[1] - 1) < 4 * error[1]
+
+
+@pytest.mark.parametrize("effects", [(), ("motor_dead_voltage", "motor_braking_asymmetry")])
+def test_the_slopes_of_the_problem_are_those_of_its_simulation(effects):
+    from groundstation.identification.motor_problem import MotorProblem
+
+    run = made_run(MotorConstants(0.9, 7.0, 0.006), seconds=2.0)
+    problem = MotorProblem([run], effects)
+    theta = problem.theta([0.86, 6.8, 0.0061])
+    theta[4 : problem.starts] = [150.0, 0.8][: len(effects)]
+    slopes = problem.simulate(theta, 0)[1].copy()
+    for column, place in enumerate(problem.places(0)[:-1]):
+        step = np.zeros(len(theta))
+        step[place] = 1e-5 * abs(theta[place])
+        ahead = problem.simulate(theta + step, 0)[0].copy()
+        change = (ahead - problem.simulate(theta - step, 0)[0]) / (2 * step[place])
+        np.testing.assert_allclose(
+            slopes[:, column], change, rtol=2e-3, atol=2e-3 * np.abs(change).max()
+        )
+
+
 @pytest.mark.parametrize("motor", [MotorConstants(0.4, 14.0, 0.03), MotorConstants(2.0, 9.0, 0.0)])
 def test_other_motors_are_found_without_a_guess(motor):
     fit = fit_motor([made_run(motor)])

@@ -1,0 +1,169 @@
+"""What no model should come from: refused by name, or warned of; never a silent bad model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stand_in_flights import recorded
+
+from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.errors import BadInputError
+from groundstation.identification.arx_workflow import identify_arx
+from groundstation.identification.body_workflow import identify_body
+from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.runs import runs_of
+
+VEHICLE = BUILT_IN["crazyflie1"]
+MODEL = vehicle_model(VEHICLE)
+KINDS = {"motor": identify_motor, "body": identify_body, "arx": identify_arx}
+
+
+@pytest.fixture(scope="module")
+def good():
+    """kind -> one run that it can be identified on."""
+    flight, _ = recorded(45.0, plant="reduced", seed=71)
+    bench, _ = recorded(20.0, plant="reduced", seed=72, program="motor_bench", supply_v=3.7)
+    (flown,), (turned,) = runs_of(flight, "flight"), runs_of(bench, "bench")
+    return {"motor": turned, "body": flown, "arx": flown}
+
+
+def identify(kind, run, **options):
+    return KINDS[kind]([run] if not isinstance(run, list) else run, [], MODEL, VEHICLE, **options)
+
+
+def with_column(run, name, rows, value):
+    column = getattr(run, name).copy()
+    column[rows] = value
+    return replace(run, **{name: column})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_good_data_are_identified(good, kind):
+    found = identify(kind, good[kind])
+    assert found.account["samples"] > 5000
+    if kind == "body":  # the profile's motor has no uncertainty, and that is said
+        assert [text[:11] for text in found.account["warnings"]] == ["the motor's"]
+    if kind == "motor":
+        assert found.account["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("motor", "never turn for 2 s"),
+        ("body", r"flight: 2\.\d s of uninterrupted flight"),
+        ("arx", r"flight: 2\.\d s of uninterrupted flight"),
+    ],
+)
+def test_too_short(good, kind, text):
+    run = good[kind]
+    short = run[3000:3900] if kind == "motor" else run[3000:4400]
+    with pytest.raises(BadInputError, match=text):
+        identify(kind, short)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("column", ["duty", "supply_v"])
+def test_holes_in_the_inputs(good, kind, column):
+    with pytest.raises(BadInputError, match="missing in some rows"):
+        identify(kind, with_column(good[kind], column, slice(5000, 5010), np.nan))
+
+
+def test_holes_in_the_gyro(good):
+    with pytest.raises(BadInputError, match="gyro is missing in some rows"):
+        identify("body", with_column(good["body"], "gyro", 5000, np.nan))
+
+
+def test_holes_in_the_angles(good):
+    with pytest.raises(BadInputError, match="attitude is not in every row"):
+        identify("arx", with_column(good["arx"], "attitude", 5000, np.nan))
+
+
+def test_holes_in_the_bench_readings_are_readings_that_are_not_there(good):
+    holed = with_column(good["motor"], "debug_s", slice(5000, 5100), np.nan)
+    found = identify("motor", holed)
+    assert found.model.motor.a0 == pytest.approx(VEHICLE.motor.a0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("motor", "voltage is constant; vary the thrust"),
+        ("body", "torque or rate about roll is constant"),
+        ("arx", "input or output is constant"),
+    ],
+)
+def test_constant_input(good, kind, text):
+    run = with_column(good[kind], "duty", slice(None), 0.6)
+    run = with_column(run, "supply_v", slice(None), 3.7)
+    with pytest.raises(BadInputError, match=text):
+        identify(kind, run)
+
+
+@pytest.mark.parametrize("kind", ["body", "arx"])
+def test_saturated_throughout(good, kind):
+    run = with_column(good[kind], "duty", (slice(None), 1), 1.0)
+    with pytest.raises(BadInputError, match=r"saturated in more than half.*less thrust"):
+        identify(kind, run)
+
+
+def test_a_motor_that_is_saturated_throughout_has_a_constant_voltage(good):
+    run = with_column(good["motor"], "duty", slice(None), 1.0)
+    with pytest.raises(BadInputError, match="voltage is constant"):
+        identify("motor", run)
+
+
+def test_torque_that_does_not_turn_the_craft(good):
+    """A craft held by hand: rates that have nothing to do with the motors."""
+    generator = np.random.default_rng(0)
+    held = with_column(good["body"], "gyro", slice(None), generator.normal(0, 0.3, (12000, 3))[:1])
+    held.gyro[:] = generator.normal(0, 0.3, held.gyro.shape)
+    held.attitude[:] = np.cumsum(generator.normal(0, 1e-3, held.attitude.shape), axis=0)
+    with pytest.raises(BadInputError, match=r"hardly excited|does not show"):
+        identify("body", held)
+    with pytest.raises(BadInputError, match="torque does not show in roll"):
+        identify("arx", held)
+
+
+def test_different_rates(good):
+    slow = replace(good["body"], period_s=1 / 400, name="slow")
+    for kind in ("body", "arx"):
+        with pytest.raises(BadInputError, match=r"(?s)slow: 400.* others 500"):
+            identify(kind, [good["body"], slow])
+
+
+def test_gaps_are_never_read_as_motion(good):
+    """The same flight with rows missing: as many runs, and the constants stay right."""
+    run = good["body"]
+    parts = [run[:5000], run[5001:8000], run[8100:]]
+    found = identify("body", parts).model.body
+    true = np.array(VEHICLE.body_constants)
+    np.testing.assert_allclose([found.c0, found.c1, found.c2], true, rtol=0.03)
+
+
+def test_a_flight_of_another_kind_of_craft(good):
+    """An X craft's flight read as a plus craft's: torques appear on axes that are not theirs."""
+    (run,) = runs_of(recorded(24.0, plant="reduced", seed=73, craft="crazyflie21")[0], "other")
+    found = identify("body", run)
+    assert any("configuration 'plus' the craft's?" in text for text in found.account["warnings"])
+
+
+def test_rotors_in_a_wrong_order(good):
+    swapped = replace(good["body"], duty=good["body"].duty[:, [2, 1, 0, 3]].copy())
+    found = identify("body", swapped)
+    assert any("c1 came out negative" in text for text in found.account["warnings"])
+
+
+def test_measured_rotors_that_are_not_there(good):
+    with pytest.raises(BadInputError, match="measured rotor speed is not in every row"):
+        identify("body", good["body"], measured=True)
+    with pytest.raises(BadInputError, match="the supply does not matter"):
+        identify("body", good["body"], measured=True, effects=("supply_sag",))
+
+
+def test_effects_that_a_fit_cannot_know(good):
+    with pytest.raises(BadInputError, match=r"--with ground_effect: the motor fit knows"):
+        identify("motor", good["motor"], effects=("ground_effect",))
+    with pytest.raises(BadInputError, match=r"shows in roll, pitch, yaw.*groundstation discrep"):
+        identify("body", good["body"], effects=("gyro_bias",))

@@ -1,0 +1,101 @@
+"""The report holds what the account says, draws every figure, and is one file."""
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from stand_in_flights import recorded
+
+from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.arx_workflow import identify_arx
+from groundstation.identification.body_workflow import identify_body
+from groundstation.identification.evidence import liveliest
+from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.report import report
+from groundstation.identification.runs import runs_of
+
+VEHICLE = BUILT_IN["crazyflie1"]
+MODEL = vehicle_model(VEHICLE)
+FILES = {"recordings": [{"file": "<flight>.csv", "sha256": "ab" * 32}], "held_out": "last third"}
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """kind -> (what was identified, its page as text)."""
+    flight = runs_of(recorded(36.0, plant="reduced", seed=81)[0], "flight")
+    bench = runs_of(
+        recorded(16.0, plant="reduced", seed=82, program="motor_bench", supply_v=3.7)[0], "bench"
+    )
+    found = {
+        "motor": identify_motor(bench, [], MODEL, VEHICLE),
+        "body": identify_body(flight, [], MODEL, VEHICLE, ("dead_time",)),
+        "arx": identify_arx(flight, [], MODEL, VEHICLE, channel="gyro", decimate=4),
+    }
+    return {
+        kind: (one, report(one.model, {**one.account, **FILES}, one.evidence).html())
+        for kind, one in found.items()
+    }
+
+
+@pytest.mark.parametrize(("kind", "figures"), [("motor", 3), ("body", 8), ("arx", 10)])
+def test_each_figure_is_drawn(pages, kind, figures):
+    _, text = pages[kind]
+    drawings = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
+    assert len(drawings) == figures
+    for one in drawings:
+        root = ElementTree.fromstring(one)
+        assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 5
+
+
+@pytest.mark.parametrize("kind", ["motor", "body", "arx"])
+def test_names_of_files_are_text_and_nothing_is_fetched(pages, kind):
+    _, text = pages[kind]
+    assert "&lt;flight&gt;.csv" in text
+    assert "<script" not in text
+    assert not re.search(r"(?:src|href)=\"https?:", text)
+
+
+@pytest.mark.parametrize("kind", ["motor", "body"])
+def test_every_parameter_stands_there_with_its_interval(pages, kind):
+    found, text = pages[kind]
+    (estimates,) = found.evidence.estimates.values()
+    for name, value, (low, high) in zip(
+        estimates.names, estimates.values, estimates.interval(), strict=True
+    ):
+        row = re.search(rf"<tr><td>{re.escape(name)}</td>(.*?)</tr>", text).group(1)
+        for number in (value, low, high):
+            assert f">{number:.4g}<" in row
+
+
+def test_the_verdict_speaks_of_the_least_certain_constant(pages):
+    found, text = pages["body"]
+    shares = found.evidence.estimates["body"].stderr / found.evidence.estimates["body"].values
+    worst = ("c0", "c1", "c2")[int(np.argmax(shares[:3]))]
+    assert f"The least certain constant is {worst}" in text
+    assert 'class="verdict good"' in text
+
+
+def test_arx_tables_of_all_axes_and_the_step_responses_are_there(pages):
+    found, text = pages["arx"]
+    for axis in ("roll", "pitch", "yaw"):
+        assert f"Structures: {axis}" in text
+        assert found.account["axes"][axis]["chosen"] in text
+    steps = found.evidence.steps
+    assert {step.axis for step in steps} == {"roll", "pitch", "yaw"}
+    assert sum(step.chosen for step in steps) == 3
+
+
+def test_warnings_come_first(pages):
+    _, text = pages["body"]
+    assert text.index("taken as exact") < text.index(">Parameters</h2>")
+
+
+def test_what_is_drawn_is_where_the_channel_moves_not_where_it_shakes():
+    time = np.arange(5000) * 0.002
+    shaking = 3.0 * np.sin(2 * np.pi * 240 * time) * (time < 4)
+    moving = 1.0 * np.sin(2 * np.pi * 2 * time) * (time > 7)
+    rows = liveliest(shaking + moving, 0.002, 2.0)
+    assert 0.002 * rows.start >= 6.5
+    assert rows.stop - rows.start == 1000
