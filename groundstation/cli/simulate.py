@@ -1,13 +1,25 @@
-"""``simulate``: an identified model on recorded inputs."""
+"""``simulate``: an identified model on recorded inputs, or along a reference."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, runs_from, write_table
+from groundstation.errors import BadInputError
+
+if TYPE_CHECKING:
+    from groundstation.dynamics.model import Model
+
+HEAD = (
+    "time_s,rotor1_rev_s,rotor2_rev_s,rotor3_rev_s,rotor4_rev_s,"
+    "gyro_x_dps,gyro_y_dps,gyro_z_dps,accelerometer_x_g,accelerometer_y_g,accelerometer_z_g,"
+    "roll_deg,pitch_deg,yaw_deg"
+)
+NAMES = HEAD.split(",")[5:]
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -16,54 +28,139 @@ def add_commands(app: typer.Typer) -> None:
 
 def simulate(
     model: str = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'."),
-    recording: Path = typer.Option(..., "--recording", help="Whose PWM and battery drive it."),
+    recording: Path | None = typer.Option(
+        None, "--recording", help="Whose PWM and battery drive it."
+    ),
+    reference: str | None = typer.Option(
+        None,
+        "--reference",
+        help="hover, step, doublet, sine, or a CSV file: time_s, roll_deg, pitch_deg, yaw_deg"
+        " (and height_m).",
+    ),
     output: Path = typer.Option(..., "-o", "--output", help="A new CSV file."),
     window: float = typer.Option(
-        0.5, help="Rates and attitude start afresh from measured ones after so many seconds."
+        0.5, help="On a recording: start afresh from the observed state after so many seconds."
     ),
+    supply_v: float = typer.Option(3.7, help="Along a reference: steady supply voltage."),
+    html: Path | None = typer.Option(None, "--html", help="A new page with figures."),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Fly the identified model on a recording's inputs, and say how far it goes astray.
+    """Fly the identified model, with its effects, and write what it would have reported.
+
+    On a recording's inputs it says how far the model goes astray. Along a reference the craft is
+    kept in the air by a simple controller that knows the true state.
 
     Example: [bold]groundstation simulate --model body.json --recording flight.mcap
-    -o simulated.csv[/bold]
+    -o simulated.csv --html simulated.html[/bold]
+
+    Example: [bold]groundstation simulate --model body.json --reference doublet -o made.csv[/bold]
     """
-    import numpy as np
-
-    from groundstation.dynamics.model import load_model
-    from groundstation.identification.replayed import simulate_run
-
+    if (recording is None) == (reference is None):
+        raise typer.BadParameter("give one of --recording and --reference")
+    if not 2.0 <= supply_v <= 10.0:
+        raise BadInputError(f"--supply-v {supply_v:g}: must be 2..10 V")
     require_new(output)
+    if html is not None:
+        require_new(html)
+    from groundstation.dynamics.model import load_model
+
     loaded = load_model(model)
-    tables, errors = [], []
-    for run in runs_from([recording]):
-        done = simulate_run(loaded, run, window)
-        tables.append(
-            np.column_stack(
-                [
-                    run.time_s,
-                    done.rotor_rev_s,
-                    np.degrees(done.gyro),
-                    np.degrees(done.attitude),
-                    done.accelerometer[:, 2] / 9.80665,
-                ]
-            )
-        )
-        errors.append(np.degrees(np.column_stack([done.gyro, done.attitude])))
-        errors[-1] -= np.degrees(np.column_stack([run.gyro, run.attitude]))
-    head = "time_s,rotor1_rev_s,rotor2_rev_s,rotor3_rev_s,rotor4_rev_s,gyro_x_dps,gyro_y_dps,"
-    head += "gyro_z_dps,roll_deg,pitch_deg,yaw_deg,accelerometer_z_g"
-    write_table(output, head, np.vstack(tables))
-    rms = np.sqrt(np.mean(np.square(np.vstack(errors)), axis=0)).tolist()
-    names = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps", "roll_deg", "pitch_deg", "yaw_deg")
-    report = {
-        "rows": sum(len(table) for table in tables),
-        "window_s": window,
-        "rms": dict(zip(names, rms, strict=True)),
-    }
+    if recording is not None:
+        report = _on_recording(loaded, recording, output, window, html)
+    else:
+        report = _along_reference(loaded, str(reference), output, supply_v, html)
     if as_json:
         typer.echo(json.dumps(report, indent=2))
-    else:
-        typer.echo(f"{output}: {report['rows']} rows, fresh start every {window:g} s; RMS errors:")
-        for name, value in zip(names, rms, strict=True):
-            typer.echo(f"  {name:<12}{value:10.3f}")
+        return
+    effects = ", ".join(term.name for term in loaded.effects) or "none"
+    typer.echo(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
+    for name, value in report["rms"].items():
+        typer.echo(f"  RMS error {name:<20}{value:10.3f}")
+
+
+def _on_recording(
+    model: Model, recording: Path, output: Path, window: float, html: Path | None
+) -> dict[str, Any]:
+    import numpy as np
+
+    from groundstation.identification.replayed import simulate_run
+    from groundstation.identification.replayed_report import (
+        channels_of,
+        errors_of,
+        replay_page,
+        rms_of,
+    )
+
+    runs = runs_from([recording])
+    done = [simulate_run(model, run, window) for run in runs]
+    table = [
+        np.column_stack(
+            [
+                run.time_s,
+                one.rotor_rev_s,
+                channels_of(one.gyro, one.accelerometer, one.attitude),
+            ]
+        )
+        for run, one in zip(runs, done, strict=True)
+    ]
+    error = np.vstack([errors_of(run, one) for run, one in zip(runs, done, strict=True)])
+    if not np.isfinite(error).any():
+        raise BadInputError(
+            f"{recording}: by the model's thrust the craft never leaves the ground; nothing to"
+            " simulate (another vehicle's model?)"
+        )
+    write_table(output, HEAD, np.vstack(table))
+    if html is not None:
+        title = f"{recording.name}: simulated from {model.created_by or 'a model'}"
+        replay_page(title, runs, done, window).write(html)
+    return {
+        "what": f"fresh start every {window:g} s",
+        "rows": len(error),
+        "rows_in_the_air": int(np.isfinite(error[:, 0]).sum()),
+        "window_s": window,
+        "rms": _by_name(rms_of(error)),
+        "effects": [term.name for term in model.effects],
+    }
+
+
+def _along_reference(
+    model: Model, source: str, output: Path, supply_v: float, html: Path | None
+) -> dict[str, Any]:
+    import numpy as np
+
+    from groundstation.dynamics.reference import load_reference
+    from groundstation.dynamics.reference_flight import fly_reference
+    from groundstation.identification.replayed_report import channels_of, reference_page
+
+    reference = load_reference(source)
+    made = fly_reference(model, reference, supply_v)
+    time = np.arange(len(made.duty)) * made.period_s
+    table = np.column_stack(
+        [
+            time,
+            made.rotor_rev_s,
+            channels_of(made.gyro, made.accelerometer, made.attitude),
+            made.duty,
+            made.supply_v,
+            np.degrees(made.reference),
+        ]
+    )
+    more = "duty1,duty2,duty3,duty4,battery_v,reference_roll_deg,reference_pitch_deg"
+    write_table(output, f"{HEAD},{more},reference_yaw_deg", table)
+    if html is not None:
+        reference_page(f"{reference.name}: simulated", made).write(html)
+    error = np.degrees(np.angle(np.exp(1j * (made.reference - made.attitude))))
+    rms = np.sqrt(np.mean(np.square(error), axis=0))
+    return {
+        "what": f"along {reference.name}, reference less reported angle",
+        "rows": len(table),
+        "supply_v": supply_v,
+        "rms": dict(zip(NAMES[6:], rms.tolist(), strict=True)),
+        "effects": [term.name for term in model.effects],
+    }
+
+
+def _by_name(rms: Any) -> dict[str, float]:
+    """RMS per channel; a channel that the recording lacks is left out."""
+    pairs = zip(NAMES, rms.tolist(), strict=True)
+    return {name: value for name, value in pairs if value == value}

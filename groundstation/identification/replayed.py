@@ -20,13 +20,15 @@ class Replayed:
     """Modelled channels of a run, row by row, as the telemetry would report them.
 
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad, yaw unwrapped.
-    rotor_rev_s: (n, 4).
+    rotor_rev_s: (n, 4). flown: (n,) rows that were simulated; the others, on the ground or of a
+    window that began there, repeat what was measured.
     """
 
     gyro: Array
     accelerometer: Array
     attitude: Array
     rotor_rev_s: Array
+    flown: NDArray[np.bool_]
 
 
 def simulate_run(model: Model, run: Run, window_s: float = 0.5) -> Replayed:
@@ -48,12 +50,16 @@ def simulate_run(model: Model, run: Run, window_s: float = 0.5) -> Replayed:
     seen = observe_run(model, run)
     gyro, accelerometer = run.gyro.copy(), run.accelerometer.copy()
     attitude = np.unwrap(run.attitude, axis=0)
+    flown = np.zeros(len(run), np.bool_)
     rows = min(max(1, round(window_s / run.period_s)), len(run) - 1)
     starts = np.arange(0, len(run) - 1, rows)
     for group, ahead in ((starts[:-1], rows), (starts[-1:], len(run) - 1 - int(starts[-1]))):
-        flown = fly_ahead(run, seen, group, np.arange(1, ahead + 1))
-        at = (group[:, None] + flown.horizons).ravel()
-        gyro[at] = flown.gyro.reshape(-1, 3)
-        accelerometer[at] = flown.accelerometer.reshape(-1, 3)
-        attitude[at] = flown.attitude.reshape(-1, 3)
-    return Replayed(gyro, accelerometer, np.unwrap(attitude, axis=0), seen.drive.rotor_rev_s)
+        done = fly_ahead(run, seen, group, np.arange(1, ahead + 1))
+        at = group[:, None] + done.horizons
+        real = seen.flying[at] & seen.flying[group][:, None]
+        gyro[at[real]] = done.gyro[real]
+        accelerometer[at[real]] = done.accelerometer[real]
+        attitude[at[real]] = done.attitude[real]
+        flown[at[real]] = True
+    attitude = np.unwrap(attitude, axis=0)
+    return Replayed(gyro, accelerometer, attitude, seen.drive.rotor_rev_s, flown)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 MEASURED, MODELLED, IMPROVED = "#333333", "#d55e00", "#0072b2"
 """What was measured, what the first model says, what the better one says."""
@@ -81,7 +82,7 @@ def png(made: Figure, dots_per_inch: int = 110) -> bytes:
     return out.getvalue()
 
 
-def thinned(*columns: Sequence[float], most: int = MOST_POINTS) -> tuple[Any, ...]:
+def thinned(*columns: Sequence[float] | NDArray[Any], most: int = MOST_POINTS) -> tuple[Any, ...]:
     """Columns of one length with every k-th row, so that a drawing stays small.
 
     For lines that are smooth at the drawn scale; an envelope is the caller's business.

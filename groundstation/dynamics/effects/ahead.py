@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.dynamics.craft import Crafts, craft_of_model
-from groundstation.dynamics.effects.observer import Gains, Noise, gains_of, mount_of
+from groundstation.dynamics.effects.observer import ENDS, Gains, Noise, gains_of, mount_of
 from groundstation.dynamics.effects.sensors import reading_lag_s, sensors_of_model, supply_behind
 from groundstation.dynamics.model import Model
-from groundstation.dynamics.motor import armature_mv
 from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.dynamics.state import QUATERNION
 from groundstation.errors import BadInputError
@@ -32,6 +31,8 @@ TURNING = 0.1
 """Duty above which a motor turns."""
 LANDED = 0.85
 """Thrust over weight at which a craft has come back to the ground."""
+SAG_ROUNDS = 30
+"""Speed and supply depend on each other; each round leaves less than half of the error."""
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
 CLIMB_S = 4.0
 """From take-off on, or before landing, height can be reckoned for so long."""
@@ -164,13 +165,25 @@ def drive_run(model: Model, run: Flown) -> Drive:
     craft, sensor = craft_of_model(model), sensors_of_model(model)
     supply = supply_behind(1000.0 * run.supply_v, reading_lag_s(model), run.period_s)
     duty = np.ascontiguousarray(run.duty, np.float64)
-    first = armature_mv(duty[:1], supply[:1] / 1000.0)[0] - craft[0]["dead_mv"]
-    start = np.array([model.motor.steady_rev_s(max(u, 0.0)) for u in first])
+    start = settled_rev_s(model, craft, duty[0], float(supply[0]))
     speed = np.empty((2 * len(duty) - 1, 4))
     spin(craft[0], duty, supply, run.period_s, float(sensor[0]["delay"]), start, speed)
     torques, kick = np.empty((len(speed), 5)), np.empty(len(duty) - 1)
     drives(craft[0], speed, run.period_s, torques, kick)
     return Drive(craft, sensor, run.period_s, speed, torques, kick)
+
+
+def settled_rev_s(model: Model, craft: Crafts, duty: Array, supply_mv: float) -> Array:
+    """Rotor speeds (4,) that a constant duty (4,) at a reported voltage settles at."""
+    one = craft[0]
+    share = float(one["sag_ohm"] / one["winding_ohm"])
+    left, speed = supply_mv, np.zeros(4)
+    for _ in range(SAG_ROUNDS if share > 0.0 else 1):
+        armature = np.maximum(duty * left - one["dead_mv"], 0.0)
+        speed = np.array([model.motor.steady_rev_s(u) for u in armature])
+        back = share * float(one["back_emf_mv"]) * float(duty @ speed)
+        left = (supply_mv + back) / (1.0 + share * float(duty @ duty))
+    return speed
 
 
 def observe_run(
@@ -233,7 +246,7 @@ def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) 
     unknown = ~np.asarray(np.isfinite(reported).all(axis=1))
     shown = quaternion_of_attitude(np.where(unknown[:, None], 0.0, reported))
     shown[unknown] = seen.states[starts][unknown, QUATERNION]
-    measured, ends = np.empty((len(starts), len(steps), 9)), np.empty((len(starts), 20))
+    measured, ends = np.empty((len(starts), len(steps), 9)), np.empty((len(starts), ENDS))
     coast(
         drive.craft[0],
         drive.sensor[0],

@@ -301,7 +301,8 @@ def coast(
     horizons: (g,) rows ahead, ascending. states (m, 17), lags (m, 3), filters (m, 10), shown
     (m, 4): body, low-passed rates, Mahony filter and the quaternion last reported, at ``rows``.
     mount: (4,) quaternion body <- sensor. fresh: (n,) rows whose attitude is new.
-    Fills measured (m, g, 9): gyro, accelerometer, roll pitch yaw; ends (m, 20): body and lag.
+    Fills measured (m, g, 9): gyro, accelerometer, roll pitch yaw; ends (m, 34): body, lag,
+    filter and report at the last horizon.
     """
     c = constants(craft)
     y, lagged, filt = np.empty(17), np.empty(3), np.empty(10)
@@ -357,6 +358,10 @@ def coast(
             ends[k, i] = y[i]
         for i in range(3):
             ends[k, 17 + i] = lagged[i]
+        for i in range(10):
+            ends[k, 20 + i] = filt[i]
+        for i in range(4):
+            ends[k, 30 + i] = held[i]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -22,6 +22,8 @@ from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, STATES
 Array = NDArray[np.float64]
 
 ERRORS = 12
+ENDS = 34
+"""Numbers that ``kernels.coast`` leaves of a flight."""
 ROUNDS = 1500
 """Rows over which the covariance settles: 3 s at 500 Hz."""
 NUDGE = 1e-4
@@ -168,7 +170,7 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     drv, kick = np.empty((3, 5)), np.empty(1)
     drives(craft[0], speed, period_s, drv, kick)
     count = len(starts)
-    measured, ends = np.empty((count, 1, 9)), np.empty((count, 20))
+    measured, ends = np.empty((count, 1, 9)), np.empty((count, ENDS))
     coast(
         craft[0],
         sensor[0],

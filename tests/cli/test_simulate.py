@@ -1,0 +1,136 @@
+"""simulate as a user types it, and a model with effects given to the stand-in link."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE, GAINS, MEDIUM, affected
+from stand_in_flights import recorded
+from typer.testing import CliRunner
+
+from groundstation.cli.app import app
+from groundstation.dynamics.model import EffectTerm, Estimate, save_model
+from groundstation.errors import BadInputError
+from groundstation.recording.csv_file import write_csv
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.session import Recording
+
+OWN = """
+from groundstation.dynamics.effects.catalogue import Effect, Parameter
+
+def sail(values, state, rotor_slope, acceleration):
+    acceleration[2] += values[0]
+
+SAIL = Effect("sail", "body", (Parameter("torque", "rad/s^2", 1.0, -9.0, 9.0),),
+              "a constant torque on yaw", "it turns", "hover", ("gyro z",), law=sail)
+"""
+
+
+def run(*arguments):
+    result = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A flight with blade flapping, a bench, the base model and the one that knows."""
+    folder = tmp_path_factory.mktemp("simulate")
+    name = "velocity_moment"
+    for file, seconds, settings in (
+        ("flight", 25.0, {"effects": {name: MEDIUM[name]}, "gains": GAINS}),
+        ("bench", 5.0, {"program": "wait"}),
+    ):
+        samples, _ = recorded(seconds, seed=8, plant="reduced", **settings)
+        write_csv(Recording(folder / f"{file}.csv", "csv", samples), folder / f"{file}.csv")
+    save_model(BASE, folder / "base.json")
+    save_model(affected(name), folder / "knows.json")
+    return folder
+
+
+def simulated(folder, model, output, *more):
+    text = run(
+        *("simulate", "--model", folder / model, "--recording", folder / "flight.csv"),
+        *("-o", output, "--json", *more),
+    )
+    return json.loads(text)
+
+
+def test_the_models_effects_act_on_a_recordings_inputs(folder, tmp_path):
+    base = simulated(folder, "base.json", tmp_path / "base.csv")
+    knows = simulated(folder, "knows.json", tmp_path / "knows.csv")
+    assert knows["effects"] == ["velocity_moment"]
+    for axis in ("roll_deg", "pitch_deg"):
+        assert knows["rms"][axis] < 0.3 * base["rms"][axis]
+    table = np.genfromtxt(tmp_path / "knows.csv", delimiter=",", names=True)
+    assert len(table) == knows["rows"] > knows["rows_in_the_air"] > 8000
+    assert table["rotor1_rev_s"].max() > 200
+
+
+def test_a_page_shows_where_the_model_goes_astray(folder, tmp_path):
+    simulated(folder, "base.json", tmp_path / "s.csv", "--html", tmp_path / "s.html")
+    page = (tmp_path / "s.html").read_text()
+    assert page.count("<svg") == 2
+    assert "Growth of the error" in page
+
+
+def test_a_reference_is_flown_on_made_inputs(folder, tmp_path):
+    text = run(
+        *("simulate", "--model", folder / "knows.json", "--reference", "doublet"),
+        *("-o", tmp_path / "made.csv", "--html", tmp_path / "made.html"),
+    )
+    assert "along doublet" in text
+    table = np.genfromtxt(tmp_path / "made.csv", delimiter=",", names=True)
+    assert table["reference_roll_deg"].max() == pytest.approx(10.0)
+    assert table["roll_deg"].max() > 7.0
+    assert 0.0 < table["duty1"].min() <= table["duty1"].max() < 1.0
+    assert "<svg" in (tmp_path / "made.html").read_text()
+
+
+def test_exactly_one_source_of_inputs_must_be_named(folder, tmp_path):
+    command = ["simulate", "--model", "thesis", "-o", str(tmp_path / "x.csv")]
+    assert CliRunner().invoke(app, command).exit_code == 2
+    both = ["--recording", str(folder / "flight.csv"), "--reference", "hover"]
+    assert CliRunner().invoke(app, command + both).exit_code == 2
+
+
+def test_a_recording_that_never_flies_is_refused(folder, tmp_path):
+    output = tmp_path / "x.csv"
+    with pytest.raises(BadInputError, match="never leaves the ground"):
+        run(
+            *("simulate", "--model", folder / "base.json"),
+            *("--recording", folder / "bench.csv", "-o", output),
+        )
+    assert not output.exists()
+
+
+def test_an_existing_file_is_not_overwritten(folder, tmp_path):
+    output = tmp_path / "mine.csv"
+    output.write_text("mine")
+    with pytest.raises(BadInputError, match="exists already"):
+        run("simulate", "--model", "thesis", "--reference", "hover", "-o", output)
+    assert output.read_text() == "mine"
+
+
+def test_the_stand_in_link_flies_a_model_with_listed_and_own_effects(tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    own = EffectTerm("sail", {"torque": Estimate(4.0)}, "mine.py")
+    model = msgspec.structs.replace(BASE, effects=(*affected("gyro_bias").effects, own))
+    save_model(model, tmp_path / "model.json")
+    configuration = tmp_path / "station.toml"
+    configuration.write_text(
+        f'[stand_in]\nplant = "reduced"\nprogram = "hover"\ncraft = "{tmp_path / "model.json"}"\n'
+    )
+    run(
+        *("run", "--config", configuration, "--link", "stand-in", "--speed", "max"),
+        *("--for", "12", "--recordings", tmp_path / "recordings", "--viewer", "off"),
+    )
+    (file,) = (tmp_path / "recordings").glob("*.mcap")
+    samples = open_recording(file).samples
+    resting, flying = samples.gyro[:500], samples.gyro[-1500:]
+    # The bias shows at rest; in the air the yaw controller works against the sail.
+    assert np.degrees(resting.mean(axis=0))[:2] == pytest.approx([1.5, -1.0], abs=0.1)
+    spread = samples.duty[-1500:].mean(axis=0)
+    assert (spread[0] + spread[2] - spread[1] - spread[3]) > 0.02
+    assert np.isfinite(flying).all()
