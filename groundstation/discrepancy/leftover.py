@@ -28,7 +28,8 @@ HELD_SHARE = 0.25
 FINE_HZ = 0.25
 BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
 """The smooth spectrum is a running median over this share of the frequency, or this far."""
-EXCESS, CHANCE = 1.7, 1e-5
+EXCESS, FAR = 1.7, 5.8
+"""Rises count from this ratio and this many standard deviations: 1 in 10^8 each."""
 SLOW_HZ = 40.0
 """Above it there is vibration, which hides no effect."""
 
@@ -113,8 +114,6 @@ def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signa
 def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
     """(channel, Hz, power over that of smooth coloured noise, degrees of freedom) of what rises
     above it."""
-    from scipy.stats import chi2
-
     found = []
     for channel in sorted({s.channel for s in linear.spectra}):
         own = [s for s in linear.spectra if s.channel == channel]
@@ -126,17 +125,19 @@ def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
             power += np.bincount(band, s.weight * s.residual**2, len(power))
             freedom += 0.5 * np.bincount(band, s.weight, len(power))
         middle = edges[:-1] + 0.5 * FINE_HZ
-        level = power / np.maximum(freedom, 1e-9)
-        for i in range(1, len(level) - 1):
-            reach = max(BASELINE_SHARE * middle[i], BASELINE_HZ)
-            near = level[(np.abs(middle - middle[i]) < reach) & (freedom > 0)]
-            ratio = level[i] / float(np.median(near))
-            # The median of a few degrees of freedom lies below their mean.
-            count = freedom[i]
-            ratio *= float(chi2.ppf(0.5, count)) / count if count > 0 else 0.0
-            limit = float(chi2.isf(CHANCE / len(level), count)) / count if count > 1 else np.inf
-            if ratio > max(EXCESS, limit):
-                found.append((channel, float(middle[i]), float(ratio), float(count)))
+        full = freedom > 0.5 * np.median(freedom)
+        middle, level = middle[full], (power / np.maximum(freedom, 1e-9))[full]
+        count = float(np.median(freedom))
+        # The median of chi-squared and its far quantile, over its mean (Wilson and Hilferty).
+        step = 2.0 / (9.0 * count)
+        limit = max(EXCESS, float((1.0 - step + FAR * np.sqrt(step)) ** 3))
+        reach = np.maximum(BASELINE_SHARE * middle, BASELINE_HZ)
+        first = np.searchsorted(middle, middle - reach)
+        last = np.searchsorted(middle, middle + reach)
+        for i in range(len(level)):
+            ratio = float(level[i] / np.median(level[first[i] : last[i]]) * (1.0 - step) ** 3)
+            if ratio > limit:
+                found.append((channel, float(middle[i]), ratio, count))
     return found
 
 
