@@ -16,6 +16,7 @@ def notify(state: str) -> None:
     if address.startswith("@"):
         address = "\0" + address[1:]
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.setblocking(False)  # a manager that is busy must not hold up the telemetry
         manager.connect(address)
         manager.send(state.encode())
 

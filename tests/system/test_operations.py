@@ -1,0 +1,205 @@
+"""What an operator does with a running daemon, and what a service manager does."""
+
+import contextlib
+import json
+import os
+import pty
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+
+import pytest
+from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.service.config import Config, load_config, settings
+
+FLIGHT = "stand_in_flight.mcap"
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("daemon")
+    (folder / "sessions").mkdir()
+    shutil.copy(RECORDINGS / FLIGHT, folder / "sessions")
+    (folder / "station.toml").write_text("[recording]\nrotate_mb = 500\n")
+    with Daemon(folder, "--config", "station.toml") as running:
+        running.recording(samples=200)
+        yield running
+        assert running.stop() == 0
+
+
+def tell(daemon, *arguments):
+    result = groundstation(*arguments, socket_path=daemon.socket, cwd=daemon.folder)
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def refused(daemon, *arguments):
+    return require_failure(groundstation(*arguments, socket_path=daemon.socket, cwd=daemon.folder))
+
+
+def test_the_link_is_switched_and_back_within_one_recording(daemon):
+    before = daemon.status()["recording"]["file"]
+    assert tell(daemon, "link", f"replay:{FLIGHT}").startswith("replay:")
+    daemon.status_when(lambda s: s["link"]["rate_hz"] > 400, "the replay")
+    assert "is not in the recordings folder" in refused(daemon, "link", "replay:/etc/passwd")
+    assert "no such file" in refused(daemon, "link", "replay:nothing.mcap")
+    assert json.loads(tell(daemon, "link", "stand-in", "--json"))["link"]["name"] == "stand-in"
+    after = daemon.recording(samples=100)["recording"]
+    assert (after["file"], after["dropped"]) == (before, 0)
+    told = tell(daemon, "events")
+    assert re.search(r"link +switched from stand-in to replay:", told)
+    assert re.search(r"link +switched from replay:.* to stand-in", told)
+
+
+def test_a_mark_and_the_index_of_recordings(daemon):
+    assert tell(daemon, "record", "mark", "new propellers") == "marked\n"
+    shown = tell(daemon, "recordings")
+    assert f"{FLIGHT} " in shown
+    assert " recording\n" in shown
+    tell(daemon, "record", "stop")
+    assert "nothing is being recorded" in refused(daemon, "record", "mark", "too late")
+    entries = json.loads(tell(daemon, "recordings", "--json"))
+    names = [entry["file"] for entry in entries]
+    assert names == sorted(names)
+    (ours,) = [entry for entry in entries if entry["file"] != FLIGHT]
+    assert (ours["state"], ours["marks"], ours["link"]) == ("finished", 1, "stand-in")
+    recording = open_recording(daemon.sessions / ours["file"])
+    assert ours["samples"] == len(recording.samples)
+    assert "new propellers" in [event["text"] for event in recording.events]
+    elsewhere = groundstation("recordings", daemon.sessions)
+    assert ours["file"] in elsewhere.stdout
+    tell(daemon, "record", "start")
+
+
+def test_the_configuration_is_reloaded(daemon):
+    path = daemon.folder / "station.toml"
+    path.write_text("[recording]\nrotate_mb = 600\n[viewer]\nport = 1234\n")
+    assert tell(daemon, "config", "--reload") == (
+        "taken over: recording.rotate_mb\nonly after a new start: viewer.port\n"
+    )
+    path.write_text("[recording]\nrotate_mb = -1\n")
+    assert "recording.rotate_mb" in refused(daemon, "config", "--reload")
+
+
+def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
+    main, screen = pty.openpty()
+    process = subprocess.Popen(
+        [COMMAND, "status", "--watch"], stdin=screen, stdout=screen, stderr=subprocess.PIPE,
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(daemon.socket), "COLUMNS": "140",
+             "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(screen)
+    os.set_blocking(main, False)
+    shown = b""
+
+    def look():
+        nonlocal shown
+        with contextlib.suppress(BlockingIOError):
+            shown += os.read(main, 65536)
+        return shown.count(b"samples/s") >= 2 and b"health" in shown
+
+    until(look, "two pictures of the status")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 130
+    os.close(main)
+    process.stderr.close()
+    for what in (b"link", b"recording", b"disk", b"viewer", b"stream", b"MB", b"good"):
+        assert what in shown
+
+
+def test_what_config_shows_is_a_configuration(tmp_path):
+    path = tmp_path / "shown.toml"
+    given = ("--set", "viewer.port=1111", "--set", "link.speed=max", "--set", "vehicle=crazyflie21")
+    path.write_text(groundstation("config", "--show", *given).stdout)
+    config = load_config(path)
+    assert (config.viewer.port, config.link.speed, config.vehicle) == (1111, "max", "crazyflie21")
+    plain = tmp_path / "plain.toml"
+    plain.write_text(groundstation("config", "--show").stdout)
+    assert load_config(plain) == Config()
+    as_json = json.loads(groundstation("config", "--show", "--json").stdout)
+    assert set(as_json) == {setting.name for setting in settings(Config())}
+    assert "usage" in groundstation("config", "--show", "--set", "viewer.prt=1").stderr.lower()
+    assert "viewer.port" in require_failure(
+        groundstation("config", "--show", "--set", "viewer.port=web")
+    )
+
+
+def test_the_service_manager_is_told_ready_alive_and_stopping(tmp_path):
+    path = tmp_path / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(path))
+        manager.settimeout(60)
+        environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "400000"}
+        with Daemon(tmp_path, environment=environment) as daemon:
+            said = []
+            while said.count("READY=1") < 1 or said.count("WATCHDOG=1") < 3:
+                said.append(manager.recv(100).decode())
+            daemon.process.send_signal(signal.SIGSTOP)
+            manager.settimeout(1.0)
+            with pytest.raises(TimeoutError):  # a daemon that stands still says nothing
+                said += [manager.recv(100).decode() for _ in range(50)]
+            manager.settimeout(60)
+            daemon.process.send_signal(signal.SIGCONT)
+            daemon.recording(samples=10)
+            assert daemon.stop() == 0
+            while said[-1] != "STOPPING=1":
+                said.append(manager.recv(100).decode())
+
+
+def test_the_log_can_be_json_one_object_a_line(tmp_path):
+    with Daemon(tmp_path, "--set", "log.format=json") as daemon:
+        daemon.recording(samples=10)
+        assert daemon.stop() == 0
+        lines = [json.loads(line) for line in daemon.stderr.splitlines()]
+    assert {"event", "kind", "source", "level", "timestamp"} <= set(lines[0])
+    assert "streaming" in [line["kind"] for line in lines]
+
+
+def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
+    printed = groundstation("install", "service", "--print")
+    assert printed.returncode == 0
+    assert f"ExecStart={COMMAND} run" in printed.stdout
+    assert "User=groundstation" in printed.stdout
+    assert "Type=notify" in printed.stdout
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[viewer]\nport = 'web'\n")
+    assert "viewer.port" in require_failure(
+        groundstation("install", "service", "--print", "--config", wrong)
+    )
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("checking a unit needs systemd-analyze")
+    unit = tmp_path / "groundstation.service"
+    unit.write_text(printed.stdout)
+    checked = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    assert "groundstation.service" not in checked.stderr, checked.stderr
+    rated = subprocess.run(
+        ["systemd-analyze", "security", "--offline=yes", unit], capture_output=True, text=True
+    )
+    level = re.search(r"exposure level.*: ([\d.]+)", rated.stdout)
+    assert level is None or float(level[1]) < 3.0, rated.stdout
+
+
+def test_nothing_listens_beyond_loopback(tmp_path):
+    import psutil
+    from installed import free_port
+
+    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    arguments = ("--viewer", "serve", *ports, "--set", f"control.tcp_port={free_port()}")
+    with Daemon(tmp_path, *arguments) as daemon:
+        daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view")
+        time.sleep(0.2)
+        processes = [psutil.Process(daemon.process.pid), *daemon.children()]
+        listening = [
+            connection.laddr.ip
+            for process in processes
+            for connection in process.net_connections("inet")
+            if connection.status == psutil.CONN_LISTEN
+        ]
+        assert len(listening) == 3
+        assert set(listening) == {"127.0.0.1"}
+        assert daemon.stop() == 0
