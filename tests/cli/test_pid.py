@@ -1,0 +1,143 @@
+"""``pid evaluate`` and ``pid design`` as typed, and what ``pid fly`` refuses at once."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from groundstation.cli.app import app
+from groundstation.errors import BadInputError
+
+DATA = Path(__file__).parents[1] / "control" / "data"
+BODY, GAINS = str(DATA / "body.json"), str(DATA / "gains.toml")
+
+
+def pid(*arguments):
+    """Output of a command that works; what it raises otherwise."""
+    result = CliRunner().invoke(app, ["pid", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_the_printed_tables_stand_beside_what_the_printed_gains_give(tmp_path):
+    page = tmp_path / "thesis.html"
+    report = json.loads(pid("evaluate", "--thesis", "--json", "--html", page))
+    assert "8 samples P barely holds" in report["finding"]
+    assert len(report["cases"]) == 24
+    pi = next(
+        case
+        for case in report["cases"]
+        if (case["axis"], case["controller"], case["delay_samples"]) == ("roll", "PI", 2)
+    )
+    assert pi["rms"] == pytest.approx(0.325, abs=0.001)
+    assert pi["printed"] == {"rms": 0.3292, "overshoot_pct": 100.0, "settling_s": 0.4}
+    assert pi["most_delay_samples"] == 5
+    assert page.read_text().count("<svg") == 3
+    table = pid("evaluate", "--thesis", "--delay", "3")
+    assert "roll   PD          3" in table
+
+
+def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
+    stock = json.loads(pid("evaluate", "--model", BODY, "--json"))
+    page = tmp_path / "pid.html"
+    ours = json.loads(pid("evaluate", "--model", BODY, "--gains", GAINS, "--json", "--html", page))
+    assert stock["loop"] == ours["loop"] == "firmware"
+    for axis in ("roll", "pitch", "yaw"):
+        one, other = ours["axes"][axis], stock["axes"][axis]
+        for key in (
+            "rms",
+            "overshoot_pct",
+            "settling_s",
+            "steady_state_error",
+            "max_sensitivity",
+            "delay_margin_s",
+        ):
+            assert isinstance(one[key], float), key
+        assert one["settling_s"] < 0.6 * other["settling_s"]
+    assert "<svg" in page.read_text()
+    assert "roll" in pid("evaluate", "--model", BODY)
+
+
+def test_a_pid_of_the_thesis_form_runs_on_both_of_its_loops(tmp_path):
+    gains = tmp_path / "thesis.toml"
+    gains.write_text("[roll]\nkp = 1.5e6\nkd = 1.0e4\n[yaw]\nkp = 1e5\nkd = 3e4\n")
+    direct = json.loads(pid("evaluate", "--gains", gains, "--delay", 2, "--json"))
+    assert direct["loop"] == "direct"
+    assert direct["axes"]["roll"]["stable"]
+    counts = tmp_path / "counts.toml"
+    counts.write_text("[roll]\nkp = 1937.0\nkd = 250.0\n")
+    whole = json.loads(
+        pid("evaluate", "--gains", counts, "--loop", "whole", "--delay", 2, "--json")
+    )
+    assert list(whole["axes"]) == ["roll"]
+    assert whole["axes"]["roll"]["stable"]
+
+
+def test_a_design_is_written_explained_and_never_overwritten(tmp_path):
+    gains, page = tmp_path / "gains.toml", tmp_path / "design.html"
+    report = json.loads(
+        pid(
+            "design", "--model", "thesis", "--form", "thesis", "--axis", "roll", "--delay", 2,
+            "-o", gains, "--html", page, "--json",
+        )
+    )  # fmt: skip
+    roll = report["axes"]["roll"]
+    assert roll["max_sensitivity"] <= 2.005
+    assert roll["delay_samples"] == 2
+    assert [line.split(" = ")[0] for line in roll["reasons"]] == ["kp", "ki", "kd"]
+    assert all("25 % more" in line for line in roll["reasons"])
+    assert len(roll["front"]) > 50
+    assert "<svg" in page.read_text()
+    again = json.loads(pid("evaluate", "--gains", gains, "--delay", 2, "--seconds", 2, "--json"))
+    assert again["axes"]["roll"]["settling_s"] == pytest.approx(roll["settling_s"])
+    with pytest.raises(BadInputError, match="exists already"):
+        pid("design", "--model", "thesis", "--form", "thesis", "-o", gains)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("evaluate", "--loop", "outer"), "--loop outer: there are direct"),
+        (("evaluate", "--model", "thesis", "--loop", "direct"), "needs gains by axis"),
+        (("evaluate", "--model", BODY, "--gains", GAINS, "--loop", "whole"), "needs gains by axis"),
+        (("evaluate", "--model", BODY, "--delay", "3"), "model's dead time"),
+        (("evaluate", "--seconds", "0"), "must be 0.1..60"),
+        (("evaluate", "--model", "absent.json"), "no such file"),
+        (("evaluate", "--gains", "absent.toml"), "cannot be read"),
+        (("design", "--model", BODY, "--axis", "height"), "--axis height"),
+        (("design", "--model", BODY, "--sensitivity", "1"), "must be 1.1..10"),
+        (("design", "--model", BODY, "--form", "fuzzy"), "firmware, thesis"),
+        (("design", "--model", BODY, "--spare-ms", "-1"), "0..100"),
+        (("fly", "--amplitude", "80"), "must be 1..25 deg"),
+        (("fly", "--yaw-rate", "nan"), "must be 5..200"),
+        (("fly", "--programme", "looping"), "doublet, step, level"),
+        (("fly", "--hold", "9"), "0.2..3"),
+        (("fly", "--repeat", "0"), "1..50"),
+        (("fly", "--gains", "absent.toml"), "cannot be read"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(arguments, complaint):
+    with pytest.raises(BadInputError, match=complaint.replace("(", r"\(")) as refusal:
+        pid(*arguments)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-1.0", "1e9"])
+def test_a_gain_that_cannot_be_is_refused_before_anything_is_reached(tmp_path, value, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
+    gains = tmp_path / "gains.toml"
+    gains.write_text(f'"pid_rate.roll_kp" = {value}\n')
+    with pytest.raises(BadInputError, match=r"pid_rate\.roll_kp"):
+        pid("fly", "--gains", gains)
+
+
+def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
+    plan = json.loads(pid("fly", "--gains", GAINS, "--dry-run", "--json"))
+    assert plan["programme"]["seconds"] == pytest.approx(6 + 3 * 8 * 3)
+    assert plan["programme"]["reach_m"] == pytest.approx(1.73, abs=0.01)
+    assert plan["gains"]["pid_rate.yaw_kp"] > 0
+    assert "10 deg" in pid("fly", "--dry-run")
