@@ -62,8 +62,10 @@ def discrepancy(
     Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
     --validate flight3.mcap -o improved.json --html report.html[/bold]
     """
+    from groundstation.discrepancy.comparison import compare
     from groundstation.discrepancy.engine import find_effects
     from groundstation.discrepancy.proof import divide, prove
+    from groundstation.discrepancy.refusals import require_channels
 
     files = _Outputs(output, json, html, rerun)
     files.require_new()
@@ -72,15 +74,18 @@ def discrepancy(
         flights = flights_from(recordings, loaded, vehicle)
         held = flights_from(validate or [], loaded, vehicle)
         fit_on, judge_on = divide(flights, held)
+        progress(0.05, "comparing")
+        train = compare(fit_on, loaded)
+        require_channels(judge_on)
         findings = find_effects(
             fit_on,
             loaded,
             judge_on,
             seed=seed,
-            progress=lambda what, share: progress(0.05 + 0.75 * max(share, 0.0), what),
+            progress=lambda what, share: progress(0.1 + 0.7 * max(share, 0.0), what),
         )
         progress(0.8, "proving it on held-out rows")
-        proof = prove(findings, loaded, fit_on, judge_on)
+        proof = prove(findings, train, judge_on)
         report = _report(findings, proof, model, recordings, validate, seed)
         _write(files, findings, proof, report)
     _say(report)

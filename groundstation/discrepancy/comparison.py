@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.floor import BlackBox, Floor, floor_errors, learn, prepare
 from groundstation.discrepancy.gap import AheadErrors, ahead_errors, overall, pooled_rms
+from groundstation.discrepancy.refusals import (
+    require_body,
+    require_channels,
+    require_flight,
+    require_vehicle,
+)
 from groundstation.discrepancy.where import Place, where
 from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
-
-LEAST_FLIGHT_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -73,41 +76,16 @@ def compare(runs: Sequence[Run], model: Model, black_box: BlackBox | None = None
 
     black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
 
-    Raises BadInputError where the model has no body, where channels that every prediction needs
-    are missing, and where nothing flies.
+    Raises BadInputError where the model has no body or is another craft's, where channels that
+    every prediction needs are missing, and where nothing flies.
     """
     require_channels(runs)
-    if model.body is None:
-        raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
-            " fit a body ('groundstation fit body')"
-        )
-    configuration = model_vehicle(model).configuration
+    require_body(model)
     errors = tuple(ahead_errors(run, model) for run in runs)
-    flown = sum(float(one.motion.flown.sum()) * one.run.period_s for one in errors)
-    if flown < LEAST_FLIGHT_S:
-        names = ", ".join(sorted({run.name for run in runs}))
-        raise BadInputError(
-            f"{names}: {flown:.1f} s in the air, at least {LEAST_FLIGHT_S:.0f} s are needed;"
-            " record a flight"
-        )
+    require_flight(errors)
+    require_vehicle(errors, model)
+    configuration = model_vehicle(model).configuration
     prepared = [prepare(one, configuration) for one in errors]
     learnt = black_box if black_box is not None else learn(prepared)
     floors = tuple(floor_errors(learnt, one) for one in prepared)
     return Comparison(model, errors, floors, learnt)
-
-
-def require_channels(runs: Sequence[Run]) -> None:
-    """Raises BadInputError where a channel that nothing works without is missing throughout."""
-    needed = {
-        "gyro": "the gyro",
-        "duty": "the motors' PWM",
-        "supply_v": "the battery voltage",
-    }
-    for run in runs:
-        for name, what in needed.items():
-            if not np.isfinite(getattr(run, name)).any(axis=0).all():
-                raise BadInputError(
-                    f"{run.name}: {what} is not in the recording; where a model and a flight"
-                    " disagree cannot be told without it: record it"
-                )

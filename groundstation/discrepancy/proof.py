@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from groundstation.discrepancy.comparison import Comparison, compare
 from groundstation.discrepancy.findings import Findings
-from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run, hold_out
 
 
@@ -36,16 +35,13 @@ def divide(
     return [run for fit, _ in pairs for run in fit], [run for _, rest in pairs for run in rest]
 
 
-def prove(
-    findings: Findings, model: Model, fit_on: Sequence[Run], judge_on: Sequence[Run]
-) -> Proof:
+def prove(findings: Findings, train: Comparison, judge_on: Sequence[Run]) -> Proof:
     """Judge the model given, and each step to the improved one.
 
-    The noise floor is learnt on ``fit_on`` from the model given, and is the same before and
-    after.
+    train: the model given on the rows that were fitted; the noise floor is learnt on them, and
+    is the same before and after.
     """
-    train = compare(fit_on, model)
-    before = compare(judge_on, model, train.black_box)
+    before = compare(judge_on, train.model, train.black_box)
     after = before.with_model(findings.model)
     steps = [("given model", before.gap)]
     refitted = before.with_model(findings.base)

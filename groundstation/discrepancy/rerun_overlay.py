@@ -92,6 +92,7 @@ def _text(report: DiscrepancyReport) -> str:
     lines += [
         "",
         f"Plots: measured, and predicted {HORIZONS_S[-1] * 1e3:.0f} ms ahead by {report.model} and"
-        " by the improved model. The gap is over all channels, second by second.",
+        " by the improved model (white, orange, blue) around the cursor: click into the gap plot"
+        " where it is high. The gap is over all channels, second by second.",
     ]
     return "\n".join(lines)

@@ -14,6 +14,8 @@ from groundstation.viewer.rrd import fresh_rrd
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""
 ROWS_PER_CHUNK = 4096
+NEAR_S = 1.0
+"""The channels' plots show so much before and after the cursor: 50 ms must be seen in them."""
 FINDINGS, GAP, FLIGHTS = "/findings", "/gap", "/flights"
 
 
@@ -79,18 +81,27 @@ def _send(stream: Any, entity: str, time_s: Any, values: Any) -> None:
 
 
 def _blueprint(overlay: Overlay) -> Any:
+    import rerun as rr
     import rerun.blueprint as rrb
 
-    def plot(name: str, origin: str) -> Any:
+    bounds = rr.TimeRangeBoundary
+    near = rr.VisibleTimeRange(
+        DEVICE_TIME,
+        start=bounds.cursor_relative(seconds=-NEAR_S),
+        end=bounds.cursor_relative(seconds=NEAR_S),
+    )
+
+    def plot(name: str, origin: str, window: Any = None) -> Any:
         return rrb.TimeSeriesView(
             name=name,
             origin=origin,
             contents=[f"{origin}/**"],
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+            time_ranges=window,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=window is None),
         )
 
     plots = [
-        plot(f"{channel.replace('_', ' ')} ({unit})", _entity(channel))
+        plot(f"{channel.replace('_', ' ')} ({unit})", _entity(channel), near)
         for channel, (unit, _) in overlay.channels.items()
     ]
     left = rrb.Vertical(
