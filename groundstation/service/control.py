@@ -56,9 +56,11 @@ class ControlServer:
         self, station: Station, control: ControlSocket, port: ControlPort | None = None
     ) -> None:
         app = control_app(station)
-        self._servers = [(_server(app), control.socket)]
+        self._station = station
+        self._servers = [(_server(app, station), control.socket)]
         if port is not None:
-            self._servers.append((_server(_Guarded(app, port.token)), port.socket))
+            guarded = _Guarded(app, port.token)
+            self._servers.append((_server(guarded, station), port.socket))
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self) -> None:
@@ -66,6 +68,8 @@ class ControlServer:
             asyncio.create_task(server.serve(sockets=[listening]), name="control")
             for server, listening in self._servers
         ]
+        for number, task in enumerate(self._tasks, start=1):
+            self._station.supervisor.adopt(f"control {number}", task)
 
     async def stop(self) -> None:
         for server, _ in self._servers:
@@ -87,12 +91,14 @@ class _Server(uvicorn.Server):
 class _Protocol(H11Protocol):
     """HTTP without endless patience: for a place, for a request, or for a reader."""
 
+    station: Station
     _arriving: asyncio.TimerHandle | None = None
     _stalled: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         if len(self.connections) > CONNECTIONS_MOST:
+            self.station.turned_away += 1
             transport.write(_FULL)
             transport.close()
         else:
@@ -150,6 +156,7 @@ def control_app(station: Station) -> Starlette:
         async def answer(request: Request) -> Response:
             try:
                 if limited and not rate.allows():
+                    station.turned_away += 1
                     return _refusal(429, f"more than {REQUESTS_HZ:g} requests a second")
                 return await work(request)
             except _TooLargeError as error:
@@ -216,7 +223,7 @@ class _TooLargeError(GroundStationError):
     pass
 
 
-def _server(app: ASGIApp) -> _Server:
+def _server(app: ASGIApp, station: Station) -> _Server:
     # what strangers send is no news, and faults of ours are events
     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     return _Server(
@@ -225,7 +232,7 @@ def _server(app: ASGIApp) -> _Server:
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=_Protocol,
+            http=type("_Protocol", (_Protocol,), {"station": station}),
             ws="none",
             h11_max_incomplete_event_size=HEAD_MOST,
             timeout_graceful_shutdown=1,

@@ -49,6 +49,8 @@ _COUNTERS = (
     ("command_setpoints", "Setpoints of clients", "command.setpoints"),
     ("command_refused", "Requests to command that were refused", "command.refused"),
     ("command_interventions", "Times the dead man stopped the motors", "command.interventions"),
+    ("command_superseded", "Setpoints replaced by a newer one", "command.superseded"),
+    ("control_turned_away", "Requests beyond the API's limits", "turned_away"),
     ("faults", "Faults of the program, survived", "faults"),
     ("cpu_seconds", "Processor time", "health.cpu_s"),
 )

@@ -70,6 +70,8 @@ class Station:
         """Whether the source had parts that could not be read."""
         self.faults = 0
         """Faults of the program itself, each survived and told as an event."""
+        self.turned_away = 0
+        """Requests and connections beyond the control API's limits."""
         self._source = source
         command = None
         if config.command:
@@ -153,6 +155,7 @@ class Station:
         announce: called once the viewer's ports are known to be free.
         """
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._unexpected)
         # in reverse order, each whatever became of the others
         async with contextlib.AsyncExitStack() as closing:
             closing.push_async_callback(self.viewer.stop)
@@ -249,6 +252,7 @@ class Station:
             "tasks": self.supervisor.status(),
             "health": self.health.status(self),
             "faults": self.faults,
+            "turned_away": self.turned_away,
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
@@ -284,6 +288,11 @@ class Station:
         self.sessions.event(event)
         self.viewer.show_event(event)
         self.stream.event(event)
+
+    def _unexpected(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """What nobody else caught: a callback, or a task that nobody waits for."""
+        error = context.get("exception")
+        self.fault(f"{context['message']}: {error!r}", source="daemon")
 
     def _recorder_fault(self, text: str) -> None:
         # called from the recorder's thread

@@ -29,11 +29,22 @@ class Supervisor:
         self._fault = fault
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._counts: dict[str, TaskCount] = {}
+        self._adopted: dict[str, asyncio.Task[None]] = {}
 
     def start(self, name: str, work: Work) -> None:
         """Run ``work``; where it raises it is begun anew, where it returns it has ended."""
         self._counts[name] = TaskCount()
         self._tasks[name] = asyncio.create_task(self._keep(name, work), name=name)
+
+    def adopt(self, name: str, task: asyncio.Task[None]) -> None:
+        """Watch a task that somebody else ends: should it fail, that is told."""
+        self._adopted[name] = task
+
+        def look(task: asyncio.Task[None]) -> None:
+            if not task.cancelled() and task.exception() is not None:
+                self._fault(f"{name} has failed: {task.exception()!r}", name)
+
+        task.add_done_callback(look)
 
     @property
     def restarts(self) -> int:
@@ -41,8 +52,9 @@ class Supervisor:
 
     def dead(self) -> list[str]:
         """Tasks that are not there any more although nobody closed them."""
-        return [name for name, task in self._tasks.items()
-                if task.done() and self._counts[name].state != "ended"]  # fmt: skip
+        own = [name for name, task in self._tasks.items()
+               if task.done() and self._counts[name].state != "ended"]  # fmt: skip
+        return own + [name for name, task in self._adopted.items() if task.done()]
 
     def status(self) -> dict[str, Any]:
         return {
