@@ -45,6 +45,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "supply_sag.resistance_ohm": (-0.3, 1.5),
     "battery_reading_lag.time_constant_s": (0.0, 2.0),
     "ground_effect.height_m": (0.01, 0.4),
+    "attitude_filter_lean.strength": (-1.0, 1.0),
     TIMING: (-1.0, 2.0),
 }
 RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
