@@ -30,8 +30,8 @@ from groundstation.service.config import DeadManConfig
 from groundstation.service.limits import RateLimit
 from groundstation.service.requests import Lease as Granted
 
-SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 20.0
-"""100 Hz with the jitter of a client's clock."""
+SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
+"""100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""
 WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
 STOPS = 5

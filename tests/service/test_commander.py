@@ -65,7 +65,7 @@ def steer(pilot, seconds, *, roll=0.0, pitch=0.0, yaw=0.0, thrust=HOVER):
 
 
 def burst(pilot):
-    for _ in range(200):
+    for _ in range(600):
         pilot.setpoint(0, 0, 0, 0)
 
 
