@@ -31,6 +31,7 @@ from groundstation.discrepancy.gap import (
 )
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
+from groundstation.identification.noise_model import estimate_noise
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,7 @@ SLOW = 1
 """The accelerometer starts nothing, so only what acts longer than the first memory counts."""
 SMOOTH_S = 0.0033
 """Standard deviation of the kernel that what the signals explain is smoothed by: 40 Hz."""
+WHITEN_ORDER = 40
 WORTH = 0.985
 """The past is used where it leaves at most this share of the error."""
 LEAST_ROWS = 200
@@ -55,19 +57,23 @@ KINDS = ("torque", "force", "attitude")
 class BlackBox:
     """What was learnt.
 
-    channels: None where the recordings lack it. past: for the shortest horizon and each of
-    ``HORIZONS_S``, (9, m) weights of the channel's memories and of its rate's; zero where it
-    does not pay.
+    channels: None where the recordings lack it. past: for each of ``HORIZONS_S``, (9, m) weights
+    of the channel's memories and of its rate's; zero where it does not pay. whiteners: of the
+    shortest horizon's errors, per channel, for spectra.
     """
 
     channels: tuple[ChannelPredictor | None, ...]
     past: tuple[Array, ...]
+    whiteners: tuple[Array, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """What noise leaves of a run, SI, (n, 9) each: as ``AheadErrors`` has ``horizons`` and
-    ``step``."""
+    """What noise leaves of a run, SI, (n, 9) each.
+
+    horizons: as ``AheadErrors`` has them. step: of the shortest one, whitened by an
+    autoregression: as large as a perfect observer's errors would be, which are white.
+    """
 
     horizons: tuple[Array, ...]
     step: Array
@@ -112,23 +118,40 @@ def learn(prepared: Sequence[Prepared]) -> BlackBox:
     worse = _pooled(tried) > _pooled(plain)
     channels = tuple(without[k] if worse[k] else one for k, one in enumerate(found))
     left = [_unexplained(one, channels) for one in prepared] if worse.any() else tried
-    return BlackBox(channels, _learn_past(prepared, left))
+    whiteners = []
+    for channel in range(9):
+        series = [
+            one.totals[0][rows, channel]
+            for one, made in zip(left, prepared, strict=True)
+            for rows in _rows(made, channel)
+        ]
+        known = [part[np.isfinite(part)] for part in series]
+        whiteners.append(estimate_noise(known, WHITEN_ORDER).whitener if known else np.ones(1))
+    return BlackBox(channels, _learn_past(prepared, left), tuple(whiteners))
 
 
 def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
     """What the black box leaves of a run, in the rows of its errors."""
     left = _unexplained(prepared, black_box.channels)
     memories = _memories(left.step, prepared.errors.run.period_s)
-    totals = []
-    for counts, total, weights in zip(_counts(prepared), left.totals, black_box.past, strict=True):
+    horizons = []
+    for counts, total, weights in zip(
+        prepared.errors.rows, left.totals[1:], black_box.past, strict=True
+    ):
         foretold = np.zeros_like(total)
         for channel in range(9):
             if weights[channel].any():
                 known = _remembered(memories, channel) @ weights[channel]
                 count = int(counts[channel])
                 foretold[count:, channel] = known[:-count]
-        totals.append(total - foretold)
-    return Floor(tuple(totals[1:]), totals[0])
+        horizons.append(total - foretold)
+    step = np.full_like(left.step, np.nan)
+    for channel, whitener in enumerate(black_box.whiteners):
+        for rows in _rows(prepared, channel):
+            series = np.nan_to_num(left.totals[0][rows, channel])
+            step[rows, channel] = _weighted(series[:, None], whitener)[:, 0]
+    step[~np.isfinite(left.totals[0])] = np.nan
+    return Floor(tuple(horizons), step)
 
 
 def _one_step(errors: AheadErrors) -> Array:
@@ -226,7 +249,7 @@ def _learn_past(prepared: Sequence[Prepared], left: Sequence[_Unexplained]) -> t
         for one, made in zip(left, prepared, strict=True)
     ]
     found = []
-    for number, counts in enumerate(_counts(prepared[0])):
+    for number, counts in enumerate(prepared[0].errors.rows, 1):
         weights = np.zeros((9, 2 * len(MEMORY_S)))
         for channel in range(9):
             count = int(counts[channel])

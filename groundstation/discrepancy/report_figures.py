@@ -52,7 +52,7 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
             value = ratio[row, column]
             dark = value < np.sqrt(LARGEST_RATIO)
             axis.text(
-                *(column, row, f"{value:.3g}" if value < 99.5 else f"{value:.0f}"),
+                *(column, row, f"{value:.2f}" if value < 9.995 else f"{value:.0f}"),
                 ha="center",
                 va="center",
                 fontsize=7.5,
@@ -87,12 +87,12 @@ def by_horizon(before: Comparison, after: Comparison | None = None) -> Figure:
         first = (before.at_horizon(number)[0] / floor)[shown]
         place = np.arange(len(shown))
         if after is None:
-            axis.hlines(place, 1.0, first, color=NEUTRAL, linewidth=1.0)
+            axis.hlines(place, 1.0, first, color=NEUTRAL, linewidth=1.0, zorder=0.5)
         else:
             second = (after.at_horizon(number)[0] / floor)[shown]
-            axis.hlines(place, second, first, color=NEUTRAL, linewidth=1.0)
+            axis.hlines(place, second, first, color=NEUTRAL, linewidth=1.0, zorder=0.5)
             axis.plot(second, place, "o", color=IMPROVED, label="improved model")
-        axis.plot(first, place, "o", color=MODELLED, label="model", zorder=0.9)
+        axis.plot(first, place, "o", color=MODELLED, label="model", zorder=1.9)
         axis.axvline(1.0, color=MEASURED, linewidth=1.0, linestyle="--", label="noise")
         axis.set_xscale("log")
         _plain_ticks(axis.xaxis, max(2.0, float(np.nanmax(first))))
@@ -194,7 +194,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     axis.barh(last, values[-1], color=IMPROVED, height=0.6)
     for k, value in enumerate([*values, values[-1]]):
         at = max(value, values[k - 1]) if 0 < k < last else value
-        axis.annotate(f"{value:.3g}", (at, k), xytext=(5, 0), textcoords="offset points",
+        axis.annotate(f"{value:.2f}", (at, k), xytext=(5, 0), textcoords="offset points",
                       va="center", fontsize=9)  # fmt: skip
     names = [name for name, _ in steps]
     axis.set_yticks([*place, last], [names[0], *(f"+ {n}" for n in names[1:]), "improved model"])

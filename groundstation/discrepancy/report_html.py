@@ -31,8 +31,8 @@ FLOOR_TEXT = (
     " from what was measured and is judged 20 and 50 ms later. The noise floor is what a black"
     " box leaves on the same rows that knows no physics of the craft: the one-step errors are"
     " regressed on every generic signal that clearly shows in them (rotor speeds and their past,"
-    " rates and products, velocity, tilt, closeness to the ground), the rest is predicted from its"
-    " own past by a long autoregression, and what is left adds up to the horizon. It is the same"
+    " rates and products, velocity, tilt, closeness to the ground), what is left adds up to the"
+    " horizon, and what fading memories of the past foretell of it is taken off. It is the same"
     " before and after."
 )
 
@@ -205,7 +205,8 @@ def _closer(
         if first is not None:
             page.figure(
                 residual_spectrum(first, second),
-                "Errors one row ahead by frequency: what stands above noise is not explained.",
+                "Errors one row ahead by frequency: what stands above noise is not explained"
+                " (vibration is not meant to be).",
             )
 
 

@@ -57,8 +57,8 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """Power densities (m,) of one channel's one-step errors and of what noise leaves of them,
-    in unit^2/Hz, over frequency_hz (m,)."""
+    """Power densities (m,) of one channel's errors at its shortest horizon, and of what a perfect
+    observer would leave of them (flat), in unit^2/Hz, over frequency_hz (m,)."""
 
     channel: str
     frequency_hz: Array
@@ -173,7 +173,7 @@ def spectrum_of(
     frequency = np.zeros(0)
     for one, floor in zip(errors, floors, strict=True):
         step = int(one.step_rows[place])
-        known = np.flatnonzero(np.isfinite(one.step[:, place]))
+        known = np.flatnonzero(np.isfinite(one.step[:, place] + floor.step[:, place]))
         if len(known) < SPECTRUM_ROWS:
             continue
         breaks = np.flatnonzero(np.diff(known) != step) + 1
@@ -189,7 +189,9 @@ def spectrum_of(
     if not sums:
         return None
     mean = sum(sums[1:], sums[0]) / weight
-    return Spectrum(channel, frequency, mean[0], mean[1])
+    # A perfect observer's errors are white.
+    expected = np.full(len(frequency), float(mean[1].mean()))
+    return Spectrum(channel, frequency, mean[0], expected)
 
 
 def _energies(errors: AheadErrors, floor: Floor) -> tuple[Array, Array]:

@@ -55,4 +55,4 @@ def test_the_spectrum_of_a_slow_push_rises_above_noise_at_low_frequency_only():
     shown = spectrum_of(found.errors, found.floors, "gyro_y")
     ratio = shown.error / shown.expected
     assert ratio[1] > 5.0
-    assert np.median(ratio[shown.frequency_hz > 50.0]) == pytest.approx(1.0, abs=0.15)
+    assert np.median(ratio[shown.frequency_hz > 50.0]) == pytest.approx(1.0, abs=0.1)
