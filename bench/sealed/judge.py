@@ -58,6 +58,7 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "parameters": _parameters(sealed, report["effects"]),
         "explained": _explained(case, report),
         "loudness": _loudness(report),
+        "residual": report["residual"],
         "where": [where.get("channel", ""), where.get("regime", "")],
         "where_right": _excites(case, where.get("channel", ""), where.get("regime", "")),
     }

@@ -104,6 +104,9 @@ def _proof(lines: list[Line]) -> str:
         rows.append(
             f"| true parameter in the 95 % interval | {np.mean(inside):.0%} | {len(inside)} |"
         )
+    white = [x["residual"] == "white" for x in some if "residual" in x]
+    if white:
+        rows.append(f"| residual white with the effect in | {np.mean(white):.0%} | {len(white)} |")
     pointed = [x["where_right"] for x in some]
     if pointed:
         rows.append(

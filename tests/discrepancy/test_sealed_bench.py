@@ -243,6 +243,7 @@ def report(
 ):
     return {
         "verdict": verdict,
+        "residual": "white",
         "effects": [
             {
                 "name": name,
