@@ -72,7 +72,11 @@ class _Entry:
     payload: bytes
 
 
-_Item = RawBatch | SampleBatch | _Entry
+class _Break:
+    """Nothing from before it shares a message with anything behind it."""
+
+
+_Item = RawBatch | SampleBatch | _Entry | _Break
 
 
 class McapRecorder:
@@ -112,7 +116,7 @@ class McapRecorder:
         self._lock = threading.Lock()
         self._queue: deque[_Item] = deque()
         self._queued_bytes = 0
-        self._dropped = {RawBatch: 0, SampleBatch: 0, _Entry: 0}
+        self._dropped = {RawBatch: 0, SampleBatch: 0, _Entry: 0, _Break: 0}
         self._reported_drops = 0
         self._report_due_s = 0.0
         self._samples = self._packets = self._marks = 0
@@ -147,6 +151,10 @@ class McapRecorder:
     def statistics(self, entry: dict[str, Any]) -> None:
         """Record a link's counters."""
         self._entry(STATISTICS_TOPIC, entry)
+
+    def split(self) -> None:
+        """What follows comes from another source: in the file it is behind all of the first's."""
+        self._offer(_Break())
 
     def status(self) -> RecorderStatus:
         with self._lock:
@@ -257,6 +265,11 @@ class McapRecorder:
                 self._queued_bytes -= size
 
     def _write(self, items: list[_Item]) -> None:
+        for is_break, run in itertools.groupby(items, lambda item: isinstance(item, _Break)):
+            if not is_break:
+                self._write_run(list(run))
+
+    def _write_run(self, items: list[_Item]) -> None:
         for item in items:
             if isinstance(item, _Entry):
                 self._out.add(item.topic, item.time_ns, item.payload)
@@ -345,6 +358,8 @@ class _Syncer:
 
 
 def _count(item: _Item) -> int:
+    if isinstance(item, _Break):
+        return 0
     return 1 if isinstance(item, _Entry) else len(item)
 
 
@@ -352,5 +367,7 @@ def _size(item: _Item) -> int:
     """Bytes that ``item`` holds, and at least what its place in the queue costs."""
     if isinstance(item, _Entry):
         return _ITEM_BYTES + len(item.payload)
+    if isinstance(item, _Break):
+        return _ITEM_BYTES
     row = _RAW_ROW_BYTES if isinstance(item, RawBatch) else _SAMPLE_ROW_BYTES
     return _ITEM_BYTES + len(item) * row

@@ -41,8 +41,9 @@ class Telling(Protocol):
 class Receiver:
     """Turns what a link delivers into packets and samples for whoever wants them.
 
-    telling: told of what happens. on_raw, on_samples: given every batch. fast: whether more can
-    come than any craft sends; such a source waits while ``busy``.
+    telling: told of what happens. on_raw, on_samples: given every batch. on_switch: called
+    between the last of one link and the first of the next. fast: whether more can come than any
+    craft sends; such a source waits while ``busy``.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Receiver:
         *,
         on_raw: Callable[[RawBatch], None],
         on_samples: Callable[[SampleBatch], None],
+        on_switch: Callable[[], None],
         fast: bool,
         busy: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -60,7 +62,7 @@ class Receiver:
         self.tried = asyncio.Event()
         """Set when the link has been opened, or has turned out not to be there yet."""
         self._telling = telling
-        self._on_raw, self._on_samples = on_raw, on_samples
+        self._on_raw, self._on_samples, self._on_switch = on_raw, on_samples, on_switch
         self._fast = self._compiled = fast
         self._busy = busy
         self._meter = LinkMeter(link.clock())
@@ -224,6 +226,7 @@ class Receiver:
         self._newest_ns = self._ready_made = 0
         self._away, self._missing, self._retry_s = None, "", RETRY_FIRST_S
         self._begin()
+        self._on_switch()
         self._telling.note("link", f"switched from {before.name} to {link.name}", source=link.name)
         task = asyncio.create_task(self._close(before), name="close link")
         self._closing.add(task)

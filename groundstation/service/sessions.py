@@ -127,6 +127,11 @@ class Sessions:
             if recorder is not None:
                 recorder.finish()
 
+    def split(self) -> None:
+        """What follows comes from another link."""
+        if recorder := self._recorder:
+            recorder.split()
+
     def raw(self, batch: RawBatch) -> None:
         if recorder := self._recorder:
             recorder.raw(batch)

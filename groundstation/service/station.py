@@ -114,6 +114,7 @@ class Station:
             self,
             on_raw=self._take_raw,
             on_samples=self._take_samples,
+            on_switch=self.sessions.split,
             fast=config.link.speed == "max",
             busy=lambda: self.sessions.fullness > QUEUE_MOST,
         )

@@ -8,6 +8,13 @@ import pytest
 from installed import RECORDINGS
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.recording.mcap_scan import McapScan
+from groundstation.recording.mcap_schemas import (
+    EVENTS_TOPIC,
+    RAW_DEFINITION,
+    RAW_TOPIC,
+    decode_entry,
+)
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.api import permitted_link
 from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
@@ -55,6 +62,28 @@ def silence_s(recording):
     return max(np.diff(host)[np.diff(segment) != 0]) * 1e-9
 
 
+def require_parts(path, replayed):
+    """In the file's order, the packets between two switches are those of the link of the moment."""
+    parts = [[]]
+    with McapScan(path) as scan:
+        for channel, _, _, payload in scan.messages():
+            topic = scan.topic(channel)
+            if topic == EVENTS_TOPIC and decode_entry(payload)["kind"] == "link":
+                parts.append([])
+            elif topic == RAW_TOPIC:
+                parts[-1].append(np.asarray(RAW_DEFINITION.decode(payload)["packets"], np.uint8))
+    first, second, third, fourth = (
+        np.concatenate([*part, np.empty(0, np.uint8)]) for part in parts
+    )
+    np.testing.assert_array_equal(second.reshape(-1, 32), replayed[: len(second) // 32])
+    assert len(second) > 0
+    known = {row.tobytes() for row in replayed}
+    for other in (first, third):
+        assert len(other) > 0
+        assert not known & {row.tobytes() for row in other.reshape(-1, 32)}
+    assert len(fourth) == 0, "a microSD log has samples only"
+
+
 def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp_path):
     async def conversation(station):
         for name in (f"replay:{FLIGHT}", "stand-in", f"replay:{RECORDINGS / 'microsd_log16'}"):
@@ -62,18 +91,20 @@ def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp
             assert station.status()["link"]["name"] == name
             await samples(station, 300)
 
-    _, recording = run(tmp_path, conversation)
+    _, recording = run(tmp_path, conversation, stand_in={"seed": 5})  # not the recorded flight
     assert recording.damage == []
     segment = recording.samples.segment
     assert np.unique(segment).tolist() == [0, 1, 2, 3]
     assert (np.diff(segment) >= 0).all(), "nothing of a link comes after its successor"
     replayed = recording.samples[segment == 1]
-    source = open_recording(FLIGHT).samples
+    whole = open_recording(FLIGHT, raw=True)
+    source = whole.samples
     np.testing.assert_array_equal(replayed.ticks, source.ticks[: len(replayed)])
     np.testing.assert_array_equal(replayed.gyro, source.gyro[: len(replayed)])
     for number in (0, 2):
         ticks = recording.samples.ticks[segment == number]
         assert np.diff(ticks).max() < 1.5 * np.median(np.diff(ticks)), "the stand-in lost nothing"
+    require_parts(recording.path, whole.raw.packets)
     told = [event["text"] for event in recording.events if event["kind"] == "link"]
     assert told[0] == f"switched from stand-in to replay:{FLIGHT}"
     assert len(told) == 3
