@@ -33,9 +33,6 @@ from groundstation.identification.stretches import Stretch
 
 Array = NDArray[np.float64]
 
-NOISE_ROUNDS = 10
-SETTLED = 0.05
-"""Rounds end when no parameter moves by more than this share of its standard error."""
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""
 HINTS = (
@@ -49,6 +46,7 @@ CROSS_TALK = 0.3
 """Share of an axis's own torque constant that another axis's torque may seem to have."""
 WELL_KNOWN, UNKNOWN = 0.05, 0.5
 """Standard errors over the value from which a constant is worth a warning, or a refusal."""
+MOST_MOVES = 4
 ALIKE = 0.97
 """Correlation beyond which two estimates are told only together."""
 LEAST_LAG_S = 1e-5
@@ -103,14 +101,7 @@ def fit_body(
     acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
     thrust, _ = fit_thrust(stretches, BodyTerms(vehicle, 1.0), {})
     problem, theta = _best_start(stretches, vehicle, thrust, acting, tie_roll_pitch)
-    noise: list[NoiseModel] = []
-    normal = np.zeros((len(theta), len(theta)))
-    for _ in range(NOISE_ROUNDS):
-        noise = problem.noise(theta)
-        before = theta
-        theta, normal = problem.minimise(theta, noise)
-        if np.all(np.abs(theta - before) * np.sqrt(np.diag(normal)) < SETTLED):
-            break
+    theta, normal, noise = _likeliest(problem, theta)
     _require_told(problem, theta, inverse(normal))
     return _outcome(problem, theta, normal, noise, motor_covariance)
 
@@ -203,6 +194,23 @@ def _best_start(
     costs = [problem.cost(problem.minimise(theta, noise)[0], noise) for problem, theta in found]
     best = int(np.argmin(costs))
     return found[best]
+
+
+def _likeliest(problem: BodyProblem, theta: Array) -> tuple[Array, Array, list[NoiseModel]]:
+    """The settled fit, or a settled neighbour of it where that leaves less."""
+    best = problem.settle(theta)
+    for _ in range(MOST_MOVES):
+        rivals = [problem.settle(one) for one in problem.neighbours(best[0], best[2])]
+        rivals = [one for one in rivals if _left(one[2]) < _left(best[2])]
+        if not rivals:
+            break
+        best = min(rivals, key=lambda one: _left(one[2]))
+    return best
+
+
+def _left(noise: Sequence[NoiseModel]) -> float:
+    """Logarithm of what the one-step predictions leave, over all axes."""
+    return sum(math.log(one.variance) for one in noise)
 
 
 def _require_told(problem: BodyProblem, theta: Array, covariance: Array) -> None:

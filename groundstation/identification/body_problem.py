@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 NOISE_ORDER = 60
 STEPS = 15
 TRIAL_DELAYS_S = np.arange(0.0, 0.021, 0.004)
+NOISE_ROUNDS = 10
+SETTLED = 0.05
+"""Rounds end when no parameter moves by more than this share of its standard error."""
+ABOUT = 0.01
 SMALL = 1e-3
 """Steps end when no parameter moves by more than this share of its standard error."""
 AXES = ("roll", "pitch", "yaw")
@@ -86,6 +90,38 @@ class BodyProblem:
             theta, _ = self.minimise(theta, noise, held=held, steps=1)
             trials.append((self.cost(theta, noise), theta))
         return min(trials, key=lambda one: one[0])[1]
+
+    def settle(self, theta: Array) -> tuple[Array, Array, list[NoiseModel]]:
+        """Minimum, J^T W J there and noise models, in turns until both stay."""
+        noise: list[NoiseModel] = []
+        normal = np.zeros((len(theta), len(theta)))
+        for _ in range(NOISE_ROUNDS):
+            noise = self.noise(theta)
+            before = theta
+            theta, normal = self.minimise(theta, noise)
+            if np.all(np.abs(theta - before) * np.sqrt(np.diag(normal)) < SETTLED):
+                break
+        return theta, normal, noise
+
+    def neighbours(self, theta: Array, noise: Sequence[NoiseModel]) -> list[Array]:
+        """Where else to look: delays some rows away that predict about as well.
+
+        What is recorded row by row, and vibration that the controller feeds back, make delays a
+        row apart look alike: the search may have ended beside the best.
+        """
+        if "dead_time.delay_s" not in self.names:
+            return []
+        place = self.names.index("dead_time.delay_s")
+        held = np.arange(len(theta)) == place
+        reached, found = self.cost(theta, noise), []
+        for rows in (-2, -1, 1, 2):
+            other = theta.copy()
+            other[place] += rows * self.stretches[0].run.period_s
+            if self.low[place] <= other[place] <= self.high[place]:
+                other, _ = self.minimise(other, noise, held=held, steps=1)
+                if self.cost(other, noise) < (1 + ABOUT) * reached:
+                    found.append(other)
+        return found
 
     def residuals(self, theta: Array, motor: MotorConstants | None = None) -> list[Array]:
         """Measured less modelled acceleration, (n, 3) per stretch."""

@@ -15,6 +15,7 @@ from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
 
+SMOOTH_S = 0.018
 SATURATED = 0.995
 """Duty above which a motor gives all it has."""
 
@@ -54,10 +55,10 @@ def rotor_squares(
     if measured:
         if not np.isfinite(run.rotor_rev_s).all():
             raise BadInputError(f"{run.name}: measured rotor speed is not in every row")
-        end = run.rotor_rev_s**2
+        speed = _smoothed(run)
         # Mean of a square that moves linearly in speed over the period.
-        before = np.vstack([run.rotor_rev_s[:1], run.rotor_rev_s[:-1]])
-        return RotorSquares((end + before**2 + before * run.rotor_rev_s) / 3, end)
+        before = np.vstack([speed[:1], speed[:-1]])
+        return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
     voltage = armature_mv(run.duty, run.supply_v)
     if not np.isfinite(voltage).all():
         raise BadInputError(
@@ -75,6 +76,21 @@ def rotor_squares(
     else:
         speed, square = _braked(motor, driving[1:], run.period_s, start, braking)
     return RotorSquares(np.vstack([start**2, square]), speed**2)
+
+
+def _smoothed(run: Run) -> Array:
+    """Measured speeds with less noise: parabolas over ``SMOOTH_S`` around each row.
+
+    Speeds count by their steps from row to row (the rotors' acceleration turns the craft as
+    well), which are mostly noise as they come: on real flights the torque of accelerating rotors
+    drowns in it.
+    """
+    from scipy.signal import savgol_filter
+
+    width = 2 * round(0.5 * SMOOTH_S / run.period_s) + 1
+    if width <= 3:
+        return run.rotor_rev_s
+    return np.asarray(savgol_filter(run.rotor_rev_s, width, 2, axis=0), np.float64)
 
 
 def _braked(

@@ -47,15 +47,35 @@ def test_pwm_and_battery_explain_measured_rotor_speed(flights, motor):
     assert max(errors) < 2.0
 
 
+@pytest.fixture(scope="module")
+def motor(flights):
+    return fit_motor([measured_run(run, k) for run in flights for k in range(4)])
+
+
 @pytest.mark.parametrize("measured", [True, False], ids=["measured speed", "modelled speed"])
-def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, measured):
+def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, motor, measured):
+    """What turns this craft beside its rotors' thrust and drag: their acceleration on yaw, and a
+    moment in proportion to speed, the largest effect of all."""
     vehicle = BUILT_IN["crazyflie21"]
-    motor = fit_motor([measured_run(run, k) for run in flights for k in range(4)]).motor
-    fit_on, held = split(stretches_of(flights, motor, measured))
-    fit = fit_body(fit_on, vehicle, ("dead_time",))
-    figures = validate_body(held, fit)
-    print(fit.body, f"delay {fit.delay_s * 1e3:.2f} ms", figures)
-    assert min(fit.body.c0, fit.body.c1, fit.body.c2) > 0
-    assert 0.001 < fit.delay_s < 0.006
-    assert figures["accelerometer_z_fit_percent"] > 60
-    assert figures["gyro_roll_rms_1row"] < 0.1
+    fit_on, held = split(stretches_of(flights, motor.motor, measured))
+    base, more = (
+        fit_body(fit_on, vehicle, effects, motor_covariance=motor.estimates.covariance[:3, :3])
+        for effects in (
+            ("dead_time",),
+            ("dead_time", "rotor_acceleration_torque", "velocity_moment"),
+        )
+    )
+    before, after = validate_body(held, base), validate_body(held, more)
+    for axis in ("roll", "pitch", "yaw"):
+        name = f"gyro_{axis}_rms_20ms"
+        print(f"{name}: {before[name]:.4f}, with the effects {after[name]:.4f} rad/s")
+        assert after[name] < 0.8 * before[name]
+    for fit in (base, more):
+        print(dict(zip(fit.estimates.names, fit.estimates.values.tolist(), strict=True)))
+        assert min(fit.body.c0, fit.body.c1, fit.body.c2) > 0
+    assert 0.001 < more.delay_s < 0.012
+    assert more.values["rotor_acceleration_torque.rotor_inertia_kg_m2"] == pytest.approx(
+        4e-8, rel=0.3
+    )
+    assert 25 < more.values["velocity_moment.moment"] < 40
+    assert after["accelerometer_z_fit_percent"] > 60
