@@ -33,7 +33,9 @@ TOUCHED_DPS = 150.0
 LEAST_REST_V = 3.5
 """Battery at rest below which a flight does not begin."""
 TAKE_OFF_S = 3.0
-CONNECT_S = 20.0
+STOPPED_S = 3.0
+CONNECT_S, TELEMETRY_S = 20.0, 5.0
+"""How long a daemon that has just started is waited for."""
 
 
 def fly(
@@ -147,7 +149,7 @@ def _flight(
             before = pilot.parameters()
             if left is not None:
                 _tell_left(left, before)
-            _require_ready(pilot, programme, wanted, before)
+            _require_ready(pilot, wanted, before)
             if real and not yes and not typer.confirm(f"{uri}: clear of people, ready to fly?"):
                 raise BadInputError("not flown")
             recording = _begin_recording(path)
@@ -187,24 +189,34 @@ def _await_connection(path: Path) -> None:
     """A daemon that has just started connects within seconds; a refusal is a refusal."""
     deadline = time.monotonic() + CONNECT_S
     while True:
-        command = ask(path, "GET", "/status").get("command")
+        status = ask(path, "GET", "/status")
+        command = status.get("command")
         if command is None or command["state"] not in ("connecting", "closed"):
             return
+        if status["link"]["name"].startswith("replay:"):
+            return  # it never will
         if time.monotonic() > deadline:
             return
         time.sleep(0.2)
 
 
-def _require_ready(
-    pilot: Pilot, programme: Programme, wanted: dict[str, float], present: dict[str, float]
-) -> None:
+def _require_ready(pilot: Pilot, wanted: dict[str, float], present: dict[str, float]) -> None:
+    from groundstation.control.programme import AbortLimits
+
     unknown = [name for name in wanted if name not in present]
     if unknown:
         raise BadInputError(f"the craft has no parameter {', '.join(unknown)}; nothing was written")
-    # zero thrust: looks at the telemetry without turning a motor
-    answer = pilot.setpoint(0.0, 0.0, 0.0, 0)
-    telemetry = answer["telemetry"]
-    if answer["link_state"] != "streaming" or telemetry is None or telemetry["age_s"] > 1.0:
+    deadline = time.monotonic() + TELEMETRY_S
+    while True:
+        # zero thrust: looks at the telemetry without turning a motor
+        answer = pilot.setpoint(0.0, 0.0, 0.0, 0)
+        telemetry = answer["telemetry"]
+        fresh = telemetry is not None and telemetry["age_s"] <= AbortLimits().silent_s
+        if fresh and answer["link_state"] == "streaming":
+            break
+        if time.monotonic() < deadline:
+            time.sleep(0.1)
+            continue
         raise GroundStationError(
             f"no telemetry is coming in (link {answer['link_state']}); nothing was flown"
         )
@@ -251,8 +263,14 @@ def _settle(pilot: Pilot, back: dict[str, float], aborted: str) -> None:
 
 
 def _stop(pilot: Pilot) -> None:
+    """Zero thrust until the telemetry says that the motors stand, or is not heard any more."""
+    deadline = time.monotonic() + STOPPED_S
     try:
-        pilot.setpoint(0.0, 0.0, 0.0, 0)
+        while time.monotonic() < deadline:
+            telemetry = pilot.setpoint(0.0, 0.0, 0.0, 0)["telemetry"]
+            if telemetry is None or not any(telemetry["motors"]):
+                break
+            time.sleep(0.05)
     except GroundStationError as error:
         say(f"stopping: {error}; the daemon's dead man stops the motors", error=True)
 

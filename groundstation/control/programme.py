@@ -105,7 +105,7 @@ class AbortLimits:
     tilt_deg: float = 50.0
     rate_dps: float = 800.0
     battery_v: float = 3.0
-    silent_s: float = 0.5
+    silent_s: float = 1.0
 
 
 LANDING = AbortLimits(tilt_deg=180.0, rate_dps=2100.0)

@@ -1,0 +1,217 @@
+"""``pid fly`` against a real daemon: cflib over UDP to the stand-in, real packets back."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from installed import COMMAND, RECORDINGS, Daemon, require_failure, until
+
+from groundstation.recording.open_recording import open_recording
+from groundstation.service.client import Pilot, ask
+
+DATA = Path(__file__).parents[1] / "control" / "data"
+BODY, GAINS = DATA / "body.json", DATA / "gains.toml"
+SHORT = ("--axis", "roll", "--repeat", "2", "--hold", "0.6", "--rest", "0.4")
+GAIN = "pid_rate.roll_kp"
+STOCK, DESIGNED = 70.0, 2.847
+
+
+def free_udp_port():
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def port():
+    return free_udp_port()
+
+
+def connected(status):
+    command = status["command"]
+    return command is not None and command["state"] == "connected"
+
+
+class Station:
+    """A daemon, and ``pid`` commands beside it with a state folder of their own."""
+
+    def __init__(self, daemon, folder):
+        self.daemon = daemon
+        self._environment = {
+            **os.environ,
+            "NO_COLOR": "1",
+            "GROUNDSTATION_SOCKET": str(daemon.socket),
+            "XDG_STATE_HOME": str(folder / "state"),
+        }
+
+    def fly(self, *arguments):
+        return subprocess.run(
+            [COMMAND, "pid", "fly", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            env=self._environment,
+            timeout=120,
+        )
+
+    @contextlib.contextmanager
+    def flying(self, *arguments):
+        """``pid fly`` in the midst of its programme; killed in the end if it still runs."""
+        with subprocess.Popen(
+            [COMMAND, "pid", "fly", *map(str, arguments)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=self._environment,
+        ) as flight:
+            try:
+                until(self._in_programme(flight), "the programme is flown")
+                yield flight
+            finally:
+                flight.kill()
+
+    def _in_programme(self, flight):
+        def look():
+            assert flight.poll() is None, flight.stderr.read()
+            return "pid fly programme" in self.marks()
+
+        return look
+
+    def gain(self):
+        return ask(self.daemon.socket, "GET", "/command/parameters")["values"][GAIN]
+
+    def marks(self):
+        events = ask(self.daemon.socket, "GET", "/events")
+        return [event["text"] for event in events if event["kind"] == "mark"]
+
+
+@pytest.fixture
+def station(tmp_path, port):
+    settings = tmp_path / "groundstation.toml"
+    settings.write_text(
+        f'command = "udp://127.0.0.1:{port}"\n'
+        '[link]\nname = "stand-in"\n'
+        "[stand_in]\n"
+        'program = "wait"\nseed = 3\n'
+        f'[recording]\nfolder = "{tmp_path / "sessions"}"\nlow_space_mb = 0\n'
+    )
+    with Daemon(tmp_path, "--config", settings) as daemon:
+        daemon.status_when(connected, "the command link is connected")
+        yield Station(daemon, tmp_path)
+
+
+def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tmp_path):
+    page = tmp_path / "flight.html"
+    flight = station.fly(
+        "--gains", GAINS, "--model", BODY, *SHORT, "--restore", "--html", page, "--json"
+    )
+    assert flight.returncode == 0, flight.stderr
+    report = json.loads(flight.stdout)
+    roll = report["axes"]["roll"]
+    assert roll["edges"] == 6
+    assert roll["measured"]["rms"] == pytest.approx(roll["predicted"]["rms"], rel=0.15)
+    assert report["delay_s"] < 0.05
+    assert "<svg" in page.read_text()
+    assert station.gain() == STOCK
+    recording = open_recording(Path(report["recording"]))
+    writes = [e for e in recording.commands if e["kind"] == "parameter" and e["name"] == GAIN]
+    assert [(e["direction"], pytest.approx(e["value"], rel=1e-6)) for e in writes] == [
+        ("out", DESIGNED),
+        ("in", DESIGNED),
+        ("out", STOCK),
+        ("in", STOCK),
+    ]
+    sent = [e for e in recording.commands if e["kind"] == "setpoint"]
+    assert {e["client"] for e in sent} == {"pid fly"}
+    assert sent[-1]["thrust"] == 0
+    assert max(abs(e["roll_deg"]) for e in sent) == 10.0
+    samples = recording.samples
+    assert np.degrees(np.abs(samples.attitude[:, 0])).max() > 7
+    assert not samples.duty[-20:].any()
+    again = station.fly("--undo")
+    assert "nothing was left changed" in again.stdout
+
+
+def test_a_killed_flight_ends_with_motors_off_and_the_next_tells_what_it_left(station):
+    with station.flying("--gains", GAINS, *SHORT):
+        pass
+    killed_ns = time.time_ns()
+    until(
+        lambda: any("has vanished: motors stopped" in e["text"] for e in ask(
+            station.daemon.socket, "GET", "/events")),
+        "the dead man has stopped the motors",
+    )  # fmt: skip
+    time.sleep(1.0)
+    recorded = Path(ask(station.daemon.socket, "POST", "/record/stop")["file"])
+    samples = open_recording(recorded).samples
+    turning = samples.duty.any(axis=1)
+    last_ns = int(samples.host_time_ns[np.flatnonzero(turning)[-1]])
+    assert 0 < (last_ns - killed_ns) * 1e-9 < 2.0
+    assert station.gain() == pytest.approx(DESIGNED, rel=1e-6)
+    undone = station.fly("--undo")
+    assert undone.returncode == 0, undone.stderr
+    assert f"{GAIN}: was 70, written 2.847, is 2.847" in undone.stderr
+    assert station.gain() == STOCK
+    assert station.fly("--undo").stdout == "nothing was left changed\n"
+
+
+def test_ctrl_c_stops_the_motors_and_puts_the_gains_back(station):
+    with station.flying("--gains", GAINS, *SHORT) as flight:
+        flight.send_signal(signal.SIGINT)
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1
+    assert "flight aborted: Ctrl-C; motors are off" in stderr
+    assert station.gain() == STOCK
+
+
+def test_only_one_may_command(station):
+    with Pilot(station.daemon.socket, "somebody else"):
+        refused = station.fly(*SHORT)
+    assert "somebody else is commanding" in require_failure(refused)
+
+
+def test_a_replay_cannot_be_commanded(tmp_path, port):
+    replayed = RECORDINGS / sorted(p.name for p in RECORDINGS.glob("*.mcap"))[0]
+    with Daemon(
+        tmp_path, "--link", f"replay:{replayed}", "--command", f"udp://127.0.0.1:{port}"
+    ) as daemon:
+        daemon.status_when(lambda status: True, "an answer")
+        refused = Station(daemon, tmp_path).fly(*SHORT)
+    assert "replay" in require_failure(refused)
+
+
+def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
+    name, settings = tmp_path / "craft", tmp_path / "craft.toml"
+    settings.write_text('program = "wait"\nseed = 5\n')
+    with subprocess.Popen(
+        [
+            sys.executable, "-m", "firmware_sim", "--settings", settings,
+            "--serial", f"pty:{name}", "--crtp", f"127.0.0.1:{port}",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as craft:  # fmt: skip
+        try:
+            until(name.exists, "the pseudo-terminal is there")
+            command = ("--command", f"udp://127.0.0.1:{port}")
+            with Daemon(tmp_path, "--link", f"serial:{name}", *command) as daemon:
+                daemon.status_when(connected, "the command link is connected")
+                station = Station(daemon, tmp_path)
+                flight = station.fly("--gains", GAINS, "--model", BODY, *SHORT, "--json")
+                assert flight.returncode == 0, flight.stderr
+                report = json.loads(flight.stdout)
+                recording = open_recording(Path(daemon.folder, report["recording"]))
+                assert recording.link == f"serial:{name}"
+                roll = report["axes"]["roll"]
+                assert roll["measured"]["rms"] == pytest.approx(roll["predicted"]["rms"], rel=0.2)
+                assert station.gain() == pytest.approx(DESIGNED, rel=1e-6)
+        finally:
+            craft.kill()
