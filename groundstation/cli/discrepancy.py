@@ -73,19 +73,19 @@ def discrepancy(
     with shown("reading") as progress:
         flights = flights_from(recordings, loaded, vehicle)
         held = flights_from(validate or [], loaded, vehicle)
-        fit_on, judge_on = divide(flights, held)
+        fit_on, held_out, judged = divide(flights, held)
         progress(0.05, "comparing")
         train = compare(fit_on, loaded)
-        require_channels(judge_on)
+        require_channels(held_out)
         findings = find_effects(
             fit_on,
             loaded,
-            judge_on,
+            held_out,
             seed=seed,
             progress=lambda what, share: progress(0.1 + 0.7 * max(share, 0.0), what),
         )
         progress(0.8, "proving it on held-out rows")
-        proof = prove(findings, train, judge_on)
+        proof = prove(findings, train, judged)
         report = _report(findings, proof, model, recordings, validate, seed)
         _write(files, findings, proof, report)
     _say(report)

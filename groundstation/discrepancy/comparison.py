@@ -67,21 +67,33 @@ class Comparison:
 
     def with_model(self, model: Model) -> Comparison:
         """Another model on the same runs, beside the same floor."""
-        errors = tuple(ahead_errors(one.recorded, model, one.motion) for one in self.errors)
+        errors = tuple(ahead_errors(one.recorded, model, motion=one.motion) for one in self.errors)
         return Comparison(model, errors, self.floors, self.black_box)
 
 
-def compare(runs: Sequence[Run], model: Model, black_box: BlackBox | None = None) -> Comparison:
-    """Judge a model on runs (``recordings.flights_of``).
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Rows ``first`` to ``last`` of a run; those before only tell the state in which it begins."""
+
+    run: Run
+    first: int
+    last: int
+
+
+def compare(
+    flights: Sequence[Run | Judged], model: Model, black_box: BlackBox | None = None
+) -> Comparison:
+    """Judge a model on runs (``recordings.flights_of``), or on parts of them.
 
     black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
 
     Raises BadInputError where the model has no body or is another craft's, where channels that
     every prediction needs are missing, and where nothing flies.
     """
-    require_channels(runs)
+    parts = [one if isinstance(one, Judged) else Judged(one, 0, len(one)) for one in flights]
+    require_channels([part.run for part in parts])
     require_body(model)
-    errors = tuple(ahead_errors(run, model) for run in runs)
+    errors = tuple(ahead_errors(p.run, model, slice(p.first, p.last)) for p in parts)
     require_flight(errors)
     require_vehicle(errors, model)
     configuration = model_vehicle(model).configuration

@@ -56,15 +56,22 @@ class AheadErrors:
     rows: tuple[NDArray[np.int64], ...]
 
 
-def ahead_errors(run: Run, model: Model, motion: Motion | None = None) -> AheadErrors:
+def ahead_errors(
+    run: Run, model: Model, rows_judged: slice | None = None, *, motion: Motion | None = None
+) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
-    motion: that of another model, so that the same rows are judged; None: of this one.
+    rows_judged: only these; the rows before tell the state. motion: that of another model on the
+    same run, so that the same rows are judged; None: of this one.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
     whole = without_gaps(run)
     moved = motion_of(whole, model) if motion is None else motion
+    if rows_judged is not None:
+        inside = np.zeros(len(run), bool)
+        inside[rows_judged] = True
+        moved = replace(moved, flown=moved.flown & inside)
     fresh, every = fresh_attitude(whole.attitude)
     known = np.isfinite(_measured(run)) & moved.flown[:, None]
     known[:, ATTITUDE] &= fresh[:, None]

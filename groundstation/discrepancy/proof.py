@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from groundstation.discrepancy.comparison import Comparison, compare
+from groundstation.discrepancy.comparison import Comparison, Judged, compare
 from groundstation.discrepancy.findings import Findings
 from groundstation.identification.runs import Run, hold_out
 
@@ -27,15 +27,30 @@ class Proof:
 
 def divide(
     flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]]
-) -> tuple[list[Run], list[Run]]:
-    """(to fit on, to judge on): what is held, or else the last third of each recording."""
+) -> tuple[list[Run], list[Run], list[Judged]]:
+    """(to fit on, held out, the same as parts of whole runs): what is held, or else the last third
+    of each recording."""
     if held:
-        return [run for part in flights for run in part], [run for part in held for run in part]
-    pairs = [hold_out(part) for part in flights]
-    return [run for fit, _ in pairs for run in fit], [run for _, rest in pairs for run in rest]
+        rest = [run for part in held for run in part]
+        fit_on = [run for part in flights for run in part]
+        return fit_on, rest, [Judged(run, 0, len(run)) for run in rest]
+    fit_on, rest, judged = [], [], []
+    for part in flights:
+        first, last = hold_out(part)
+        fit_on += first
+        rest += last
+        for piece in last:
+            whole = max((run for run in part if run.start_s <= piece.start_s), key=_start)
+            row = round((piece.start_s - whole.start_s) / whole.period_s)
+            judged.append(Judged(whole, row, row + len(piece)))
+    return fit_on, rest, judged
 
 
-def prove(findings: Findings, train: Comparison, judge_on: Sequence[Run]) -> Proof:
+def _start(run: Run) -> float:
+    return run.start_s
+
+
+def prove(findings: Findings, train: Comparison, judge_on: Sequence[Judged]) -> Proof:
     """Judge the model given, and each step to the improved one.
 
     train: the model given on the rows that were fitted; the noise floor is learnt on them, and
