@@ -6,8 +6,9 @@ currents modelled, both can be undone:
 
     reported = lag of (E(t) - A sum d u + B sum d n)
 
-is linear in E's polynomial, A (cell and wires over winding resistance) and B (the same times the
-back-EMF constant); d is duty, u = d V armature voltage, n speed. The lag is searched.
+is linear in E (a polynomial in time and the charge drawn so far), A (cell over winding
+resistance) and B (the same times the back-EMF constant); d is duty, u = d V armature voltage, n
+speed. The lag is searched.
 """
 
 from __future__ import annotations
