@@ -118,7 +118,7 @@ def _slope_at(
             y[13 + i] = speed[point, i]
             dy[13 + i] = (speed[2 * row + 2, i] - speed[2 * row, i]) / h
     d = drv[point]
-    return body_slope(c, d[0], d[1], d[2], d[3] + kick[row], d[4], still, y, dy)
+    return body_slope(c, d[0], d[1], d[2], d[3] + kick[row], d[4], still, y, dy, True)
 
 
 @inlined

@@ -1,0 +1,85 @@
+"""Flight with effects: long simulations, predictions ahead, and their error over the noise."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from firmware_sim.craft import StandIn, StandInSettings
+from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
+from groundstation.dynamics.effects.ahead import observe_run, predict_ahead
+from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.dynamics.effects.observer import gains_of
+from groundstation.dynamics.model import EffectTerm, Estimate, Model, vehicle_model
+from groundstation.dynamics.reference import load_reference
+from groundstation.dynamics.reference_flight import fly_reference
+from groundstation.dynamics.simulation import simulate
+from groundstation.dynamics.state import craft_state
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.runs import Run, runs_of
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.samples import RawBatch
+
+Row = tuple[str, float, float, str]
+VEHICLE = BUILT_IN["crazyflie1"]
+BASE = vehicle_model(VEHICLE)
+STEPS = 200_000
+HORIZONS = (10, 25)
+MANY = ("dead_time", "rotor_acceleration_torque", "inertia_coupling", "rotor_drag", "supply_sag")
+
+
+def rows() -> Iterator[Row]:
+    """What, measured, reference in the same run, unit."""
+    voltage = np.full((STEPS, 4), 2400.0)
+    start = craft_state(rates=(0.1, 0.2, 0.3), rotor_rev_s=250)
+    plain = _best(lambda: simulate(craft_of_vehicle(VEHICLE), start, voltage))
+    many = craft_of_model(_with(*MANY))
+    supply = np.full(STEPS, 3700.0)
+    full = _best(lambda: simulate(many, start, voltage, supply_mv=supply))
+    yield "6-DOF with five effects, against none", STEPS / full / 1e6, STEPS / plain / 1e6, "M/s"
+    run = _flight()
+    for label, model in (("base model", BASE), ("five effects", _with(*MANY))):
+        seen = _best(partial(observe_run, model, run))
+        yield f"observer, {label}", run.seconds / seen, 500.0, "x real time"
+        ahead = _best(partial(predict_ahead, model, run, HORIZONS))
+        yield f"predictions 20 and 50 ms ahead, {label}", run.seconds / ahead, 500.0, "x real time"
+    error = predict_ahead(BASE, run, HORIZONS).errors(run)
+    for k, horizon in enumerate(HORIZONS):
+        rms = np.sqrt(np.mean(error[:, k] ** 2, axis=0))
+        floor = gains_of(BASE, run.period_s).expected(horizon)
+        yield f"clean flight, {2 * horizon} ms: worst error over noise", max(rms / floor), 1.0, ""
+    reference = load_reference("doublet")
+    taken = _best(lambda: fly_reference(BASE, reference), 3)
+    yield "9 s along a reference", taken, 9.0, "s"
+
+
+def _best(call: Callable[[], object], times: int = 7) -> float:
+    """The shortest of several calls, processor time in seconds: others share the machine."""
+    call()
+    taken = []
+    for _ in range(times):
+        start = time.process_time()
+        call()
+        taken.append(time.process_time() - start)
+    return min(taken)
+
+
+def _with(*names: str) -> Model:
+    terms = tuple(
+        EffectTerm(name, {p.name: Estimate(p.default) for p in EFFECTS[name].parameters})
+        for name in names
+    )
+    return msgspec.structs.replace(BASE, effects=terms)
+
+
+def _flight() -> Run:
+    settings: dict[str, Any] = {"plant": "reduced", "seed": 1}
+    packets, heard_s = StandIn(StandInSettings(**settings)).advance(60.0)
+    samples, _ = decode_all(RawBatch(packets, np.rint(heard_s * 1e9).astype(np.int64)))
+    (run,) = runs_of(samples)
+    return run
