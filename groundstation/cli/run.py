@@ -79,9 +79,11 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     from groundstation.service.config import socket_path
     from groundstation.service.control import ControlServer
     from groundstation.service.control_socket import ControlPort, ControlSocket
+    from groundstation.service.health import limit_arenas
     from groundstation.service.station import Station
     from groundstation.service.systemd import notify, pat_watchdog
 
+    limit_arenas()
     live = sys.stdout.isatty()
     _configure_log(live, as_json=config.log.format == "json")
     station = Station(config, source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes
 import itertools
 import os
@@ -24,6 +25,9 @@ LAG_MOST_S = 1.0
 RELEASE_EVERY = 40
 """So often (20 s) what the C library keeps for later is given back: with its recorder's and
 readers' threads it would otherwise keep 20 MB more after some hours."""
+
+
+_ARENA_MAX = -8  # malloc.h
 
 
 class Health:
@@ -87,6 +91,13 @@ def _release() -> Callable[[int], Any]:
     except AttributeError:
         return lambda pad: None
     return cast(Callable[[int], Any], release)
+
+
+def limit_arenas() -> None:
+    """Let glibc share two heaps among all threads: by default each of eight may get its own, and
+    what one has freed no other can use."""
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).mallopt(_ARENA_MAX, 2)
 
 
 def usage() -> dict[str, Any]:

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,7 @@ class RecordingManager:
         async with self._lock:
             self.sessions.require_idle()
             self.sessions.detach()  # one that has failed ends by itself: nothing to wait for
-            path = self._begin(await asyncio.to_thread(self.sessions.create, self._link()))
+            path = self._begin(await self._create(continues=False))
             self._wanted = True
             self._note("recording", f"recording to {path}")
             return path
@@ -89,7 +89,7 @@ class RecordingManager:
             await self._finish(self.sessions.detach())
             await asyncio.gather(*self._finishing, return_exceptions=True)
 
-    def mark(self) -> None:
+    def require_recording(self) -> None:
         """Raises BadInputError where a mark would not be recorded."""
         if self.sessions.status()["state"] != "recording":
             raise BadInputError(
@@ -143,9 +143,7 @@ class RecordingManager:
             self.rotations += 1
             self._note("recording", f"recording continues in {path}")
             self._retain_at_s = 0.0
-            task = asyncio.create_task(self._finish(ended), name="finish recording")
-            self._finishing.add(task)
-            task.add_done_callback(self._finishing.discard)
+            self._later(self._finish(ended))
 
     async def _next(self, otherwise: str) -> McapRecorder | None:
         """A recorder for the next part; None, with growing pauses, where there can be none."""
@@ -155,14 +153,36 @@ class RecordingManager:
         self._retry_at_s = now_s + self._retry_s
         self._retry_s = min(2 * self._retry_s, RESUME_MOST_S)
         try:
-            return await asyncio.to_thread(
-                lambda: self.sessions.create(self._link(), continues=True)
-            )
+            return await self._create(continues=True)
         except (GroundStationError, OSError) as error:
             if str(error) != self._told:
                 self._told = str(error)
                 self._note("fault", f"{otherwise}: {error}")
             return None
+
+    async def _create(self, *, continues: bool) -> McapRecorder:
+        """A recorder, made where a slow disk holds up nobody."""
+        link = self._link()
+        making = asyncio.create_task(
+            asyncio.to_thread(lambda: self.sessions.create(link, continues=continues))
+        )
+        try:
+            return await asyncio.shield(making)
+        except asyncio.CancelledError:
+            self._later(self._undo(making))
+            raise
+
+    async def _undo(self, making: asyncio.Task[McapRecorder]) -> None:
+        """The daemon ended while a file was being made: it holds nothing, and goes."""
+        recorder = await making
+        status = await asyncio.to_thread(recorder.finish)
+        status.file.unlink(missing_ok=True)
+
+    def _later(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do it in the background, by the end of the daemon at the latest."""
+        task = asyncio.create_task(work)
+        self._finishing.add(task)
+        task.add_done_callback(self._finishing.discard)
 
     def _begin(self, recorder: McapRecorder) -> Path:
         self._began_s = time.monotonic()
@@ -208,6 +228,8 @@ class RecordingManager:
 def delete_oldest(folder: Path, keep_bytes: int, present: set[str]) -> list[str]:
     """Delete recordings of ours, oldest first, until the rest needs at most ``keep_bytes``; their
     names. Never a present one, and nothing that has another name than we give."""
+    if not folder.is_dir():
+        return []
     with os.scandir(folder) as entries:
         found = [
             (entry.name, entry.stat(follow_symlinks=False).st_size)

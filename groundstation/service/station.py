@@ -198,7 +198,7 @@ class Station:
 
     def mark(self, text: str, details: dict[str, Any]) -> None:
         """A note of an operator or a client, in the recording and among the events."""
-        self.recordings.mark()
+        self.recordings.require_recording()
         self.take_event(LinkEvent(self.clock(), "operator", "mark", text, details))
 
     async def switch_link(self, name: str) -> None:

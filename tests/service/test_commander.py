@@ -29,7 +29,13 @@ def path(tmp_path):
 
 
 @pytest.fixture
-def fly(tmp_path, path):
+def crafts():
+    """The software crafts that were flown."""
+    return []
+
+
+@pytest.fixture
+def fly(tmp_path, path, crafts):
     """Runs a conversation with a daemon whose craft can be commanded; then its recording."""
 
     def flying(conversation, **dead_man):
@@ -46,6 +52,7 @@ def fly(tmp_path, path):
                 lambda: ask(path, "GET", "/status")["command"]["state"] == "connected",
                 "the command link is connected",
             )
+            crafts.append(station.link._craft)
             conversation()
 
         serve(config, path, connected)
@@ -119,7 +126,7 @@ def test_two_clients_cannot_both_command(fly, path):
     ]
 
 
-def test_nothing_leaves_without_an_authorised_client(fly, path):
+def test_nothing_leaves_without_an_authorised_client(fly, path, crafts):
     def conversation():
         with Client(path) as client:
             for token in ("", "x" * 32, "\u20ac"):
@@ -135,6 +142,7 @@ def test_nothing_leaves_without_an_authorised_client(fly, path):
                 with pytest.raises(GroundStationError):
                     client.ask("POST", "/command/setpoint", body)
             assert client.ask("GET", "/status")["command"]["setpoints"] == 0
+            assert crafts[0]._firmware["client_ns"][0] < 0, "no setpoint has reached the craft"
 
     assert fly(conversation).commands == []
 

@@ -203,3 +203,27 @@ def test_nothing_listens_beyond_loopback(tmp_path):
         assert len(listening) == 3
         assert set(listening) == {"127.0.0.1"}
         assert daemon.stop() == 0
+
+
+def test_no_privilege_is_needed(tmp_path):
+    if shutil.which("setpriv") is None:
+        pytest.skip("dropping privileges needs setpriv (util-linux)")
+    drop = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", "--no-new-privs"]
+    result = subprocess.run(
+        [*drop, COMMAND, "run", "--for", "1.5"], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(tmp_path / "control.sock")}, timeout=60,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert " 0 lost, " in result.stdout
+
+
+def test_a_client_of_the_stream_does_not_keep_the_daemon_from_ending(tmp_path):
+    with Daemon(tmp_path) as daemon, socket.socket(socket.AF_UNIX) as client:
+        daemon.recording(samples=100)
+        client.connect(str(daemon.socket))
+        client.sendall(b"GET /stream HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert b"event-stream" in client.recv(4096)
+        began_s = time.monotonic()
+        assert daemon.stop() == 0
+        assert time.monotonic() - began_s < 20
+        assert "Traceback" not in daemon.stderr
