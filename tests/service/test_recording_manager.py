@@ -177,3 +177,28 @@ def test_the_catalogue_tells_finished_torn_and_growing_files_apart(run, tmp_path
     span_s = np.ptp(recording.samples.host_time_ns) * 1e-9
     assert abs(whole.duration_s - span_s) < 1.5
     assert station.statistics.samples == whole.samples
+
+
+def test_a_file_being_made_when_the_daemon_ends_leaves_nothing_behind(run, tmp_path, monkeypatch):
+    import threading
+
+    from groundstation.service.sessions import Sessions
+
+    create, making, go_on = Sessions.create, threading.Event(), threading.Event()
+
+    def slow(self, link, *, continues=False):
+        if continues:
+            making.set()
+            go_on.wait(30)
+        return create(self, link, continues=continues)
+
+    monkeypatch.setattr(Sessions, "create", slow)
+
+    async def conversation(station):
+        await until(making.is_set)
+        station.stop()
+        asyncio.get_running_loop().call_later(0.3, go_on.set)
+
+    run(conversation, rotate_minutes=0.01)
+    (path,) = files(tmp_path)
+    assert open_recording(path).damage == []
