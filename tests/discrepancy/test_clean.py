@@ -1,0 +1,43 @@
+"""On a craft without any effect every candidate's estimate is zero within its interval.
+
+The most useful test of all: a regressor that knows too much, a band that is cut, a delay of a
+tenth of a millisecond between two channels, each shows here as a finding out of nothing.
+"""
+
+import numpy as np
+import pytest
+from searched_flights import base_model, flights
+
+from groundstation.discrepancy.flight import prepare
+from groundstation.discrepancy.problem import BASE_KEYS, Problem
+from groundstation.discrepancy.search import screen
+from groundstation.discrepancy.unknowns import EFFECT_KEYS, VARIANTS, point_of
+
+NOISES = {"nominal": (1.0, 1.0), "rough": (6.0, 2.0)}
+
+
+def screened(seed, torque_noise, sensor_noise):
+    runs, _ = flights(seed, torque_noise=torque_noise, sensor_noise=sensor_noise)
+    model = base_model()
+    start = point_of(model)
+    problem = Problem(prepare(runs), model, start)
+    problem.settle_filters()
+    linear = problem.linear(start, (*BASE_KEYS, *EFFECT_KEYS), problem.flights)
+    problem.learn_noise(linear)
+    return screen(linear, problem.with_prior(linear), BASE_KEYS, VARIANTS)
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_every_estimate_is_zero_within_its_interval(noise):
+    scores = [one for seed in (101, 102) for one in screened(seed, *NOISES[noise])]
+    sizes = np.concatenate([one.values / one.errors for one in scores])
+    assert len(sizes) == 2 * (len(EFFECT_KEYS) - 1)  # ground effect's height needs its gain
+    # Many of them are the same noise seen twice, so not quite a chi-squared.
+    assert np.abs(sizes).max() < 4.5
+    assert 0.4 < np.sqrt(np.mean(sizes**2)) < 1.5
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_no_effect_is_worth_a_joint_fit(noise):
+    scores = screened(103, *NOISES[noise])
+    assert max(one.drop for one in scores) < 16.0

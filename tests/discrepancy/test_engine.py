@@ -1,0 +1,145 @@
+"""Hidden effects are found under their names, with their values, and nothing else is."""
+
+import numpy as np
+import pytest
+from searched_flights import base_model, flights, samples
+
+from groundstation.discrepancy.engine import find_effects
+from groundstation.discrepancy.findings import Verdict
+from groundstation.discrepancy.recordings import flights_of
+from groundstation.errors import BadInputError
+
+HIDDEN = {
+    "dead_time": {"delay_s": 0.006},
+    "gyro_low_pass": {"bandwidth_hz": 25.0},
+    "centre_of_gravity_offset": {"x_m": -0.0006, "y_m": 0.0004},
+    "rotor_mismatch": {"rotor": 3.0, "excess": -0.04},
+    "motor_braking_asymmetry": {"factor": 0.6},
+    "velocity_moment": {"moment": 8.0},
+}
+
+
+def search(seed, effects, **more):
+    runs, held = flights(seed, effects, **more)
+    return find_effects(runs, base_model(), held)
+
+
+def values_of(effect):
+    return {name: (one.value, one.stderr) for name, one in effect.parameters.items()}
+
+
+def assert_found(findings, hidden):
+    assert {effect.name for effect in findings.effects} == set(hidden)
+    for effect in findings.effects:
+        for name, (value, error) in values_of(effect).items():
+            true = hidden[effect.name][name]
+            if error is None:
+                assert value == true
+            else:
+                assert value == pytest.approx(true, abs=max(4.0 * error, 1e-3 * abs(true)))
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_hidden_effect_is_named_and_nothing_else(name):
+    hidden = {name: HIDDEN[name]}
+    findings = search(1, hidden)
+    assert findings.verdict == Verdict.EFFECTS_FOUND
+    assert_found(findings, hidden)
+    (effect,) = findings.effects
+    assert effect.gap_after < effect.gap_before
+    assert effect.gap_after == pytest.approx(1.0, abs=0.05)
+    for channel in effect.channels:
+        assert findings.channels[channel].after < findings.channels[channel].before
+    assert [term.name for term in findings.model.effects] == [name]
+    assert findings.base.effects == ()
+
+
+def test_two_effects_at_once_are_both_named():
+    hidden = {"rate_damping": {"damping_n_m_s": 1.2e-5}, "supply_sag": {"resistance_ohm": 0.2}}
+    assert_found(search(2, hidden), hidden)
+
+
+def test_nothing_is_found_in_a_craft_that_is_as_modelled():
+    findings = search(3, {}, torque_noise=6.0, sensor_noise=2.0)
+    assert findings.verdict == Verdict.NO_DISCREPANCY
+    assert findings.effects == ()
+    assert findings.residual.verdict == "white"
+    for channel in findings.channels.values():
+        assert channel.before == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_push_that_no_effect_describes_stays_unexplained():
+    findings = search(4, {"side_gust": {"frequency_hz": 0.7, "force_n": 0.01}})
+    assert findings.verdict == Verdict.UNEXPLAINED
+    assert findings.residual.channel in ("accelerometer_y", "gyro_x")
+    assert any(abs(hz - 0.7) < 0.3 for hz in findings.residual.frequencies_hz)
+
+
+def test_effects_that_the_model_has_already_are_not_found_again():
+    hidden = {"rotor_mismatch": HIDDEN["rotor_mismatch"]}
+    model = search(1, hidden).model
+    runs, held = flights(1, hidden)
+    findings = find_effects(runs, model, held)
+    assert findings.verdict == Verdict.NO_DISCREPANCY
+    assert [term.name for term in findings.model.effects] == ["rotor_mismatch"]
+
+
+def test_lost_rows_change_nothing_but_the_interval():
+    hidden = {"rotor_acceleration_torque": {"rotor_inertia_kg_m2": 6e-8}}
+    generator = np.random.default_rng(5)
+    runs = []
+    for number in range(3):
+        whole = samples(60 + number, hidden)
+        kept = generator.random(len(whole)) > 0.02
+        runs += flights_of(whole[kept], f"lossy{number}")
+    assert all(np.isnan(run.gyro).any() for run in runs)
+    assert_found(find_effects(runs[:2], base_model(), runs[2:]), hidden)
+
+
+def test_without_attitude_the_names_that_need_it_are_listed_as_lost():
+    import dataclasses
+
+    hidden = {"centre_of_gravity_offset": HIDDEN["centre_of_gravity_offset"]}
+    runs, held = flights(1, hidden)
+    blind = [
+        dataclasses.replace(run, attitude=np.full_like(run.attitude, np.nan))
+        for run in (*runs, *held)
+    ]
+    findings = find_effects(blind[:2], base_model(), blind[2:])
+    assert_found(findings, hidden)
+    assert findings.lost["gyro_bias"] == "attitude"
+    assert not set(findings.channels) & {"roll", "pitch", "yaw"}
+
+
+def test_a_hover_shows_which_effects_it_cannot_show():
+    runs, held = flights(7, {}, program="hover")
+    findings = find_effects(runs, base_model(), held)
+    assert findings.effects == ()
+    unseen = {one.name for one in findings.not_shown}
+    assert {"inertia_coupling", "ground_effect"} <= unseen
+    assert all(one.manoeuvre for one in findings.not_shown)
+
+
+def test_a_model_of_another_craft_is_refused():
+    import msgspec
+
+    model = base_model()
+    body = msgspec.structs.replace(model.body, c0=3.0 * model.body.c0, c1=3.0 * model.body.c1)
+    other = msgspec.structs.replace(model, body=body)
+    runs, held = flights(1, {})
+    with pytest.raises(BadInputError, match="does not belong to this craft"):
+        find_effects(runs, other, held)
+
+
+def test_a_flight_without_gyro_is_refused():
+    import dataclasses
+
+    runs, held = flights(1, {})
+    blind = [dataclasses.replace(runs[0], gyro=np.full_like(runs[0].gyro, np.nan))]
+    with pytest.raises(BadInputError, match="gyro is missing"):
+        find_effects(blind, base_model(), held)
+
+
+def test_a_recording_shorter_than_five_seconds_is_refused():
+    with pytest.raises(BadInputError, match="at least 5 s"):
+        flights_of(samples(10, {})[:2400], "short")

@@ -1,0 +1,56 @@
+"""Flights of the stand-in as the search for missing effects gets them."""
+
+from functools import cache
+
+import numpy as np
+from stand_in_flights import recorded
+
+from groundstation.discrepancy.recordings import flights_of
+from groundstation.dynamics.model import Model, vehicle_model
+from groundstation.dynamics.vehicle import load_vehicle
+
+CARRYING_GAINS = {
+    "pid_rate.roll_kp": 30.0,
+    "pid_rate.pitch_kp": 30.0,
+    "pid_attitude.roll_kp": 3.0,
+    "pid_attitude.pitch_kp": 3.0,
+    "pid_attitude.roll_ki": 3.0,
+    "pid_attitude.pitch_ki": 3.0,
+}
+"""Gains that carry effects of every size (docs/stand_in.md)."""
+BENCH_ERRORS = np.array([1e-4, 1e-3, 2e-6])
+
+
+def base_model() -> Model:
+    """The true base model of the stand-in's craft, its motor as a good bench would know it."""
+    import msgspec
+
+    model = vehicle_model(load_vehicle("crazyflie1"))
+    estimates = {
+        "names": ["a0", "a1", "a2"],
+        "covariance": np.diag(BENCH_ERRORS**2).tolist(),
+    }
+    return msgspec.structs.replace(model, fit={"motor": {"estimates": estimates}})
+
+
+@cache
+def _samples(seed, effects, more):
+    chosen = {name: dict(values) for name, values in effects}
+    settings = {"plant": "reduced", "gains": CARRYING_GAINS, **dict(more)}
+    return recorded(60.0, seed=seed, effects=chosen, **settings)[0]
+
+
+def samples(seed, effects=None, **more):
+    """A minute of excitation; the same settings give the same samples without flying again."""
+    frozen = tuple((name, tuple(values.items())) for name, values in (effects or {}).items())
+    return _samples(seed, frozen, tuple(more.items()))
+
+
+def flights(seed, effects=None, count=2, **more):
+    """Runs of ``count`` flights, and of one more to validate on."""
+    runs = [
+        run
+        for number in range(count + 1)
+        for run in flights_of(samples(10 * seed + number, effects, **more), f"flight{number}")
+    ]
+    return runs[:count], runs[count:]
