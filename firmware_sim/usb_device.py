@@ -14,7 +14,7 @@ import errno
 import math
 import struct
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -121,7 +121,8 @@ class Completion:
 class UsbBridge:
     """The device. One host at a time; ``plug`` before each.
 
-    flight: where packets come from. faults: in order of their frames; each happens once.
+    flight: where packets come from. faults: in order of their frames; each happens once. Those
+        behind an ``UNPLUG`` are of the next stream and count from its start.
     """
 
     def __init__(
@@ -251,7 +252,7 @@ class UsbBridge:
         end = transfer.start + transfer.frames
         if not self._halted:
             self._fly(end)
-            kinds = {fault.kind for fault in self._faults if self._is_inside(fault, transfer)}
+            kinds = {f.kind for f in self._faults_of_stream() if self._is_inside(f, transfer)}
             if FaultKind.UNPLUG in kinds:
                 self._skip_faults(end)
                 self.plugged = False
@@ -286,11 +287,19 @@ class UsbBridge:
         at = fault.frame + (self._stream_start or 0) - transfer.start
         return 0 <= at < transfer.frames
 
+    def _faults_of_stream(self) -> Iterator[Fault]:
+        for fault in self._faults:
+            yield fault
+            if fault.kind is FaultKind.UNPLUG:
+                return
+
     def _skip_faults(self, before: int) -> Fault | None:
-        """Take out faults of frames before ``before``; the last of them."""
+        """Take out this stream's faults of frames before ``before``; the last of them."""
         last = None
         while self._faults and self._faults[0].frame + (self._stream_start or 0) < before:
             last = self._faults.popleft()
+            if last.kind is FaultKind.UNPLUG:
+                break
         return last
 
     def _clear_halt(self, now_s: float) -> None:

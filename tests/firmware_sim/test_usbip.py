@@ -235,6 +235,19 @@ def test_an_unplugged_bridge_says_nothing_more():
     assert not host.bridge.plugged
 
 
+def test_faults_behind_an_unplugging_are_those_of_the_next_stream():
+    faults = [Fault(9, FaultKind.UNPLUG), Fault(2, FaultKind.CRC), Fault(8, FaultKind.UNPLUG)]
+    host = Host(faults)
+    for clean in (True, False):
+        host.bridge.plug()
+        host.listen()
+        for _ in range(3):
+            host.submit()
+        ((_, _, _, frames),) = host.after(100)
+        assert [status == 0 for _, status in frames] == [clean or at != 2 for at in range(FRAMES)]
+        assert not host.bridge.plugged
+
+
 @given(cuts=st.lists(st.integers(1, 100), max_size=20))
 def test_requests_may_come_in_any_pieces(cuts):
     whole, pieces = Host(), Host()

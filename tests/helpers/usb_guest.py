@@ -33,7 +33,7 @@ def run_guest(out, chosen=".", flights=None):
     command = [
         # plugins that nothing here uses take longer to load than some tests to run
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
-        f"PYTHONPATH={GUEST}:{HELPERS}",
+        f"PYTHONPATH={GUEST}:{HELPERS}:{PROJECT}",
         sys.executable, "-m", "pytest", "-q", "-rA", "--durations=15", "-p", "pytest_timeout",
         "--timeout=0", "-p", "no:cacheprovider", f"--confcutdir={GUEST}", str(GUEST / chosen),
     ]  # fmt: skip
