@@ -20,6 +20,8 @@ BLOCK_S = 0.25
 LEAST_S = 0.5
 """A regime that lasts less in all recordings together says nothing."""
 SPECTRUM_ROWS = 512
+LONGEST_GAP = 20
+"""Rows without a value that a spectrum bridges by zeros."""
 RATE_OF = dict(zip(CHANNELS[6:], CHANNELS[:3], strict=True))
 SHARE, LEAST = 0.25, 3.0
 """An angle integrates its rate: it names a place only where the rate says much less, as it does
@@ -176,16 +178,20 @@ def spectrum_of(
         known = np.flatnonzero(np.isfinite(one.step[:, place] + floor.step[:, place]))
         if len(known) < SPECTRUM_ROWS:
             continue
-        breaks = np.flatnonzero(np.diff(known) != step) + 1
+        breaks = np.flatnonzero(np.diff(known) > LONGEST_GAP * step) + 1
         for rows in np.split(known, breaks):
-            if len(rows) < SPECTRUM_ROWS:
+            every = np.arange(rows[0], rows[-1] + 1, step)
+            if len(every) < SPECTRUM_ROWS:
                 continue
-            pair = np.stack([one.step[rows, place], floor.step[rows, place]]) * PER_SI[place]
+            pair = np.stack([one.step[every, place], floor.step[every, place]]) * PER_SI[place]
             frequency, power = welch(
-                pair, 1.0 / (step * one.run.period_s), nperseg=SPECTRUM_ROWS, detrend=False
+                np.nan_to_num(pair),
+                1.0 / (step * one.run.period_s),
+                nperseg=SPECTRUM_ROWS,
+                detrend=False,
             )
-            sums.append(power * len(rows))
-            weight += len(rows)
+            sums.append(power * len(every) ** 2 / len(rows))
+            weight += len(every)
     if not sums:
         return None
     mean = sum(sums[1:], sums[0]) / weight

@@ -1,0 +1,208 @@
+"""The installed ``compare`` and ``discrepancy``: what they write, and what they refuse."""
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE, GAINS
+from installed import COMMAND, groundstation, require_failure
+from stand_in_flights import recorded
+
+from groundstation.discrepancy.findings import CHANNELS
+from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport
+from groundstation.dynamics.model import load_model, save_model, vehicle_model
+from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.recording.recording_file import RecordingFile, session_metadata
+from groundstation.telemetry.samples import SampleBatch
+
+HIDDEN = {"velocity_moment": {"moment": 12.0}}
+
+
+def write(path, samples, **metadata):
+    out = RecordingFile(path, {"session": session_metadata("stand-in"), **metadata})
+    out.samples(samples)
+    out.finish()
+    return path
+
+
+def flight(seconds=40.0, **settings):
+    samples, _ = recorded(
+        seconds,
+        **{"seed": 3, "plant": "reduced", "gains": GAINS, "copies": 1, **settings},
+    )
+    return samples
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A flight with a hidden effect, one without, and the base model."""
+    folder = tmp_path_factory.mktemp("flights")
+    write(folder / "hidden.mcap", flight(effects=HIDDEN))
+    write(folder / "clean.mcap", flight())
+    save_model(BASE, folder / "base.json")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def searched(folder):
+    """The folder after a search on the flight with the hidden effect, and what was printed."""
+    done = subprocess.run(
+        [
+            *(COMMAND, "discrepancy", "hidden.mcap", "--model", "base.json"),
+            *("-o", "improved.json", "--json", "report.json"),
+            *("--html", "report.html", "--rerun", "shown.rrd"),
+        ],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "NO_COLOR": "1"},
+        timeout=280,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder, done.stdout
+
+
+def test_the_effect_is_named_and_the_gap_closes_on_the_held_out_third(searched):
+    folder, said = searched
+    report = msgspec.json.decode((folder / "report.json").read_bytes(), type=DiscrepancyReport)
+    assert [effect.name for effect in report.effects] == ["velocity_moment"]
+    assert report.validation == "last third"
+    (effect,) = report.effects
+    moment = effect.parameters["moment"]
+    assert abs(moment.value - 12.0) < 4 * moment.stderr
+    level = report.gap.validation
+    assert level.before > 1.5 > 1.1 > level.after
+    assert effect.gap.after == pytest.approx(level.after)
+    assert "1. velocity_moment" in said
+
+
+def test_the_report_has_the_keys_that_other_programs_read(searched):
+    folder, _ = searched
+    report = json.loads((folder / "report.json").read_text())
+    assert {"verdict", "effects", "where", "gap", "residual"} <= set(report)
+    (effect,) = report["effects"]
+    assert {"name", "order", "parameters", "evidence", "alternatives", "gap"} <= set(effect)
+    assert set(effect["parameters"]["moment"]) == {"value", "stderr", "unit"}
+    assert {"channel", "regime", "rms", "expected_rms"} <= set(report["where"][0])
+    gap = report["gap"]
+    assert {"unit", "floor_source", "validation", "train", "channels"} <= set(gap)
+    assert set(gap["channels"]) == set(CHANNELS)
+    for level in (gap["validation"], gap["train"], *gap["channels"].values()):
+        assert np.isfinite([level["before"], level["after"], level["noise_floor"]]).all()
+
+
+def test_the_improved_model_is_judged_at_the_floor_by_compare(searched):
+    folder, _ = searched
+    improved = load_model(folder / "improved.json")
+    assert [term.name for term in improved.effects] == ["velocity_moment"]
+    assert improved.fit["discrepancy"]["verdict"] == "effects_found"
+    done = groundstation(
+        "compare", "clean.mcap", "hidden.mcap", "--model", "improved.json", "--json", cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    report = msgspec.json.decode(done.stdout, type=CompareReport)
+    assert report.gap.validation.after is None
+    # The effect is in one of the two flights only: the model that has it is wrong on the other.
+    assert report.gap.channels["gyro_x"].before > 1.2
+
+
+def test_the_page_holds_every_figure_and_names_the_effect(searched):
+    folder, _ = searched
+    page = (folder / "report.html").read_text()
+    assert page.count("<svg") >= 6
+    for words in ("velocity_moment", "The gap closes", "All candidates", "How it is measured"):
+        assert words in page
+    assert ">nan<" not in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+
+
+def test_the_rerun_file_holds_measured_before_and_after_of_every_channel(searched):
+    from rerun.chunk import RrdReader
+
+    folder, _ = searched
+    rows = {}
+    for chunk in RrdReader(folder / "shown.rrd").stream():
+        if chunk.entity_path.startswith("/channels/"):
+            count = chunk.to_record_batch().num_rows
+            rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + count
+    for channel in CHANNELS:
+        for series in ("measured", "model", "improved model"):
+            entity = next(path for path in rows if path.replace("\\", "") ==
+                          f"/channels/{channel}/{series}")  # fmt: skip
+            assert rows[entity] > 1000
+
+
+def test_nothing_is_overwritten(searched):
+    folder, _ = searched
+    for option in ("-o", "--json", "--html", "--rerun"):
+        again = groundstation(
+            *("discrepancy", "hidden.mcap", "--model", "base.json", option, "report.html"),
+            cwd=folder,
+        )
+        assert "exists already" in require_failure(again)
+
+
+def test_compare_says_where_in_words_and_as_a_page(folder, tmp_path):
+    done = groundstation(
+        *("compare", "hidden.mcap", "--model", "base.json", "--html", tmp_path / "where.html"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "translation" in done.stdout
+    assert "gap over all channels" in done.stdout
+    assert (tmp_path / "where.html").read_text().count("<svg") >= 4
+
+
+@pytest.fixture(scope="module")
+def refused(folder):
+    """What the command says to a recording made of these samples."""
+
+    def refused(samples, command="discrepancy", model="base.json", *more, **metadata):
+        path = folder / f"refused{len(list(folder.iterdir()))}.mcap"
+        write(path, samples, **metadata)
+        return require_failure(groundstation(command, path, "--model", model, *more, cwd=folder))
+
+    return refused
+
+
+def without(samples, **columns):
+    whole = {
+        name: np.full_like(getattr(samples, name), np.nan) for name, gone in columns.items() if gone
+    }
+    return replace(samples, **whole)
+
+
+@pytest.mark.parametrize("command", ["compare", "discrepancy"])
+def test_a_recording_without_gyro_is_refused(refused, command):
+    assert "the gyro is not in the recording" in refused(without(flight(12.0), gyro=True), command)
+
+
+def test_less_than_five_seconds_are_refused(refused):
+    samples = flight(12.0)
+    assert isinstance(samples, SampleBatch)
+    assert "at least 5 s are needed" in refused(samples[2000:4000])
+
+
+def test_a_craft_that_stayed_on_the_ground_is_refused(refused):
+    assert "in the air" in refused(flight(12.0, program="wait"))
+
+
+def test_a_recording_labelled_with_another_vehicle_is_refused(refused):
+    said = refused(flight(12.0), vehicle={"profile": "crazyflie21"})
+    assert "the vehicle is 'crazyflie21', the model is for 'crazyflie1'" in said
+    assert "--vehicle crazyflie1" in said
+
+
+def test_a_model_of_another_configuration_is_refused_by_how_the_craft_answers(refused, folder):
+    save_model(vehicle_model(load_vehicle("crazyflie21")), folder / "other.json")
+    said = refused(flight(20.0), "compare", "other.json")
+    assert "roll answers to pitch torque" in said
+
+
+def test_a_model_that_is_not_for_the_given_vehicle_is_refused(refused):
+    said = refused(flight(12.0), "discrepancy", "base.json", "--vehicle", "crazyflie21")
+    assert "the model is for 'crazyflie1'" in said
