@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInputError
+from groundstation.links.base import LinkEvent
 from groundstation.links.factory import split_name
+from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import requests
+from groundstation.service.answers import Status
 from groundstation.service.config import settings
 from groundstation.service.station import Station
 
@@ -93,17 +96,17 @@ def operations(station: Station) -> list[Operation]:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
     return [
-        Operation("GET", "/status", "What the daemon is doing", status),
+        Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
         Operation("GET", "/events", "The latest events, oldest first", events,
-                  answer=list[dict[str, Any]]),
+                  answer=list[LinkEvent]),
         Operation("POST", "/record/start", "Begin a new recording", record_start),
         Operation("POST", "/record/stop", "Finish the recording", record_stop),
         Operation("POST", "/record/mark", "Put a note into the recording", record_mark,
                   requests.Mark, requests.Done),
         Operation("GET", "/recordings", "The folder's recordings by name", recordings,
-                  answer=list[dict[str, Any]]),
+                  answer=list[CatalogueEntry]),
         Operation("POST", "/link", "Receive from another link, recording on", switch,
-                  requests.LinkName),
+                  requests.LinkName, Status),
         Operation("GET", "/config", "Every key of the configuration in force", configuration),
         Operation("POST", "/config/reload", "Read the configuration again", reload,
                   answer=requests.Reloaded),

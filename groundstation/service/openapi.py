@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from groundstation import __version__
+from groundstation.service.answers import HealthStatus
 from groundstation.service.api import Operation
 
 _REFUSALS = {
@@ -25,13 +26,13 @@ _ERROR = {
 
 def openapi(operations: list[Operation]) -> dict[str, Any]:
     """The whole document. Requests are validated by the same types that it is made from."""
-    kinds = [operation.answer for operation in operations]
+    kinds = [HealthStatus, *(operation.answer for operation in operations)]
     kinds += [operation.body for operation in operations if operation.body is not None]
     schemas, components = msgspec.json.schema_components(
         kinds, ref_template="#/components/schemas/{name}"
     )
-    answers = schemas[: len(operations)]
-    bodies = iter(schemas[len(operations) :])
+    healthy, *rest = schemas
+    answers, bodies = rest[: len(operations)], iter(rest[len(operations) :])
     paths: dict[str, Any] = {}
     for operation, answer in zip(operations, answers, strict=True):
         described: dict[str, Any] = {
@@ -48,8 +49,8 @@ def openapi(operations: list[Operation]) -> dict[str, Any]:
             described["requestBody"] = {"required": True, "content": _json(next(bodies))}
         paths.setdefault(operation.path, {})[operation.method.lower()] = described
     health = {
-        "200": {"description": "Healthy", "content": _json({"type": "object"})},
-        "503": {"description": "Not healthy, and why", "content": _json({"type": "object"})},
+        "200": {"description": "Healthy", "content": _json(healthy)},
+        "503": {"description": "Not healthy, and why", "content": _json(healthy)},
     }
     paths["/health"] = {"get": {"summary": "Whether all is well", "responses": health}}
     paths["/metrics"] = {"get": _text("Figures for Prometheus", "text/plain")}

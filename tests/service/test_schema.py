@@ -4,12 +4,17 @@ import asyncio
 import http.client
 import json
 import socket
+import time
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from served_station import serve
 
+from groundstation.links.base import LinkEvent
+from groundstation.recording.catalogue import CatalogueEntry
+from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client
 from groundstation.service.config import Config, RecordingConfig
 
@@ -131,6 +136,22 @@ def answers_as_described(api, method, route, described):
             assert list(answer) == ["error"]
 
     check()
+
+
+def test_the_answers_are_of_the_types_that_make_the_schema(fuzz):
+    """Strictly: a key that the schema does not know is a mistake too."""
+    kinds = {"/status": Status, "/events": list[LinkEvent], "/recordings": list[CatalogueEntry],
+             "/health": HealthStatus}  # fmt: skip
+
+    def conversation(api):
+        time.sleep(1.2)  # statistics are there after a second
+        for route, kind in kinds.items():
+            _, answer = api.send("GET", route)
+            assert answer
+            msgspec.convert(answer, kind)
+        assert api.send("GET", "/status")[1]["statistics"] is not None
+
+    fuzz(conversation)
 
 
 def test_whatever_the_schema_allows_is_answered_as_it_says(fuzz):

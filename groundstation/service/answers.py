@@ -1,0 +1,104 @@
+"""What the control API tells of the daemon, as types: they make the schema that is published."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from groundstation.telemetry.statistics import LinkStatistics
+
+
+class LinkStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The telemetry link. lost: samples, since it was opened. latency_ms: median, of the last
+    second."""
+
+    name: str
+    state: Literal["closed", "opening", "streaming", "silent", "lost", "ended"]
+    rate_hz: float
+    lost: int
+    latency_ms: float | None
+
+
+class RecordingStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The present recording, or the last one. wanted: whether there should be one. dropped: items
+    that are not in the file. free_mb: on its disk. text: the last fault."""
+
+    state: Literal["off", "recording", "finished", "failed", "low_space"]
+    file: str | None
+    bytes: int
+    samples: int
+    raw_packets: int = 0
+    dropped: int
+    text: str = ""
+    wanted: bool
+    rotations: int
+    resumed: int
+    deleted: int
+    free_mb: float | None
+
+
+class ViewerStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The live view. urls: how to open it."""
+
+    state: Literal["off", "starting", "serving", "restarting", "failed"]
+    sent: int
+    dropped: int
+    restarts: int
+    urls: list[str]
+
+
+class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The command link. client: who commands. interventions: of the dead man."""
+
+    uri: str
+    state: Literal["closed", "connecting", "connected", "lost"]
+    client: str | None
+    setpoints: int
+    superseded: int
+    refused: int
+    interventions: int
+
+
+class StreamStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Clients of the live stream, and what all of them were too slow for."""
+
+    clients: int
+    dropped: int
+
+
+class TaskStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A supervised task."""
+
+    state: Literal["running", "waiting", "ended"]
+    restarts: int
+
+
+class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """healthy, and why not. loop_lag_ms: worst delay of the event loop in a minute; what the
+    process uses."""
+
+    healthy: bool
+    problems: list[str]
+    loop_lag_ms: float
+    cpu_s: float
+    memory_mb: float
+    descriptors: int
+    threads: int
+
+
+class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the daemon is doing. faults: of the program, survived. turned_away: requests beyond the
+    limits. statistics: of the link, None in the first second."""
+
+    link: LinkStatus
+    recording: RecordingStatus
+    viewer: ViewerStatus
+    command: CommandStatus | None
+    stream: StreamStatus
+    tasks: dict[str, TaskStatus]
+    health: HealthStatus
+    faults: int
+    turned_away: int
+    uptime_s: float
+    statistics: LinkStatistics | None
