@@ -149,7 +149,7 @@ def run_cascade(
     if thrust is None:
         thrust = plant.hover_mv / supply * 65536.0
     lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
-    angles, gyro, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
+    angles, gyro, pwm = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
     cascade_run(
         plant.record[0],
         firmware_of(gains, quirks, quantised)[0],

@@ -238,21 +238,24 @@ def cascade_run(
     y, work = np.zeros(STATES), np.zeros((3, STATES))
     y[0] = 1.0
     y[ROTOR : ROTOR + 4] = start_rev_s
-    past = np.zeros((rows, 7))
+    late = p.delay_s / period
+    depth = int(late) + 2
+    past = np.zeros((depth, 7))
     lagged, volts, found = np.zeros(3), np.zeros(4), np.zeros(3)
     mixed, desired = np.zeros(4), np.zeros(3)
     share = math.exp(-period / p.lag_s) if p.lag_s > 0.0 else 0.0
-    late = p.delay_s / period
     angle_dt = 0.002 if f.quirk_attitude_dt != 0 else 0.004
     for k in range(rows):
+        now = past[k % depth]
         for i in range(4):
-            past[k, i] = y[i]
+            now[i] = y[i]
         for axis in range(3):
             lagged[axis] = share * lagged[axis] + (1.0 - share) * y[RATE + axis]
-            past[k, 4 + axis] = lagged[axis]
+            now[4 + axis] = lagged[axis]
         at = max(k - late, 0.0)
-        low = min(int(at), k)
-        high, part = min(low + 1, k), at - low
+        first = min(int(at), k)
+        part = at - first
+        low, high = first % depth, min(first + 1, k) % depth
         for axis in range(3):
             value = past[low, 4 + axis]
             gyro[k, axis] = value + part * (past[high, 4 + axis] - value)
