@@ -23,6 +23,7 @@ from bench.sealed.cases import Case
 from bench.sealed.hidden import draw, planted, scaled
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.present import present_effects
+from firmware_sim.physics import parameters
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.recording_file import RecordingFile, session_metadata
 from groundstation.telemetry.decoder import decode_all
@@ -96,10 +97,13 @@ class Generator:
             fits = [folder / "fit1.mcap", folder / "fit2.mcap"]
             fit_body(fits, family / "motor.json", folder / "model.json", vehicle_of(folder))
         truth_settings = msgspec.convert(affected, StandInSettings)
+        present = present_effects(truth_settings)
+        if case.plant == "faithful":
+            present["dead_time"] = {"delay_s": _sensor_age(truth_settings, flights)}
         return Sealed(
             case.name,
             hidden,
-            present_effects(truth_settings),
+            present,
             significances(truth_settings, flights, _motor_covariance(family / "motor.json")),
             case.condition,
             affected,
@@ -211,6 +215,14 @@ def vehicle_of(folder: Path) -> str:
     """What ``--vehicle`` gets for the recordings of a folder."""
     profile = folder / VEHICLE
     return str(profile) if profile.exists() else "crazyflie1"
+
+
+def _sensor_age(
+    settings: StandInSettings, flights: list[tuple[SampleBatch, NDArray[np.void]]]
+) -> float:
+    """How old the faithful sensor's samples really were, s: the wait differs from start to start."""
+    lag_s = float(parameters(settings)[0]["dlpf_s"][0])
+    return lag_s + float(np.mean([truth["sensor_age_s"].mean() for _, truth in flights]))
 
 
 def _condition(case: Case) -> dict[str, Any]:
