@@ -220,7 +220,7 @@ def vehicle_of(folder: Path) -> str:
 def _sensor_age(
     settings: StandInSettings, flights: list[tuple[SampleBatch, NDArray[np.void]]]
 ) -> float:
-    """How old the faithful sensor's samples really were, s: the wait differs from start to start."""
+    """How old the faithful sensor's samples really were, s: its clock starts at any phase."""
     lag_s = float(parameters(settings)[0]["dlpf_s"][0])
     return lag_s + float(np.mean([truth["sensor_age_s"].mean() for _, truth in flights]))
 
