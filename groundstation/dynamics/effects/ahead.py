@@ -148,6 +148,42 @@ def predict_ahead(
     return fly_ahead(run, seen, airborne(seen, int(steps[-1]))[::stride], steps)
 
 
+def noise_of(model: Model, run: Flown) -> Noise:
+    """The noise of a craft in flight, for gains that suit it (vibration, rough air).
+
+    Steps of the gyro less what the torques explain: white sensor noise r and torque noise q give
+    them a variance q + 2 r and a covariance of -r from one row to the next. A model that is wrong
+    counts as torque noise. The whole run is used: for a live stream, take an earlier flight's.
+
+    Raises BadInputError where less than a second is in the air.
+    """
+    drive = drive_run(model, run)
+    one = drive.craft[0]
+    torque = drive.torques[1::2, 1:4].copy()
+    torque[:, 2] += drive.kick
+    steps = np.diff(run.gyro, axis=0) - run.period_s * torque / one["inertia"]
+    flying = _flying(run, drive)
+    used = flying[1:] & np.asarray(np.isfinite(steps).all(axis=1))
+    if used.sum() * run.period_s < 1.0:
+        raise BadInputError("less than a second in the air: the noise cannot be judged from it")
+    steps = np.where(used[:, None], steps - steps[used].mean(axis=0), 0.0)
+    variance = np.sum(steps**2, axis=0) / used.sum()
+    pairs = (used[1:] & used[:-1]).sum()
+    sensor = np.clip(-np.sum(steps[1:] * steps[:-1], axis=0) / pairs, 0.02 * variance, variance / 2)
+    push = np.sqrt(np.maximum(variance - 2.0 * sensor, 0.02 * variance)) / run.period_s
+    usual = Noise()
+    felt = run.accelerometer[flying][:, :2]
+    felt = felt[np.isfinite(felt).all(axis=1)]
+    return Noise(
+        torque=(float(push[0]), float(push[1]), float(push[2])),
+        force=usual.force,
+        gyro=float(np.sqrt(sensor[:2].mean())),
+        accelerometer=float(felt.std()) if len(felt) else usual.accelerometer,
+        attitude=usual.attitude,
+        speed=usual.speed,
+    )
+
+
 def drive_run(model: Model, run: Flown) -> Drive:
     """The motors of a model on a run's inputs.
 

@@ -12,6 +12,7 @@ from groundstation.dynamics.effects.ahead import (
     fly_ahead,
     fresh_rows,
     height_of,
+    noise_of,
     observe_run,
     predict_ahead,
 )
@@ -174,3 +175,27 @@ def test_horizons_must_lie_ahead_and_inside_the_run(clean):
         fly_ahead(clean, seen, [100], [0, 10])
     with pytest.raises(ValueError, match="leave the run"):
         fly_ahead(clean, seen, [len(clean) - 5], [10])
+
+
+def test_the_noise_of_a_flight_is_found_from_it(clean):
+    found = noise_of(BASE, clean)
+    assert found.torque == pytest.approx(Noise().torque, rel=0.2)
+    assert found.gyro == pytest.approx(Noise().gyro, rel=0.2)
+    rough, _ = flown(20.0, 2, torque_noise=6.0, sensor_noise=2.0)
+    found = noise_of(BASE, rough)
+    assert found.torque == pytest.approx(Noise().scaled(6.0, 2.0).torque, rel=0.2)
+    assert found.gyro == pytest.approx(2.0 * Noise().gyro, rel=0.2)
+
+
+def test_gains_that_know_the_vibration_predict_the_attitude_of_a_real_craft_better():
+    run, _ = flown(30.0, 9, plant="faithful", effects={})
+    angles = []
+    for noise in (None, noise_of(BASE, run)):
+        error = predict_ahead(BASE, run, HORIZONS, noise=noise).errors(run)[..., 6:8]
+        angles.append(np.sqrt(np.mean(error**2)))
+    assert angles[1] < 0.8 * angles[0]
+
+
+def test_noise_cannot_be_judged_on_the_ground(clean):
+    with pytest.raises(BadInputError, match="less than a second in the air"):
+        noise_of(BASE, clean[:500])
