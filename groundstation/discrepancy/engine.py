@@ -48,7 +48,8 @@ SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
-OTHER_CRAFT = 0.6
+OTHER_CRAFT = 0.8
+"""Two of c0, c1, c2 off by this much (in the logarithm) make it another craft's model."""
 DROWNED = 0.05
 """An effect that explains less than this share of the structure that is left is not believed."""
 USUAL: dict[str, float] = {
@@ -177,7 +178,7 @@ def _require_told(outcome: Outcome, problem: Problem) -> None:
         )
     fitted = {key: outcome.final.point[key] / problem.start[key] for key in ("c0", "c1", "c2")}
     strange = {key: r for key, r in fitted.items() if abs(np.log(max(r, 1e-3))) > OTHER_CRAFT}
-    if strange:
+    if len(strange) > 1:
         words = ", ".join(f"{key} would be {r:.2f} of the model's" for key, r in strange.items())
         raise BadInputError(
             f"{names}: the model does not belong to this craft ({words}); give the model that was"

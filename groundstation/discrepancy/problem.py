@@ -143,14 +143,6 @@ class Problem:
                 gradient[at] += weight @ away
         return Quadratic(normal, gradient, cost, found.parts)
 
-    def step(self, linear: Linear, total: Quadratic, keys: Sequence[str]) -> Fit:
-        """The minimum over ``keys`` of a quadratic, without evaluating anything there."""
-        at = linear.place(keys)
-        covariance = inverse(total.normal[np.ix_(at, at)])
-        change = covariance @ total.gradient[at]
-        cost = total.value - float(total.gradient[at] @ change)
-        return Fit(bounded(linear.point, keys, change), tuple(keys), cost, covariance)
-
     def fit(
         self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
     ) -> Fit:

@@ -140,8 +140,6 @@ def search(
         newcomer = _round(
             problem,
             validation,
-            linear,
-            total,
             now,
             scores,
             accepted,
@@ -212,8 +210,6 @@ def screen(
 def _round(
     problem: Problem,
     validation: Sequence[Flight],
-    linear: Linear,
-    total: Quadratic,
     now: Fit,
     scores: list[Scored],
     accepted: list[Accepted],
@@ -224,20 +220,21 @@ def _round(
     progress: Progress,
 ) -> Accepted | None:
     """Fit the best candidates and return the one to accept."""
-    before = problem.step(linear, total, now.keys)
+    shortlist = _shortlist(scores, reasons)
+    if not shortlist:
+        return None
+    before = problem.fit(now.point, now.keys, steps=1)
     fits: list[tuple[float, Scored, Fit]] = []
-    for one in _shortlist(scores, reasons):
+    for one in shortlist:
         progress(f"fitting {one.variant.effect}", -1.0)
         keys = (*now.keys, *one.variant.keys)
         fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
         fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
     fits.sort(key=lambda item: item[0], reverse=True)
-    if not fits:
-        return None
     best = fits[0][0]
     for gain, one, fit in fits:
         label = one.variant.label
-        if gain < SHARE * best:
+        if gain <= 0.0 or gain < SHARE * best:
             reasons.setdefault(label, f"explains less than {fits[0][1].variant.effect}")
             continue
         names = frozenset([label, *(other.variant.label for other in accepted)])
