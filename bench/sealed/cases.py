@@ -29,6 +29,8 @@ GROUPS = (
 )
 POWER_SIGMAS = (2.0, 4.0, 6.0, 9.0, 14.0, 25.0)
 """Sizes of the power curve, in standard errors of the Cramer-Rao bound."""
+NO_SMALL_SIZE = ("attitude_filter_lean", "gyro_low_pass")
+"""The lean is there or not; a gyro's lag of any bandwidth that flies is far above every limit."""
 PAIRS, TRIPLES = 30, 15
 
 
@@ -123,7 +125,7 @@ def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
             yield _case(group, (name,), seed, mode)
     else:
         for name in LISTED:
-            if name != "attitude_filter_lean":  # at the firmware's gains or absent
+            if name not in NO_SMALL_SIZE:
                 for sigmas in POWER_SIGMAS:
                     yield _case(group, (name,), seed, mode, sigmas)
 

@@ -78,7 +78,7 @@ class Generator:
         family = self.family(case)
         folder.mkdir(parents=True)
         craft = _craft(case, family)
-        hidden = self._hidden(case, craft)
+        hidden = _hidden(case, craft, family / "motor.json")
         affected = {**craft, "effects": hidden}
         condition = _condition(case)
         seconds = RESTART_FLIGHT_S if case.condition == "restart" else FLIGHT_S
@@ -138,26 +138,28 @@ class Generator:
         fit_body(paths, family / "motor.json", family / "base.json", vehicle_of(family))
         return family
 
-    def _hidden(self, case: Case, craft: dict[str, Any]) -> Effects:
-        generator = np.random.default_rng(case.number)
-        hidden: Effects = {}
-        for name in case.names:
-            values = draw(name, generator)
-            if case.sigmas:
-                values = _of_size(case, craft, name, values)
-            alone = case.seed % 2 == 1 or len(case.names) > 1 or case.sigmas > 0
-            hidden.update(planted(name, values, alone))
-        return hidden
+
+def _hidden(case: Case, craft: dict[str, Any], motor: Path) -> Effects:
+    generator = np.random.default_rng(case.number)
+    hidden: Effects = {}
+    for name in case.names:
+        values = draw(name, generator)
+        if case.sigmas:
+            values = _of_size(case, craft, motor, name, values)
+        alone = case.seed % 2 == 1 or len(case.names) > 1 or case.sigmas > 0
+        hidden.update(planted(name, values, alone))
+    return hidden
 
 
 def _of_size(
-    case: Case, craft: dict[str, Any], name: str, values: dict[str, float]
+    case: Case, craft: dict[str, Any], motor: Path, name: str, values: dict[str, float]
 ) -> dict[str, float]:
     """The drawn effect made so small that it is ``case.sigmas`` standard errors large."""
-    for _ in range(2):
+    for _ in range(3):
         trial = {**craft, "effects": planted(name, values, alone=True)}
         flights = [flown({**trial, "seed": flight_seed(case, k)}, FLIGHT_S) for k in range(2)]
-        found = significances(msgspec.convert(trial, StandInSettings), flights)[name]
+        settings = msgspec.convert(trial, StandInSettings)
+        found = significances(settings, flights, _motor_covariance(motor))[name]
         values = scaled(name, values, case.sigmas / found)
     return values
 
