@@ -18,7 +18,7 @@ RATE, ROTOR = 4, 7
 PWM_FULL = 4096.0
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inline="always")
 def _slope(p: Any, volts: Any, y: Any, dy: Any) -> None:
     """Motors (eq. 3.82), mixer (7.19), rotation (3.49-3.53, 3.18) and the effects of ``plant``."""
     roll, pitch, yaw, lift, spin, gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
