@@ -322,10 +322,13 @@ def airborne(seen: Observed, rows_ahead: int) -> Rows:
 def fresh_rows(attitude: Array) -> Mask:
     """Rows (n,) in which the attitude was computed anew: firmware does so every second row.
 
-    Where the values do not tell a rhythm of two, every row counts as new.
+    Rows without a value (NaN) are not new. Where the values do not tell a rhythm of two, every
+    row counts as new.
     """
-    changed = np.ones(len(attitude), np.bool_)
-    changed[1:] = (attitude[1:] != attitude[:-1]).any(axis=1)
+    known = np.asarray(np.isfinite(attitude).all(axis=1))
+    changed = known.copy()
+    rows = np.flatnonzero(known)
+    changed[rows[1:]] = (attitude[rows[1:]] != attitude[rows[:-1]]).any(axis=1)
     for first in (0, 1):
         mine, other = float(changed[first::2].mean()), float(changed[1 - first :: 2].mean())
         if mine > 0.2 and other < 0.02 + 2.0 / len(changed):

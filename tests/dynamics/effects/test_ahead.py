@@ -158,6 +158,23 @@ def test_a_rhythm_of_two_rows_is_seen_in_the_attitude(clean):
     assert fresh.mean() == pytest.approx(0.5, abs=0.001)
     assert (np.diff(clean.attitude, axis=0)[~fresh[1:]] == 0).all()
     assert fresh_rows(np.cumsum(np.ones((100, 3)), axis=0)).all()
+    # Held values may also be left out.
+    shown = np.where(fresh[:, None], clean.attitude, np.nan)
+    np.testing.assert_array_equal(fresh_rows(shown), fresh)
+
+
+def test_a_leaning_filter_is_predicted_as_well_where_held_angles_are_left_out():
+    run, _ = flown(30.0, 3, "attitude_filter_lean")
+    model = affected("attitude_filter_lean")
+    whole = predict_ahead(model, run, HORIZONS)
+    fresh = fresh_rows(run.attitude)
+    shown = replace(run, attitude=np.where(fresh[:, None], run.attitude, np.nan))
+    part = predict_ahead(model, shown, HORIZONS)
+    np.testing.assert_array_equal(part.rows, whole.rows)
+    angle = np.abs(np.angle(np.exp(1j * (part.attitude - whole.attitude))))
+    new = fresh[part.rows[:, None] + part.horizons]
+    assert new.any()
+    assert angle[new].max() < 1e-9
 
 
 def test_a_run_without_gyro_or_voltage_is_refused(clean):
