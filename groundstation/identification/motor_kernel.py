@@ -132,7 +132,7 @@ def motor_normal_equations(
     """
     total = 0.0
     last, count = len(speed) - 1, len(places)
-    row = np.empty(count)
+    row, slope, sums = np.empty(count), np.zeros(count), np.zeros((count, count))
     for k in range(len(speed)):
         if weight[k] == 0.0:
             continue
@@ -142,15 +142,20 @@ def motor_normal_equations(
         change = speed[i + 1] - speed[i]
         error = measured[k] - (speed[i] + share * change)
         for a in range(count - 1):
-            row[a] = sensitivity[i, a] + share * (sensitivity[i + 1, a] - sensitivity[i, a])
+            one = sensitivity[i, a]
+            row[a] = one + share * (sensitivity[i + 1, a] - one)
         row[count - 1] = -change
         w = weight[k]
         total += w * error * error
         for a in range(count):
             part = w * row[a]
-            gradient[places[a]] += part * error
+            slope[a] += part * error
             for b in range(a + 1):
-                normal[places[a], places[b]] += part * row[b]
+                sums[a, b] += part * row[b]
+    for a in range(count):
+        gradient[places[a]] += slope[a]
+        for b in range(a + 1):
+            normal[places[a], places[b]] += sums[a, b]
     for a in range(count):
         for b in range(a):
             normal[places[b], places[a]] = normal[places[a], places[b]]

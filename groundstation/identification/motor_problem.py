@@ -54,6 +54,8 @@ class MotorProblem:
         self._room = [
             (np.empty(len(run.rev_s)), np.empty((len(run.rev_s), columns))) for run in runs
         ]
+        self._simulated: list[bytes] = [b""] * len(runs)
+        """The parameters behind what each room holds."""
         self._used = [0, 1, 2, 3, *(4 + list(EFFECTS).index(name) for name in self.effects)]
 
     def theta(self, constants: ArrayLike, delay_s: float = 0.0) -> Array:
@@ -74,6 +76,10 @@ class MotorProblem:
 
         run, (speed, sensitivity) = self.runs[index], self._room[index]
         start = theta[self.starts + index]
+        asked = theta.tobytes()
+        if asked == self._simulated[index]:
+            return speed, sensitivity[:, self._used] if self.effects else sensitivity
+        self._simulated[index] = asked
         if not self.effects:
             motor_sensitivities(theta[:3], run.voltage_mv, run.period_s, start, speed, sensitivity)
             return speed, sensitivity
@@ -120,7 +126,7 @@ class MotorProblem:
 
         coarse: delay and effects are held, and less precision will do.
         """
-        damping, tolerance = 1e-6, 1e-4 if coarse else 1e-8
+        damping, tolerance = 1e-6, 1e-4 if coarse else 1e-7
         free = np.ones(self.size, np.bool_)
         if coarse:
             free[DELAY : self.starts] = False
@@ -196,10 +202,8 @@ class MotorProblem:
                 jacobian[:, place] = at_age(run, rows, values, theta[DELAY])
             score = jacobian * ((measured - modelled) * weight[rows])[:, None]
             length = max(round(BLOCK_S / run.period_s), len(run.rev_s) // MOST_BLOCKS)
-            block = rows // length
-            sums = np.zeros((int(block.max()) + 1, self.size))
-            np.add.at(sums, block, score)
-            found.append(sums)
+            begins = np.flatnonzero(np.diff(rows // length, prepend=-1))
+            found.append(np.add.reduceat(score, begins))
         return np.vstack(found)
 
     def _within(self, theta: Array) -> bool:
