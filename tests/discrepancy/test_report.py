@@ -1,0 +1,127 @@
+"""Reports say what was found, for programs and for people."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE
+from compared_flights import flights
+from made_findings import NAME, findings, proof, report
+
+from groundstation.discrepancy.comparison import compare
+from groundstation.discrepancy.findings import CHANNELS, Leftover, Verdict
+from groundstation.discrepancy.report_figures import evidence_bars, waterfall, where_map
+from groundstation.discrepancy.report_html import compare_page, discrepancy_page
+from groundstation.discrepancy.report_json import (
+    CompareReport,
+    DiscrepancyReport,
+    gap_of,
+    where_rows,
+)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return findings()
+
+
+@pytest.fixture(scope="module")
+def proven(found):
+    return proof(found)
+
+
+def test_the_report_survives_the_way_through_json(found, proven):
+    written = report(found, proven)
+    read = msgspec.json.decode(msgspec.json.encode(written), type=DiscrepancyReport)
+    assert read == written
+
+
+def test_the_gap_of_a_channel_is_its_error_over_its_floor_in_any_unit(found, proven):
+    gap = report(found, proven).gap
+    for name, channel in gap.channels.items():
+        own = channel.own_unit
+        assert channel.noise_floor == 1.0
+        assert channel.before == pytest.approx(own.before / own.noise_floor), name
+        assert channel.after == pytest.approx(own.after / own.noise_floor), name
+        assert set(own.horizons) == {"20ms", "50ms"}
+        squares = [level.before**2 for level in own.horizons.values()]
+        assert min(squares) <= own.before**2 <= max(squares)
+    ratios = [channel.before for channel in gap.channels.values()]
+    assert gap.validation.before == pytest.approx(np.sqrt(np.mean(np.square(ratios))))
+
+
+def test_each_effect_carries_the_gap_before_and_after_it_joined(found, proven):
+    (effect,) = report(found, proven).effects
+    assert effect.gap.before == proven.steps[1][1]
+    assert effect.gap.after == proven.steps[2][1]
+    assert effect.gap.after < 1.1 < effect.gap.before
+
+
+def test_a_channel_that_was_not_recorded_is_absent_from_the_report():
+    runs = [replace(run, attitude=np.full((len(run), 3), np.nan)) for run in flights(1)]
+    judged = compare(runs, BASE)
+    gap = gap_of(judged)
+    assert set(gap.channels) == set(CHANNELS[:6])
+    text = msgspec.json.encode(CompareReport(where_rows(judged), gap, ["a"], "m"))
+    assert msgspec.json.decode(text, type=CompareReport).gap == gap
+    assert {row.channel for row in where_rows(judged)} == set(CHANNELS[:6])
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (Verdict.NO_DISCREPANCY, "No discrepancy that these recordings could show."),
+        (Verdict.UNEXPLAINED, "Unexplained: no effect in the list describes it."),
+    ],
+)
+def test_the_page_opens_with_the_verdict(verdict, words):
+    one = findings(verdict)
+    shown = proof(one)
+    assert words in discrepancy_page(one, shown, report(one, shown)).html()
+
+
+def test_the_page_says_what_is_left_what_cannot_be_shown_and_what_it_could_also_be(proven):
+    left = Leftover("structured", "gyro_x", (1.5, 3.0), "tilt, roll", 4.0)
+    one = findings(residual=left)
+    page = discrepancy_page(one, proven, report(one, proven)).html()
+    assert f"Found: {NAME}." in page
+    assert "structure in gyro x at 1.5, 3 Hz, most like tilt, roll" in page
+    assert "take off and land" in page
+    assert "attitude_filter_lean: needs attitude" in page
+    assert "could also be rate_damping (margin 9.0)" in page
+    assert "not &lt;significant&gt;" in page
+    assert page.count("<svg") == 8
+
+
+def test_a_model_as_good_as_noise_is_told_so():
+    (run,) = flights(1)
+    good = compare([run], BASE)
+    made = CompareReport(where_rows(good), gap_of(good), ["a.mcap"], "base.json")
+    page = compare_page(good, made).html()
+    assert "as well as noise allows" in page
+    assert "A closer look" not in page
+
+
+def test_the_map_starts_with_the_whole_flight_and_writes_each_ratio(proven):
+    made = where_map([("before", proven.before.places)])
+    ticks = [label.get_text() for label in made.axes[0].get_xticklabels()]
+    assert ticks[0] == "whole flight"
+    place = next(p for p in proven.before.places if p.regime == "whole flight")
+    texts = {text.get_text() for text in made.axes[0].texts}
+    assert f"{place.rms / place.expected_rms:.2f}" in texts
+
+
+def test_bars_are_green_where_accepted_and_say_why_where_not(found):
+    axis = evidence_bars(found.candidates).axes[0]
+    notes = [text.get_text() for text in axis.texts]
+    assert notes == ["accepted", "not <significant>"]
+    first, second = (bar.get_facecolor() for bar in axis.patches)
+    assert first != second
+
+
+def test_the_waterfall_ends_where_the_last_step_ended(proven):
+    axis = waterfall(proven.steps).axes[0]
+    given, *_, improved = axis.patches
+    assert given.get_width() == pytest.approx(proven.steps[0][1])
+    assert improved.get_width() == pytest.approx(proven.steps[-1][1])

@@ -1,0 +1,72 @@
+"""Findings of a search that never ran, beside real comparisons: for tests of reports."""
+
+from affected_flights import BASE, MEDIUM, affected
+from compared_flights import hidden, judged
+
+from groundstation.discrepancy.findings import (
+    Alternative,
+    Candidate,
+    Findings,
+    FoundEffect,
+    Leftover,
+    NotShown,
+    Verdict,
+)
+from groundstation.discrepancy.proof import Proof
+from groundstation.discrepancy.report_json import findings_report
+from groundstation.dynamics.model import Estimate
+
+NAME = "velocity_moment"
+
+
+def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
+    """One effect found, or none."""
+    found = FoundEffect(
+        NAME,
+        1,
+        {"moment": Estimate(15.0, 0.2, "rad/s^2 per m/s")},
+        {"likelihood_ratio": 5000.0, "t": 60.0, "held_out": 2300.0},
+        (Alternative("rate_damping", 9.0, "hover doublets"),),
+        4.0,
+        1.0,
+        ("gyro_x", "gyro_y"),
+        affected(NAME),
+    )
+    some = verdict is Verdict.EFFECTS_FOUND
+    return Findings(
+        verdict=verdict,
+        effects=(found,) if some else (),
+        base=BASE,
+        model=affected(NAME) if some else BASE,
+        candidates=(
+            Candidate(NAME, {}, 5000.0, 60.0, 2300.0, some, "" if some else "not plausible"),
+            Candidate("rate_damping", {}, 900.0, 20.0, 0.0, False, "not <significant>"),
+        ),
+        not_shown=(NotShown("ground_effect", "gain", 2.0, 0.25, "", "take off and land"),),
+        lost={"attitude_filter_lean": "attitude"},
+        channels={},
+        residual=residual or Leftover("white"),
+        warnings=("motor assumed known by 2 %",),
+    )
+
+
+def proof(found):
+    """The given model and the found one on a flight with the effect."""
+    before = judged(effects=hidden(NAME, MEDIUM[NAME]))
+    after = before.with_model(found.model)
+    steps = [("given model", before.gap), ("constants fitted again", before.gap)]
+    steps += [(one.name, after.beside(before)) for one in found.effects]
+    return Proof(before, after, before, after, tuple(steps))
+
+
+def report(found, proven):
+    """The report on them."""
+    return findings_report(
+        found,
+        proven,
+        recordings=["a.mcap"],
+        validation=["b.mcap"],
+        model="base.json",
+        seed=0,
+        created_by="test",
+    )
