@@ -36,7 +36,7 @@ Row = tuple[str, float, float, str]
 
 TESTS = Path(__file__).parents[1] / "tests"
 SEEDS = 8
-PASSES = 2_000
+PASSES = 5_000
 
 
 def rows() -> Iterator[Row]:
