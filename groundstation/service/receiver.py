@@ -177,15 +177,15 @@ class Receiver:
                 return await ended()
             except LinkLostError:
                 self._lose()
-            except LinkError as error:
+            except GroundStationError as error:
+                if not isinstance(error, LinkError) and not self._opened:
+                    raise  # what never worked never will; what did may have been caught in leaving
                 if self.link.state is not LinkState.CLOSED:
                     self._lose()  # it was open: reading failed
                 self._away = self._away or LinkState.OPENING
                 if str(error) != self._missing:
                     self._missing = str(error)
                     self._telling.note("waiting", self._missing, source=self.link.name)
-            except GroundStationError:
-                raise
             except Exception as error:
                 self._telling.fault(f"receiving failed: {error!r}", source=self.link.name)
                 if self.link.finite:  # opened again it would begin anew

@@ -175,7 +175,7 @@ def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tm
     asyncio.run(session())
     first, second = sorted(tmp_path.glob("*.mcap"))
     assert len(open_recording(first).samples) == 25
-    assert len(open_recording(second).samples) >= 200
+    assert len(open_recording(second).samples) > 100
 
 
 @pytest.mark.parametrize(

@@ -159,6 +159,18 @@ def test_a_link_that_can_never_work_ends_the_station_and_leaves_no_file(run, tmp
     assert not (tmp_path / "sessions").exists()
 
 
+def test_a_link_that_once_worked_is_waited_for_whatever_opening_it_says(run):
+    """A port may go in the very moment in which it is opened, and look like no port at all."""
+    first, _ = flight(0, 50)
+    second, _ = flight(1000, 50)
+    script = [first, LinkLostError("unplugged"), later(second, 0.0)]
+    link = ScriptedLink(script, refuse=[None, BadInputError("is no serial port")])
+    station, recording = run(link)
+    assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
+    waiting = [event.text for event in station.events if event.kind == "waiting"]
+    assert waiting == ["is no serial port"]
+
+
 def test_a_fault_of_the_link_is_survived_counted_and_told(run):
     first, _ = flight(0, 50)
     second, _ = flight(1000, 50)

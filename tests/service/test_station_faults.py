@@ -330,6 +330,7 @@ def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time
                 while station.receiver.decoder.counts().samples < wanted:
                     flown_s += 0.01
                     port.send(craft.advance(flown_s)[0])
+                    assert not running.done(), running
                     await asyncio.sleep(0.002)
             await until(lambda: station.link_state() in (LinkState.LOST, LinkState.OPENING))
             if cycle in (cycles // 5, cycles - 1):
