@@ -87,7 +87,7 @@ def fit_motor(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        (vehicle, model, select, segment),
+        *(vehicle, model, select, segment),
     )
 
 
@@ -127,7 +127,7 @@ def fit_body(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        (vehicle, model, select, segment),
+        *(vehicle, model, select, segment),
     )
 
 
@@ -171,7 +171,7 @@ def fit_arx(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        (vehicle, model, select, segment),
+        *(vehicle, model, select, segment),
     )
 
 
@@ -196,12 +196,14 @@ class _Task:
 def _carry_out(
     identify: Callable[[_Task, Progress], Identified],
     files: _Files,
-    given: tuple[str, str | None, str, list[str] | None],
+    vehicle: str,
+    model: str | None,
+    select: str,
+    segment: list[str] | None,
 ) -> None:
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.segments import parse_selection
 
-    vehicle, model, select, segment = given
     require_new(files.output)
     if files.html is not None:
         require_new(files.html)

@@ -46,6 +46,7 @@ from groundstation.identification.supply import SupplyEstimate, supply_terms, un
 Array = NDArray[np.float64]
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
+OF_THE_MOTORS = (*SUPPLY_EFFECTS, "motor_dead_voltage", "motor_braking_asymmetry")
 
 
 def identify_body(
@@ -65,12 +66,15 @@ def identify_body(
     what this fit knows of them is fitted again. held: what no fit sees (none: the last third).
     measured: recorded rotor speeds instead of the motor model.
     """
-    names = fitted_effects(effects, before, FIT_WITH)
-    supplied = [name for name in names if name in SUPPLY_EFFECTS]
-    if supplied and measured:
+    pointless = [name for name in effects if name in OF_THE_MOTORS]
+    if pointless and measured:
         raise BadInputError(
-            f"--with {', '.join(supplied)}: with measured rotor speeds the supply does not matter"
+            f"--with {', '.join(pointless)}: with measured rotor speeds it does not matter what"
+            " drives the motors"
         )
+    known = [name for name in FIT_WITH if not (measured and name in OF_THE_MOTORS)]
+    names = fitted_effects(effects, before, known)
+    supplied = [name for name in names if name in SUPPLY_EFFECTS]
     progress(0.0, "simulating the motors")
     stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
     if held:

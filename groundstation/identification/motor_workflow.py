@@ -73,17 +73,18 @@ def identify_motor(
     unknown = sorted(set(effects) - set(KNOWN))
     if unknown:
         raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
-    names = fitted_effects(effects, before, KNOWN)
     fit_on, validate_on = _parts(
         _turning(runs, selection), _turning(held, selection) if held else []
     )
     measured = bool(np.isfinite(fit_on[0].rotor_rev_s).any())
-    supplied = [name for name in names if name in (LAG, SAG)]
-    if supplied and measured:
+    pointless = [name for name in effects if name in (LAG, SAG)]
+    if pointless and measured:
         raise BadInputError(
-            f"--with {', '.join(supplied)}: needs bench recordings, on which all motors are"
+            f"--with {', '.join(pointless)}: needs bench recordings, on which all motors are"
             " driven alike"
         )
+    names = fitted_effects(effects, before, tuple(EFFECTS) if measured else KNOWN)
+    supplied = [name for name in names if name in (LAG, SAG)]
     progress(0.1, "looking at the excitation")
     judged = motor_excitation(_motor_runs(fit_on, motor, measured))
     progress(0.2, "fitting the motor")

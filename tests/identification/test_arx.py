@@ -10,6 +10,7 @@ from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.arx import (
     Criterion,
+    arx_estimates,
     free_run_rms,
     plausible_step,
     prediction_rms,
@@ -17,7 +18,7 @@ from groundstation.identification.arx import (
     search_arx,
     to_control,
 )
-from groundstation.identification.arx_data import ArxData, arx_data
+from groundstation.identification.arx_data import ArxData, arx_data, input_shows
 from groundstation.identification.arx_kernel import steps_ahead
 from groundstation.identification.residual_tests import cross_correlation_test, whiteness_test
 from groundstation.identification.runs import flying, hold_out, runs_of
@@ -168,6 +169,56 @@ def test_a_roll_model_serves_pitch_as_well(flights):
     on_roll = free_run_rms(search.chosen.axis, axis_data(held, "roll", channel="gyro"), 0.1)
     on_pitch = free_run_rms(search.chosen.axis, axis_data(held, "pitch", channel="gyro"), 0.1)
     assert on_pitch < 1.3 * on_roll
+
+
+def test_coefficients_come_with_a_covariance_that_holds():
+    """Over 30 noises: the spread of the coefficients is what the covariance says."""
+    found, errors = [], []
+    for seed in range(30):
+        data = made(TRUE, rows=2000, seed=seed, noise=2e-5)
+        axis = search_arx([data], [data], [2], [1], [3]).chosen.axis
+        estimates = arx_estimates(axis, [data])
+        assert estimates.names == ("a1", "a2", "b1")
+        found.append(estimates.values)
+        errors.append(estimates.stderr)
+    spread = np.std(found, axis=0)
+    np.testing.assert_allclose(np.mean(errors, axis=0), spread, rtol=0.35)
+    assert estimates.correlation[0, 1] < -0.9
+
+
+def test_whether_the_input_shows_at_all_is_told_before_a_search():
+    data = made(TRUE, seed=1)
+    assert input_shows([data]) > 100
+    generator = np.random.default_rng(2)
+    strange = ArxData("strange", data.period_s, generator.permutation(data.inputs), data.outputs)
+    assert input_shows([strange]) < 2.5
+
+
+def test_on_the_faithful_craft_decimated_rates_leave_residuals_that_do_not_follow_the_input(
+    flights,
+):
+    """Averaging over 8 rows takes most of the vibration away, which no small model could hold."""
+    for axis in ("roll", "pitch"):
+        fit, held = (
+            axis_data(runs, axis, channel="gyro", decimate=8) for runs in flights["faithful"]
+        )
+        chosen = search_arx(fit, held, criterion=Criterion.PREDICTION).chosen
+        left = residuals(chosen.axis, held[0])
+        rows = sum(len(one.outputs) for one in fit)
+        inputs = held[0].inputs[-len(left) :]
+        assert cross_correlation_test(left, inputs, fitted_rows=rows).passes
+        assert chosen.plausible
+        assert chosen.axis.nk <= 1
+
+
+def test_decimation_of_rates_averages_both_sides_alike(flights):
+    (run,) = flights["faithful"][1]
+    full = arx_data(run, "roll", THESIS_MOTOR, channel="gyro")
+    slow = arx_data(run, "roll", THESIS_MOTOR, channel="gyro", decimate=4)
+    for name in ("inputs", "outputs"):
+        values = getattr(full, name)
+        np.testing.assert_allclose(getattr(slow, name)[0], values[1:5].mean())
+    assert np.std(slow.outputs) < np.std(full.outputs)
 
 
 def test_decimation_keeps_the_fresh_angles_and_averages_the_torque(flights):

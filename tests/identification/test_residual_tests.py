@@ -42,3 +42,19 @@ def test_an_input_that_acts_late_shows_at_its_lag():
 def test_signals_of_different_length_are_refused():
     with pytest.raises(ValueError, match="length"):
         cross_correlation_test(np.zeros(10), np.zeros(11))
+
+
+def test_on_held_out_data_the_bound_allows_for_what_the_fit_could_not_know():
+    """y = b u + e, b fitted on half as many rows: plain bounds reject far too often."""
+    generator = np.random.default_rng(4)
+    passed = {None: 0, 400: 0}
+    for _ in range(300):
+        u, e = generator.normal(size=(2, 1200))
+        y = 0.5 * u + e
+        gain = (u[:400] @ y[:400]) / (u[:400] @ u[:400])
+        left, inputs = y[400:] - gain * u[400:], u[400:]
+        for rows in passed:
+            test = cross_correlation_test(left, inputs, lags=0, fitted_rows=rows)
+            passed[rows] += bool(abs(test.values[0]) < test.bound)
+    assert passed[None] < 0.93 * 300
+    assert passed[400] > 0.97 * 300
