@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 LARGEST_RATIO = 10.0
 """Where the colours of a map end: what is beyond is wrong at a look anyway."""
+WORTH_A_NUMBER = 1.1
 MOST_BARS = 23
 
 
@@ -50,6 +51,8 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
         image = _heat(axis, ratio)
         for row, column in np.argwhere(np.isfinite(ratio)):
             value = ratio[row, column]
+            if column > 0 and value < WORTH_A_NUMBER:
+                continue
             dark = value < np.sqrt(LARGEST_RATIO)
             axis.text(
                 *(column, row, f"{value:.2f}" if value < 9.995 else f"{value:.0f}"),

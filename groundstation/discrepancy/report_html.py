@@ -24,7 +24,8 @@ CLEAR = 3.0
 SPECTRA = 3
 MAP_TEXT = (
     "Prediction errors 20 and 50 ms ahead over what noise alone leaves of them in the same rows;"
-    " 1 is noise. Regimes overlap, and a blank cell did not occur or lacks its channel."
+    " 1 is noise; numbers from 1.1 on, and for the whole flight. Regimes overlap; a grey cell did"
+    " not occur or lacks its channel."
 )
 FLOOR_TEXT = (
     "An unstable craft cannot be simulated freely over a flight: at every row the model starts"
