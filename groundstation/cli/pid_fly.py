@@ -179,7 +179,7 @@ def _flight(
         ask(path, "POST", "/record/start")
     return {
         "aborted": aborted,
-        "recording": status["file"],
+        "recording": status.get("path") or status["file"],
         "gains": {name: before[name] for name in before if name.startswith("pid_")} | wanted,
         "restored": sorted(back),
     }
@@ -401,6 +401,12 @@ def _judge(
         from groundstation.dynamics.model import load_model
         from groundstation.recording.open_recording import open_recording
 
+        if not Path(report["recording"]).exists():
+            raise BadInputError(
+                f"the flight was recorded to {report['recording']}, which is not here: the daemon"
+                " runs in another folder; start pid fly there, or give it an absolute"
+                " recording.folder"
+            )
         loaded = None if model is None else load_model(model)
         recording = open_recording(Path(report["recording"]))
         flown = analyse_recording(recording, loaded, report["gains"], CLIENT)

@@ -21,7 +21,7 @@ Shape = Literal["doublet", "step", "level"]
 SHAPES: tuple[Shape, ...] = ("doublet", "step", "level")
 
 RATE_HZ = 100
-SETTLE_S = 3.0
+SETTLE_S = 2.0
 """Level flight before the first manoeuvre and after the last: the hover settles, the pilot too."""
 ANGLE_MOST_DEG, YAW_MOST_DPS = 25.0, 200.0
 GRAVITY = 9.81

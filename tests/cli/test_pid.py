@@ -137,7 +137,7 @@ def test_a_gain_that_cannot_be_is_refused_before_anything_is_reached(tmp_path, v
 def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
     plan = json.loads(pid("fly", "--gains", GAINS, "--dry-run", "--json"))
-    assert plan["programme"]["seconds"] == pytest.approx(6 + 3 * 8 * 3)
+    assert plan["programme"]["seconds"] == pytest.approx(4 + 3 * 8 * 3)
     assert plan["programme"]["reach_m"] == pytest.approx(1.73, abs=0.01)
     assert plan["gains"]["pid_rate.yaw_kp"] > 0
     assert "10 deg" in pid("fly", "--dry-run")

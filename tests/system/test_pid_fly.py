@@ -19,6 +19,7 @@ from groundstation.service.client import Pilot, ask
 DATA = Path(__file__).parents[1] / "control" / "data"
 BODY, GAINS = DATA / "body.json", DATA / "gains.toml"
 SHORT = ("--axis", "roll", "--repeat", "2", "--hold", "0.6", "--rest", "0.4")
+ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
 GAIN = "pid_rate.roll_kp"
 STOCK, DESIGNED = 70.0, 2.847
 
@@ -39,6 +40,13 @@ def port():
 def connected(status):
     command = status["command"]
     return command is not None and command["state"] == "connected"
+
+
+def require_flown(stderr):
+    """Skips where the machine was too busy to fly in real time, which ends a flight."""
+    if "no telemetry for" in stderr and os.getloadavg()[0] > 2 * (os.cpu_count() or 1):
+        pytest.skip(f"machine too busy for real time: {stderr.splitlines()[-1]}")
+    raise AssertionError(stderr)
 
 
 class Station:
@@ -80,7 +88,8 @@ class Station:
 
     def _in_programme(self, flight):
         def look():
-            assert flight.poll() is None, flight.stderr.read()
+            if flight.poll() is not None:
+                require_flown(flight.stderr.read())
             return "pid fly programme" in self.marks()
 
         return look
@@ -113,7 +122,8 @@ def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tm
     flight = station.fly(
         "--gains", GAINS, "--model", BODY, *SHORT, "--restore", "--html", page, "--json"
     )
-    assert flight.returncode == 0, flight.stderr
+    if flight.returncode:
+        require_flown(flight.stderr)
     report = json.loads(flight.stdout)
     roll = report["axes"]["roll"]
     assert roll["edges"] == 6
@@ -202,13 +212,15 @@ def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
         try:
             until(name.exists, "the pseudo-terminal is there")
             command = ("--command", f"udp://127.0.0.1:{port}")
-            with Daemon(tmp_path, "--link", f"serial:{name}", *command) as daemon:
+            sessions = ("--recordings", tmp_path / "sessions")
+            with Daemon(tmp_path, "--link", f"serial:{name}", *command, *sessions) as daemon:
                 daemon.status_when(connected, "the command link is connected")
                 station = Station(daemon, tmp_path)
-                flight = station.fly("--gains", GAINS, "--model", BODY, *SHORT, "--json")
-                assert flight.returncode == 0, flight.stderr
+                flight = station.fly("--gains", GAINS, "--model", BODY, *ONCE, "--json")
+                if flight.returncode:
+                    require_flown(flight.stderr)
                 report = json.loads(flight.stdout)
-                recording = open_recording(Path(daemon.folder, report["recording"]))
+                recording = open_recording(Path(report["recording"]))
                 assert recording.link == f"serial:{name}"
                 roll = report["axes"]["roll"]
                 assert roll["measured"]["rms"] == pytest.approx(roll["predicted"]["rms"], rel=0.2)
