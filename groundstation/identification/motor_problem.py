@@ -21,6 +21,8 @@ LARGEST_DEAD_MV, FACTORS = 1500.0, (0.05, 5.0)
 OUTLIER = 4.5
 """Readings further from the model than so many robust standard deviations are glitches."""
 STEPS = 50
+WITHIN_NOISE = 0.01
+"""Gain, in squared standard deviations of one reading, that is not worth another try."""
 BLOCK_S, MOST_BLOCKS = 0.5, 100
 
 
@@ -130,12 +132,14 @@ class MotorProblem:
         free = np.ones(self.size, np.bool_)
         if coarse:
             free[DELAY : self.starts] = False
+        readings = sum(int(np.count_nonzero(one)) for one in weights)
         normal, gradient, cost = self.system(weights, theta)
         for _ in range(STEPS):
             damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
             step = np.zeros(self.size)
             step[free] = np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
-            if float(step @ gradient) <= tolerance * cost:
+            gain = float(step @ gradient)
+            if gain <= tolerance * cost:
                 break
             trial = theta + step
             if self._within(trial):
@@ -147,8 +151,9 @@ class MotorProblem:
                 damping = max(damping * 0.1, 1e-12)
             else:
                 damping *= 10.0
-                if damping > 1e9:
-                    break
+            # Readings between rows make the cost rough at the scale of their noise.
+            if damping > 1e9 or gain <= WITHIN_NOISE * cost / readings:
+                break
         return theta, normal
 
     def compare(self, theta: Array) -> list[tuple[Array, Array]]:
