@@ -17,9 +17,11 @@ Array = NDArray[np.float64]
 LEAST_FLIGHT_S = 3.0
 WINDOW_S = 0.05
 """Over which a torque's answer is judged: longer than any delay of a sensor that still flies."""
-CROSSED = 0.45
-"""Share of an axis's own answer that torque about the other axis may seem to have."""
-OWN = (0.1, 5.0)
+CROSSED = 0.4
+"""Answer of roll to pitch torque, and the reverse of pitch to roll torque, from which the rotors
+sit elsewhere: by 45 degrees it is the axes' own answer. A craft whose own answers are small
+(blade flapping pushes back within 50 ms) is no reason to refuse."""
+OWN = (-CROSSED, 5.0)
 THRUST = (0.5, 2.0)
 """What another craft's answer and thrust are beyond: no effect in the list goes so far."""
 
@@ -75,8 +77,8 @@ def require_vehicle(errors: Sequence[AheadErrors], model: Model) -> None:
             raise _other(one, model, f"its thrust is {ratio:.2f} of what the model says")
         gains = _answers(one)
         own = np.diag(gains)
-        crossed = max(abs(gains[0, 1]), abs(gains[1, 0])) / max(own[:2].min(), 1e-6)
-        if crossed > CROSSED:
+        crossed = min(abs(gains[0, 1]), abs(gains[1, 0]))
+        if crossed > CROSSED and gains[0, 1] * gains[1, 0] < 0:
             what = (
                 "roll answers to pitch torque and pitch to roll torque (configuration"
                 f" '{vehicle.configuration}' of the model: is the craft's another?)"
