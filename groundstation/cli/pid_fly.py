@@ -11,7 +11,7 @@ import typer
 
 from groundstation.cli.left_changed import changes_left, forget_changes, note_changes
 from groundstation.cli.model_files import AS_JSON, require_new
-from groundstation.cli.sticks import Source, open_sticks
+from groundstation.cli.sticks import Source, StandInPilot, open_sticks
 from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
@@ -145,6 +145,8 @@ def _flight(
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
         real = not uri.startswith("udp://")
+        if real and thrust == "stand-in":
+            raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
         with open_sticks(thrust or ("keyboard" if real else "stand-in")) as sticks:
             before = pilot.parameters()
             if left is not None:
@@ -154,7 +156,7 @@ def _flight(
                 raise BadInputError("not flown")
             recording = _begin_recording(path)
             changed = dict(wanted)
-            if HOLD_HEIGHT in before and thrust in ("", "stand-in"):
+            if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):
                 changed[HOLD_HEIGHT] = 1.0
             saved = {name: before[name] for name in changed}
             if changed:
@@ -327,7 +329,6 @@ def _command(pilot: Pilot, programme: Programme, sticks: Source) -> str:
 
 def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> str:
     """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
-    from groundstation.cli.sticks import StandInPilot
     from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
 
     if isinstance(sticks, StandInPilot):
