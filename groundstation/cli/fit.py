@@ -33,7 +33,9 @@ VALIDATE = typer.Option(
     None, "--validate", help="Recordings to judge on (default: the last third of each REC)."
 )
 OUTPUT = typer.Option(..., "-o", "--output", help="The new model file.")
-MODEL = typer.Option(None, "--model", help="Model to start from: its motor, what is not fitted.")
+MODEL = typer.Option(
+    None, "--model", help="Model to start from: its motor, its effects, what is not fitted."
+)
 WITH = typer.Option("", "--with", help="Effects known to be there, separated by commas.")
 SEGMENT = typer.Option(
     None, "--segment", metavar="FROM:TO", help="Only these seconds of each recording; repeatable."
