@@ -182,6 +182,20 @@ def test_ctrl_c_stops_the_motors_and_puts_the_gains_back(station):
     assert station.gain() == STOCK
 
 
+def test_gains_that_cannot_fly_end_in_an_abort_and_are_put_back(station, tmp_path):
+    gains = tmp_path / "wild.toml"
+    gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
+    flight = station.fly("--gains", gains, *ONCE)
+    assert flight.returncode == 1
+    assert "flight aborted: " in flight.stderr
+    if "no telemetry" in flight.stderr:
+        require_flown(flight.stderr)
+    assert "tilt of" in flight.stderr or "rate of" in flight.stderr
+    values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
+    assert values["pid_attitude.roll_kp"] == 3.5
+    assert "nothing was left changed" in station.fly("--undo").stdout
+
+
 def test_only_one_may_command(station):
     with Pilot(station.daemon.socket, "somebody else"):
         refused = station.fly(*SHORT)
