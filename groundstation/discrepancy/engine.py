@@ -50,8 +50,9 @@ HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 OTHER_CRAFT = 0.8
 """Two of c0, c1, c2 off by this much (in the logarithm) make it another craft's model."""
-DROWNED = 0.05
-"""An effect that explains less than this share of the structure that is left is not believed."""
+DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
+"""An effect that explains less than this share of the structure that is left in the channels it
+touches, or in all of them, is not believed."""
 USUAL: dict[str, float] = {
     LOW_PASS: 1 / (2 * np.pi * 30.0),
     "motor_braking_asymmetry.factor": 0.4,
@@ -135,7 +136,7 @@ def _what_is_left(
         final = outcome.final
         speeds = [spin_rotors(f, final.point, vehicle).end[f.rows].mean() for f in problem.flights]
         residual, slow = leftover(problem, final, held, float(np.mean(speeds)))
-        drowned = [one for one in outcome.accepted if one.evidence.drop < DROWNED * slow]
+        drowned = [one for one in outcome.accepted if _drowned(one, slow)]
         if not drowned:
             return residual
         for one in drowned:
@@ -144,6 +145,11 @@ def _what_is_left(
         gone = {key for one in drowned for key in one.variant.keys}
         point = {key: number for key, number in final.point.items() if key not in gone}
         outcome.final = problem.fit(point, [key for key in final.keys if key not in gone])
+
+
+def _drowned(one: Accepted, slow: dict[int, float]) -> bool:
+    touched = sum(slow.get(channel, 0.0) for channel in one.evidence.channels)
+    return one.evidence.drop < max(DROWNED * touched, DROWNED_ANYWHERE * sum(slow.values()))
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:

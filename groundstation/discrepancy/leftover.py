@@ -50,7 +50,7 @@ def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz:
     signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
     peaks = rises(problem.linear(fit.point, (), problem.flights))
     if not signals and not peaks:
-        return Leftover("white"), 0.0
+        return Leftover("white"), {}
     by_channel: dict[int, float] = {}
     for signal in signals:
         by_channel[signal.channel] = max(by_channel.get(signal.channel, 0.0), signal.drop)
@@ -74,8 +74,11 @@ def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz:
         words,
         max((p[2] for p in mine), default=1.0),
     )
-    slow = sum(freedom * (ratio - 1.0) for _, hz, ratio, freedom in peaks if hz < SLOW_HZ)
-    return found, float(slow)
+    slow: dict[int, float] = {}
+    for channel, hz, ratio, freedom in peaks:
+        if hz < SLOW_HZ:
+            slow[channel] = slow.get(channel, 0.0) + freedom * (ratio - 1.0)
+    return found, slow
 
 
 def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signal]:

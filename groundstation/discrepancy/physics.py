@@ -66,14 +66,16 @@ class Frame:
 class Series:
     """Residuals and columns of one flight at one point.
 
-    residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical:
-    (residual, {key: derivative}) of the 1 g row, None without accelerometer. rate_error: (3,)
+    residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical, lift:
+    (residual, {key: derivative}) of the flight's mean vertical specific force less 1 g, as
+    measured and as modelled, None without accelerometer or attitude. rate_error: (3,)
     mean squared one-step prediction error of the rates in rad/s.
     """
 
     residual: Columns
     columns: dict[str, Columns]
     vertical: tuple[float, dict[str, float]] | None
+    lift: tuple[float, dict[str, float]] | None
     rate_error: tuple[float, float, float]
 
 
@@ -440,7 +442,21 @@ class _Evaluation:
                 mean - float(up @ offset) - STANDARD_GRAVITY,
                 dict(zip(names, slopes, strict=True)),
             )
-        return Series(residual, columns, vertical, self.rate_error)
+        return Series(residual, columns, vertical, self._lift(columns), self.rate_error)
+
+    def _lift(self, columns: Mapping[str, Columns]) -> tuple[float, dict[str, float]] | None:
+        """1 g less what the model says of the mean vertical force while airborne."""
+        if self.flight.up is None:
+            return None
+        rows = self.flight.rows
+        up = rotation_matrix(self.flight.run.attitude[rows])[:, 2] @ self.mount.T
+        mean = float(np.einsum("ni,ni->n", up, self.force_model[rows]).mean())
+        slopes = {
+            key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
+            for key, column in columns.items()
+            if key.partition(".")[0] in LIFTING
+        }
+        return STANDARD_GRAVITY - mean, slopes
 
     def _put_gyro(self, out: Columns, values: Array) -> None:
         part = self.flight.gaps.spread(values[self.flight.rows])
@@ -647,6 +663,16 @@ BODY_EFFECTS = (
     "velocity_moment.moment",
 )
 """Angular accelerations that are linear in their parameter."""
+LIFTING = (
+    "thrust_per_mass",
+    *MOTOR_KEYS,
+    *(key.partition(".")[0] for key in VOLTAGE_KEYS),
+    "rotor_mismatch",
+    "rotor_drag",
+    "climb_inflow",
+    "ground_effect",
+)
+"""What changes the force itself, not how the accelerometer shows it."""
 TORQUES = tuple(k for k in BODY_EFFECTS if k.endswith(("kg_m2", "n_m_s", "n_m_s2")))
 RATE_KEYS = (*BODY_EFFECTS, LOW_PASS, *(f"imu_lever_arm.{axis}_m" for axis in AXES))
 """Where one of these is there, the model depends on the rates."""

@@ -32,6 +32,9 @@ MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 TIMING_DOUBT = 0.5
 END_SPEED_M_S = 0.3
 """Vertical speed that a flight may end with when it does not end at rest."""
+LEAST_LIFT_DOUBT = 0.05
+"""m/s^2: the model's mean force is 1 g to half a percent; what the accelerometer says of it is
+better known, but where slow air moves real craft its mean has no weight."""
 REST_SPEEDS_M_S = (0.03, 0.15)
 """What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
@@ -238,8 +241,17 @@ def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) 
     seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
     ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
     sigma = np.hypot(*(still if rest else END_SPEED_M_S for rest, still in ends)) / seconds
-    row = np.array([slopes.get(key, 0.0) for key in keys])
-    return [Vertical(number, residual, row, float(sigma))]
+    found = [Vertical(number, residual, _row(slopes, keys), float(sigma))]
+    if series.lift is not None:
+        loose = max(
+            LEAST_LIFT_DOUBT, END_SPEED_M_S / ((flight.last - flight.first) * flight.period_s)
+        )
+        found.append(Vertical(number, series.lift[0], _row(series.lift[1], keys), loose))
+    return found
+
+
+def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
+    return np.array([slopes.get(key, 0.0) for key in keys])
 
 
 Prior = tuple[tuple[str, ...], dict[str, float], Array]

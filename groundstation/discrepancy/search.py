@@ -49,6 +49,10 @@ PENALTY = 8.0
 """For each parameter, in -2 log L."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves."""
+TURNS = 3
+"""How often the next best are tried where the best were refused."""
+RIVAL = 12.0
+"""An effect that explains so little less, in -2 log L, is an alternative."""
 ROUGHLY = 0.5
 """Drop of -2 log L at which a joint fit of a candidate ends."""
 MOST_ROUNDS = 16
@@ -219,40 +223,54 @@ def _round(
     base_keys: tuple[str, ...],
     progress: Progress,
 ) -> Accepted | None:
-    """Fit the best candidates and return the one to accept."""
-    shortlist = _shortlist(scores, reasons)
-    if not shortlist:
-        return None
-    before = problem.fit(now.point, now.keys, steps=1)
-    fits: list[tuple[float, Scored, Fit]] = []
-    for one in shortlist:
-        progress(f"fitting {one.variant.effect}", -1.0)
-        keys = (*now.keys, *one.variant.keys)
-        fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
-        fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
-    fits.sort(key=lambda item: item[0], reverse=True)
-    best = fits[0][0]
-    for gain, one, fit in fits:
-        label = one.variant.label
-        if gain <= 0.0 or gain < SHARE * best:
-            reasons.setdefault(label, f"explains less than {fits[0][1].variant.effect}")
-            continue
-        names = frozenset([label, *(other.variant.label for other in accepted)])
-        evidence = judge(problem, validation, before, fit, one.variant)
-        held_out[label] = evidence.held_out
-        why = refusal(one.variant, fit, evidence) or ("tried before" if names in tried else "")
-        if why:
+    """Fit the best candidates and return the one to accept.
+
+    Where all of the best are refused, the next ones get their turn: what is wrong with the
+    strongest need not be wrong with an effect on other channels.
+    """
+    before: Fit | None = None
+    refused: set[str] = set()
+    for _ in range(TURNS):
+        left = [one for one in scores if one.variant.label not in refused]
+        shortlist = _shortlist(left, reasons)
+        if not shortlist:
+            return None
+        before = before or problem.fit(now.point, now.keys, steps=1)
+        fits: list[tuple[float, Scored, Fit]] = []
+        for one in shortlist:
+            progress(f"fitting {one.variant.effect}", -1.0)
+            keys = (*now.keys, *one.variant.keys)
+            fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
+            fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
+        fits.sort(key=lambda item: item[0], reverse=True)
+        best = fits[0][0]
+        for gain, one, fit in fits:
+            label = one.variant.label
+            if gain <= 0.0 or gain < SHARE * best:
+                reasons.setdefault(label, f"explains less than {fits[0][1].variant.effect}")
+                continue
+            names = frozenset([label, *(other.variant.label for other in accepted)])
+            evidence = judge(problem, validation, before, fit, one.variant)
+            held_out[label] = evidence.held_out
+            why = refusal(one.variant, fit, evidence) or ("tried before" if names in tried else "")
+            if not why:
+                return Accepted(one.variant, evidence, _rivals(gain, one, fits), fit, evidence.gap)
             reasons[label] = why
-            continue
-        rivals = [
-            (other.variant.effect, gain - margin)
-            for margin, other, rival in fits
-            if other.variant.effect != one.variant.effect
-            and margin > gain - 12.0
-            and plausible(other.variant, rival.point)
-        ]
-        return Accepted(one.variant, evidence, rivals, fit, evidence.gap)
+        refused |= {one.variant.label for one in shortlist}
     return None
+
+
+def _rivals(
+    gain: float, chosen: Scored, fits: Sequence[tuple[float, Scored, Fit]]
+) -> list[tuple[str, float]]:
+    """Other effects that explain nearly as much, with how much less."""
+    return [
+        (other.variant.effect, gain - less)
+        for less, other, rival in fits
+        if other.variant.effect != chosen.variant.effect
+        and less > gain - RIVAL
+        and plausible(other.variant, rival.point)
+    ]
 
 
 def _shortlist(scores: list[Scored], reasons: dict[str, str]) -> list[Scored]:
