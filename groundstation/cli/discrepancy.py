@@ -194,7 +194,8 @@ def _say(report: DiscrepancyReport) -> None:
         typer.echo(f"these recordings cannot show: {names}")
         for manoeuvre in sorted({one.manoeuvre for one in report.not_shown if one.manoeuvre}):
             typer.echo(f"     fly {manoeuvre}")
-    for name, channel in report.lost.items():
-        typer.echo(f"cannot be found without {channel}: {name}")
+    for reason in dict.fromkeys(report.lost.values()):
+        names = ", ".join(name for name, why in report.lost.items() if why == reason)
+        typer.echo(f"not looked for ({reason}): {names}")
     for line in report.warnings:
         typer.echo(f"warning: {line}")

@@ -223,7 +223,7 @@ def _limits(page: Page, report: DiscrepancyReport) -> None:
                 for n in report.not_shown
             ],
         )
-    page.bullets(f"{name}: needs {channel}" for name, channel in report.lost.items())
+    page.bullets(f"{name}: not looked for ({why})" for name, why in report.lost.items())
 
 
 def _worst(rows: list[WhereRow]) -> WhereRow | None:

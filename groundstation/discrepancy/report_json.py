@@ -20,6 +20,8 @@ from groundstation.dynamics.model import Estimate
 Array = NDArray[np.float64]
 
 WORST = 10
+WORSE, CLEARLY = 1.05, 1.1
+"""A gap that grows by this share, to this, is said to be worse."""
 UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"
 
 
@@ -230,6 +232,7 @@ def findings_report(
 ) -> DiscrepancyReport:
     """The whole report on a search. validation: files, or how rows were held out."""
     left = findings.residual
+    gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after))
     gaps = [gap for _, gap in proof.steps[1:]]
     return DiscrepancyReport(
         verdict=findings.verdict.value,
@@ -248,7 +251,7 @@ def findings_report(
         ],
         where=where_rows(proof.before),
         where_after=where_rows(proof.after, WORST),
-        gap=gap_of(proof.before, proof.after, (proof.train_before, proof.train_after)),
+        gap=gap,
         residual="white" if left.verdict == "white" else "structured",
         residual_detail=ResidualDetail(
             left.channel, list(left.frequencies_hz), left.signal, left.excess
@@ -262,10 +265,30 @@ def findings_report(
             for n in findings.not_shown
         ],
         lost=dict(findings.lost),
-        warnings=list(findings.warnings),
+        warnings=[*findings.warnings, *_worse(gap), *_driven(proof)],
         recordings=recordings,
         validation=validation,
         model=model,
         seed=seed,
         created_by=created_by,
     )
+
+
+def _worse(gap: Gap) -> list[str]:
+    """Channels on which the improved model is no improvement."""
+    return [
+        f"the improved model is worse on {name} on held-out rows: gap {channel.before:.2f} before,"
+        f" {channel.after:.2f} after"
+        for name, channel in gap.channels.items()
+        if channel.after is not None and channel.after > max(WORSE * channel.before, CLEARLY)
+    ]
+
+
+def _driven(proof: Proof) -> list[str]:
+    """What differs between search and proof where rotor speeds were measured."""
+    if not all(np.isfinite(one.run.rotor_rev_s).all() for one in proof.before.errors):
+        return []
+    return [
+        "rotor speeds are measured: the search uses them, the gaps are of models that are driven"
+        " by PWM and battery voltage"
+    ]

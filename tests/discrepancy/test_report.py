@@ -88,10 +88,18 @@ def test_the_page_says_what_is_left_what_cannot_be_shown_and_what_it_could_also_
     assert f"Found: {NAME}." in page
     assert "structure in gyro x at 1.5, 3 Hz, most like tilt, roll" in page
     assert "take off and land" in page
-    assert "attitude_filter_lean: needs attitude" in page
+    assert "attitude_filter_lean: not looked for (attitude)" in page
     assert "could also be rate_damping (margin 9.0)" in page
     assert "not &lt;significant&gt;" in page
     assert page.count("<svg") == 8
+
+
+def test_a_channel_that_got_worse_is_a_warning(found, proven):
+    swapped = replace(proven, before=proven.after, after=proven.before)
+    warnings = report(found, swapped).warnings
+    assert warnings[0] == "motor assumed known by 2 %"
+    assert any(line.startswith("the improved model is worse on gyro_x") for line in warnings)
+    assert report(found, proven).warnings == ["motor assumed known by 2 %"]
 
 
 def test_a_model_as_good_as_noise_is_told_so():
