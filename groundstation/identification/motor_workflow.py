@@ -52,6 +52,10 @@ Array = NDArray[np.float64]
 
 START_S, PIECE_S = 0.5, 2.0
 DRAWN_S = 6.0
+SUPPLY_DOUBT = (
+    "the intervals do not contain the supply model's own error, some 0.5 %; a stiff bench supply"
+    " has none"
+)
 KNOWN = (*EFFECTS, LAG, SAG)
 
 
@@ -124,7 +128,7 @@ def identify_motor(
         "supply": [
             {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
         ],
-        "warnings": [*judged.lines, *fit.warnings],
+        "warnings": [*judged.lines, *fit.warnings, *([SUPPLY_DOUBT] if supplied else [])],
     }
     model = msgspec.structs.replace(before, motor=fit.motor, effects=with_effects(before, terms))
     return Identified(model, account, Evidence({"motor": fit.estimates}, traces, residuals))
