@@ -26,10 +26,13 @@ from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
 
-EARLIEST_S, LATEST_S = -0.012, 0.08
-"""Where an edge is looked for, from the moment its setpoint was sent."""
+EARLIEST_S, LATEST_S = -0.12, 0.12
+"""Where an edge is looked for, from the moment its setpoint was sent. Before it, because a busy
+host may hear of a simulated craft's time late."""
 APART_S = 0.006
-"""An edge found further from the others' usual delay takes that delay instead."""
+CLEAR = 8.0
+"""An edge further than that from the others' usual delay takes it instead, unless the jump in the
+motors stands out by so many standard deviations."""
 LEAST_WINDOW_S = 0.15
 ENVELOPE = 20
 """Parts of a flight in each of which the promptest packet ties host to device time."""
@@ -205,7 +208,8 @@ def _effective(
         rows = np.flatnonzero(np.diff(setpoints[:, axis]) != 0) + 1
         changes += [(int(row), axis) for row in rows]
     changes.sort()
-    delays = []
+    noise = 1.4826 * np.median(np.abs(jumps), axis=0) + 1e-9
+    delays, clear = [], []
     for row, axis in changes:
         sign = np.sign(setpoints[row, axis] - setpoints[row - 1, axis])
         low = np.searchsorted(grid, sent[row] + EARLIEST_S)
@@ -214,11 +218,15 @@ def _effective(
             raise BadInputError("telemetry does not cover the whole programme")
         strongest = low + int(np.argmax(sign * jumps[low:high, axis]))
         delays.append(grid[strongest - 1] - sent[row])
+        clear.append(sign * jumps[strongest, axis] > CLEAR * noise[axis])
     if not delays:
         return [], 0.0, 0.0, 0
     usual = float(np.median(delays))
     spread = float(np.subtract(*np.percentile(delays, [75, 25])))
-    near = [abs(delay - usual) <= APART_S for delay in delays]
+    near = [
+        bool(stands_out or abs(delay - usual) <= APART_S)
+        for delay, stands_out in zip(delays, clear, strict=True)
+    ]
     starts = [
         sent[row] + (delay if good else usual)
         for (row, _), delay, good in zip(changes, delays, near, strict=True)
