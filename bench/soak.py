@@ -43,7 +43,7 @@ class Found:
     samples: int = 0
     packets: int = 0
     bytes: int = 0
-    gaps: int = 0
+    gaps_s: list[float] = field(default_factory=list)
     segments: int = 0
     problems: list[str] = field(default_factory=list)
     last: tuple[int, int] | None = None
@@ -79,7 +79,7 @@ def verify(path: Path, found: Found) -> None:
         ticks = np.concatenate([[found.last[1]], ticks])
     step = np.rint(np.diff(ticks) * samples.tick_s / SAMPLE_PERIOD_S)
     same = np.diff(segment) == 0
-    found.gaps += int(np.count_nonzero(step[same] != 1))
+    found.gaps_s += (step[same & (step != 1)] * SAMPLE_PERIOD_S).tolist()
     found.segments += int(np.count_nonzero(~same))
     found.last = int(segment[-1]), int(ticks[-1])
 
@@ -132,7 +132,8 @@ def soak(hours: float, folder: Path, *, viewer: bool, rotate_mb: float) -> dict[
         "packets_recorded": found.packets,
         "samples_arrived": arrived_samples,
         "samples_recorded": found.samples,
-        "gaps_in_device_time": found.gaps,
+        "gaps_in_device_time_s": found.gaps_s,
+        "samples_reported_lost": status["statistics"]["lost"],
         "device_restarts": found.segments,
         "files": found.files,
         "gigabytes": found.bytes / 1e9,
