@@ -270,5 +270,8 @@ def _draws_figure(tried: Robustness) -> Figure:
         panel.plot(1e3 * good[:, SETTLING], good[:, OVERSHOOT], ".", color=IMPROVED, alpha=0.3)
         panel.set_title(axis)
         panel.set_xlabel("settling, ms")
+        # never so close that rounding to samples looks like a spread
+        panel.set_xlim(900 * good[:, SETTLING].min(), 1100 * good[:, SETTLING].max())
+        panel.set_ylim(-0.5, max(5.0, 1.2 * good[:, OVERSHOOT].max()))
     panels[0].set_ylabel("overshoot, %")
     return made

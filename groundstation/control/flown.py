@@ -26,9 +26,10 @@ from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
 
-EARLIEST_S, LATEST_S = -0.12, 0.12
-"""Where an edge is looked for, from the moment its setpoint was sent. Before it, because a busy
-host may hear of a simulated craft's time late."""
+EARLIEST_S, LATEST_S = -0.45, 0.12
+"""Where an edge is looked for, from the moment its setpoint was sent, and not beyond half the way
+to its neighbours. Before it, because the time of a simulated craft stands still while its host is
+busy: up to as much as the telemetry may be late."""
 APART_S = 0.006
 CLEAR = 8.0
 """An edge further than that from the others' usual delay takes it instead, unless the jump in the
@@ -209,11 +210,13 @@ def _effective(
         changes += [(int(row), axis) for row in rows]
     changes.sort()
     noise = 1.4826 * np.median(np.abs(jumps), axis=0) + 1e-9
+    moments = np.array([sent[row] for row, _ in changes])
+    room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
     delays, clear = [], []
-    for row, axis in changes:
+    for (row, axis), before, after in zip(changes, room[:-1], room[1:], strict=True):
         sign = np.sign(setpoints[row, axis] - setpoints[row - 1, axis])
-        low = np.searchsorted(grid, sent[row] + EARLIEST_S)
-        high = np.searchsorted(grid, sent[row] + LATEST_S)
+        low = np.searchsorted(grid, sent[row] + max(EARLIEST_S, -before))
+        high = np.searchsorted(grid, sent[row] + min(LATEST_S, after))
         if high - low < 5:
             raise BadInputError("telemetry does not cover the whole programme")
         strongest = low + int(np.argmax(sign * jumps[low:high, axis]))
