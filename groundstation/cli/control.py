@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -122,6 +123,9 @@ def link(
 
     Example: [bold]groundstation link usb[/bold]
     """
+    kind, _, file = name.partition(":")
+    if kind == "replay" and Path(file).exists():  # from here, which need not be the daemon's folder
+        name = f"replay:{Path(file).absolute()}"
     answer = ask(socket_path(), "POST", "/link", {"name": name})
     if as_json:
         typer.echo(json.dumps(answer, indent=2))

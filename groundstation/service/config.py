@@ -122,8 +122,11 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = {}
 
 
-RELOADABLE = ("recording.", "dead_man.")
-"""Keys that a running daemon takes over; a new recording folder from the next file on."""
+RELOADABLE = (
+    "recording.folder", "recording.low_space_mb", "recording.rotate_mb",
+    "recording.rotate_minutes", "recording.keep_mb", "dead_man.",
+)  # fmt: skip
+"""Keys (or tables) that a running daemon takes over; a new folder from the next file on."""
 
 
 @dataclass(frozen=True, slots=True)

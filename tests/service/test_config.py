@@ -116,12 +116,12 @@ def test_a_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path):
     source = ConfigSource(path, {}, {})
     station = Station(source.load(), source)
     path.write_text(
-        f"[recording]\nfolder = '{tmp_path}'\nrotate_mb = 5\n[dead_man]\nstop_s = 0.9\n"
-        "[viewer]\nport = 1234\n"
+        f"[recording]\nfolder = '{tmp_path}'\nrotate_mb = 5\nenabled = false\n"
+        "[dead_man]\nstop_s = 0.9\n[viewer]\nport = 1234\n"
     )
     assert station.reload() == {
         "applied": ["recording.folder", "recording.rotate_mb", "dead_man.stop_s"],
-        "restart_needed": ["viewer.port"],
+        "restart_needed": ["recording.enabled", "viewer.port"],
     }
     assert station.sessions.folder == tmp_path
     assert station.commander.limits.stop_s == 0.9

@@ -44,7 +44,8 @@ def refused(daemon, *arguments):
 
 def test_the_link_is_switched_and_back_within_one_recording(daemon):
     before = daemon.status()["recording"]["file"]
-    assert tell(daemon, "link", f"replay:{FLIGHT}").startswith("replay:")
+    assert tell(daemon, "link", f"replay:sessions/{FLIGHT}").startswith("replay:")  # as typed here
+    assert tell(daemon, "link", f"replay:{FLIGHT}").startswith("replay:")  # in the daemon's folder
     daemon.status_when(lambda s: s["link"]["rate_hz"] > 400, "the replay")
     assert "is not in the recordings folder" in refused(daemon, "link", "replay:/etc/passwd")
     assert "no such file" in refused(daemon, "link", "replay:nothing.mcap")
