@@ -86,6 +86,12 @@ def test_a_flight_of_the_stand_in_goes_as_predicted():
     assert {one.axis: one.apart for one in flown.axes} == {"roll": [], "pitch": [], "yaw": []}
     assert flown.found == flown.edges == 72
     assert 0.002 < flown.delay_s < 0.010
+    # a busy host hears of the craft's time up to 0.3 s late, more and less
+    wander = 0.15 * (1 + np.sin(1e-9 * sent))
+    late = analyse(samples, sent + (1e9 * wander).astype(np.int64), setpoints, "plus", plant, gains)
+    assert late.found == 72
+    assert late.spread_s > 0.1
+    assert {one.axis: one.apart for one in late.axes} == {"roll": [], "pitch": [], "yaw": []}
 
 
 def test_a_wrong_model_is_told_by_its_flight():
