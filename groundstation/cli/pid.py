@@ -63,7 +63,12 @@ def evaluate(
     from groundstation.control.evaluate import evaluate as evaluate_gains
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import PidGains
-    from groundstation.control.report import METRICS_HEAD, evaluation_page, metrics_row
+    from groundstation.control.report import (
+        METRICS_HEAD,
+        evaluation_page,
+        metrics_row,
+        table_lines,
+    )
     from groundstation.dynamics.model import load_model
 
     if html is not None:
@@ -86,7 +91,8 @@ def evaluate(
         axes = {one.axis: one.as_dict() for one in results}
         typer.echo(json.dumps({"loop": chosen, "model": model, "axes": axes}, indent=2))
         return
-    _print_table(METRICS_HEAD, [metrics_row(one) for one in results])
+    for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
+        typer.echo(line)
 
 
 def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
@@ -100,7 +106,7 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         WINDOW_S,
         printed_cases,
     )
-    from groundstation.control.report import THESIS_HEAD, thesis_page, thesis_rows
+    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
     from groundstation.dynamics.model import THESIS
 
     delays = DELAYS if delay is None else (delay,)
@@ -142,7 +148,8 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
             )
         )
         return
-    _print_table(THESIS_HEAD, thesis_rows(cases))
+    for line in table_lines(THESIS_HEAD, thesis_rows(cases)):
+        typer.echo(line)
     typer.echo(f"\n{FINDING}")
 
 
@@ -283,13 +290,6 @@ def _print_design(report: dict[str, Any]) -> None:
             typer.echo(f"  {line}")
     for line in report["notes"]:
         typer.echo(line)
-
-
-def _print_table(head: tuple[str, ...], rows: list[list[Any]]) -> None:
-    table = [list(head), *([str(cell) for cell in row] for row in rows)]
-    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
-    for row in table:
-        typer.echo("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip())
 
 
 def _write_new(path: Path, text: str) -> None:

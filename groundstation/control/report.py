@@ -165,17 +165,21 @@ def flight_rows(flown: Flown) -> list[list[Any]]:
 
 def flight_lines(flown: Flown) -> list[str]:
     """The table for a terminal."""
-    table = [list(FLIGHT_HEAD), *([str(cell) for cell in row] for row in flight_rows(flown))]
-    widths = [max(len(row[i]) for row in table) for i in range(len(FLIGHT_HEAD))]
-    lines = [
-        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-        for row in table
-    ]
     return [
-        *lines,
+        *table_lines(FLIGHT_HEAD, flight_rows(flown)),
         f"setpoints took effect {1e3 * flown.delay_s:.1f} ms after they were sent"
         f" (middle half within {1e3 * flown.spread_s:.1f} ms), seen in the motors at"
         f" {flown.found} of {flown.edges} edges",
+    ]
+
+
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
+    """A table in columns of text."""
+    table = [list(head), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[i]) for row in table) for i in range(len(head))]
+    return [
+        "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in table
     ]
 
 
