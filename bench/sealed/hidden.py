@@ -70,9 +70,9 @@ _STEADY = {"whole flight", "hover"}
 REGIMES: dict[str, set[str]] = {
     "dead_time": _TILTING | _YAWING | _ROTORS | _STEADY,
     "gyro_low_pass": _TILTING | _YAWING | _ROTORS | _STEADY,
-    "rotor_gyroscopic_torque": _YAWING,
+    "rotor_gyroscopic_torque": _YAWING | _TILTING,  # a product of both
     "rotor_acceleration_torque": {*_YAWING, "rotor acceleration", "rotors slowing down"},
-    "inertia_coupling": _YAWING,
+    "inertia_coupling": _YAWING | _TILTING,
     "rate_damping": _TILTING,
     "quadratic_rate_damping": _TILTING,
     "yaw_damping": _YAWING,
