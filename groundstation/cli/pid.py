@@ -98,25 +98,26 @@ def evaluate(
 def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
     import numpy as np
 
-    from groundstation.control.direct import axis_plant, run_direct
+    from groundstation.control.direct import run_direct
     from groundstation.control.printed import (
         DELAYS,
         FINDING,
         GAINS,
         WINDOW_S,
         printed_cases,
+        printed_plant,
     )
     from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
-    from groundstation.dynamics.model import THESIS
 
     delays = DELAYS if delay is None else (delay,)
     cases = printed_cases(delays)
     if html is not None:
         responses = {}
         for case in cases:
-            plant = axis_plant(THESIS, case.axis, case.delay)
-            rows = round(WINDOW_S[case.axis] / plant.ts)
-            gains = GAINS[case.controller][case.axis]
+            plant = printed_plant(case.axis, case.delay)
+            axis = case.axis.split(",")[0]
+            rows = round(WINDOW_S[axis] / plant.ts)
+            gains = GAINS[case.controller][axis]
             key = case.controller, case.axis, case.delay
             responses[key] = run_direct(plant, gains, np.ones(rows)).y
         thesis_page(cases, responses).write(html)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from groundstation.control.design import rounding_corners
 from groundstation.control.direct import (
     DirectJudge,
     axis_plant,
@@ -17,7 +18,7 @@ from groundstation.control.direct import (
 )
 from groundstation.control.metrics import step_metrics
 from groundstation.control.pid import AntiWindup, PidGains
-from groundstation.control.printed import GAINS, printed_cases
+from groundstation.control.printed import GAINS, ROUNDED_YAW, printed_cases, printed_plant
 from groundstation.dynamics.model import THESIS, ArxAxis
 from groundstation.errors import BadInputError
 
@@ -107,11 +108,23 @@ def test_the_printed_gains_give_the_known_figures_at_two_and_eight_samples():
     }
 
 
-def test_yaw_as_printed_is_met_at_no_delay():
+def test_yaw_as_printed_is_met_at_no_delay_but_by_digits_that_round_to_it():
     for delay in range(1, 9):
         for case in printed_cases((delay,)):
             if case.axis == "yaw":
                 assert case.metrics.rms > 2 * case.printed[0]
+    plant = printed_plant(ROUNDED_YAW, 8)
+    assert (round(plant.a[0], 3), round(plant.a[1], 4)) == (-1.995, 0.9949)
+    for case in printed_cases((2, 8)):
+        if case.axis == ROUNDED_YAW:
+            assert case.stable
+            assert case.metrics.rms == pytest.approx(case.printed[0], rel=0.14)
+            assert case.metrics.overshoot_pct == pytest.approx(case.printed[1], abs=12)
+
+
+def test_no_digits_that_round_to_the_printed_roll_bear_four_samples():
+    for corner in rounding_corners(axis_plant(THESIS, "roll", 4)):
+        assert not all(is_stable(corner, GAINS[name]["roll"]) for name in GAINS)
 
 
 def test_an_integral_that_waits_overshoots_less():
