@@ -11,6 +11,7 @@ import typer
 from groundstation.cli import pid_fly
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
+from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ def evaluate(
     from groundstation.control.evaluate import evaluate as evaluate_gains
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import PidGains
+    from groundstation.control.plant import plant_of_model
     from groundstation.control.report import (
         METRICS_HEAD,
         evaluation_page,
@@ -83,7 +85,11 @@ def evaluate(
     chosen = loop or form
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
-    results = evaluate_gains(load_model(model), given, chosen, seconds, delay)
+    loaded = load_model(model)
+    results = evaluate_gains(loaded, given, chosen, seconds, delay)
+    left_out = plant_of_model(loaded).left_out if chosen == "firmware" else ()
+    if left_out:
+        say(f"left out, not acting on rotation alone: {', '.join(left_out)}", error=True)
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)

@@ -22,6 +22,7 @@ from groundstation.control.direct import DirectJudge
 from groundstation.control.evaluate import AxisResult, evaluate
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
+from groundstation.control.plant import plant_of_model
 from groundstation.control.printed import GAINS, RESULTS
 from groundstation.control.report import LOOP_NAMES, front_figure, step_figure
 from groundstation.dynamics.model import ArxAxis, Model
@@ -66,6 +67,11 @@ def firmware_report(
                 f" are stable; 95 % of them settle within {entry['draws']['settling_s_95']:.3f} s"
             )
         axes[one.axis] = entry
+    left_out = plant_of_model(model).left_out
+    if left_out:
+        notes.append(
+            f"effects that do not act on rotation alone are left out: {', '.join(left_out)}"
+        )
     if tried is None:
         notes.append("the model carries no covariance: what its uncertainty does is not known")
     return {"form": "firmware", "vehicle": model.vehicle, "axes": axes, "notes": notes}
