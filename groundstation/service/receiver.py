@@ -207,10 +207,10 @@ class Receiver:
         finally:
             self.tried.set()
         if not self._opened:
-            self._opened = True
             self._begin()
             # not before: a mistyped link leaves no empty file behind
             await opened()
+            self._opened = True
         self._retry_s, self._missing = RETRY_FIRST_S, ""
 
     def _begin(self) -> None:
