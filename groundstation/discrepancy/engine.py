@@ -22,10 +22,11 @@ from groundstation.discrepancy.flight import Flight, prepare
 from groundstation.discrepancy.judge import negligible
 from groundstation.discrepancy.leftover import leftover
 from groundstation.discrepancy.physics import spin_rotors
-from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem
+from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem, bounded
 from groundstation.discrepancy.search import Accepted, Outcome, Scored, search
 from groundstation.discrepancy.unknowns import (
     ABSENT,
+    BODY_KEYS,
     EFFECT_KEYS,
     LOW_PASS,
     VARIANTS,
@@ -44,12 +45,14 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
 
+AXES = ("roll", "pitch", "yaw")
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
-OTHER_CRAFT = 0.8
-"""Two of c0, c1, c2 off by this much (in the logarithm) make it another craft's model."""
+OTHER_CRAFT, OTHER_ROTORS_DEG = 1.4, 25.0
+"""c0 and c1 so far from the profile's (in the logarithm), or axes turned so far, are another
+craft's."""
 DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
 """An effect that explains less than this share of the structure that is left in the channels it
 touches, or in all of them, is not believed."""
@@ -117,10 +120,10 @@ def find_effects(
     known = [v for v in VARIANTS if any(start.get(k, ABSENT[k]) != ABSENT[k] for k in v.keys)]
     candidates = [v for v in VARIANTS if v.effect not in lost]
     outcome = search(problem, held, known, candidates, report)
-    _require_told(outcome, problem)
+    warnings = _require_told(outcome, problem)
     report("judging what is left", 0.95)
     residual = _what_is_left(outcome, problem, held, known)
-    return _findings(outcome, problem, held, model, known, lost, residual)
+    return _findings(outcome, problem, held, model, known, lost, residual, warnings)
 
 
 def _what_is_left(
@@ -166,30 +169,38 @@ def _lost(flights: Sequence[Flight]) -> dict[str, str]:
     return lost
 
 
-def _require_told(outcome: Outcome, problem: Problem) -> None:
-    """Refuse recordings without motion, and a model of another craft."""
+def _require_told(outcome: Outcome, problem: Problem) -> list[str]:
+    """Refuse recordings without motion, and a model of another craft; what is only weak is
+    returned as warnings."""
     names = ", ".join(sorted({f.run.name for f in problem.flights}))
     total, linear = outcome.first_quadratic, outcome.first_linear
     at = linear.place(BASE_KEYS)
     errors = np.sqrt(np.diag(inverse(total.normal[np.ix_(at, at)])))
     still = [
         axis
-        for axis, key in zip(("roll", "pitch", "yaw"), ("c0", "c1", "c2"), strict=True)
+        for axis, key in zip(AXES, BODY_KEYS[:3], strict=True)
         if errors[BASE_KEYS.index(key)] > HARDLY_MOVED * abs(linear.point[key])
     ]
-    if still:
+    if len(still) == len(AXES):
         raise BadInputError(
-            f"{names}: {', '.join(still)} hardly moved; these recordings cannot show what the"
-            " model is missing: fly doublets or random steps about every axis"
+            f"{names}: the craft hardly moved about any axis; these recordings cannot show what"
+            " the model is missing: fly doublets or random steps about every axis"
         )
-    fitted = {key: outcome.final.point[key] / problem.start[key] for key in ("c0", "c1", "c2")}
-    strange = {key: r for key, r in fitted.items() if abs(np.log(max(r, 1e-3))) > OTHER_CRAFT}
-    if len(strange) > 1:
-        words = ", ".join(f"{key} would be {r:.2f} of the model's" for key, r in strange.items())
-        raise BadInputError(
-            f"{names}: the model does not belong to this craft ({words}); give the model that was"
-            " fitted for it, and the right --vehicle"
-        )
+    # A fit of every effect at once: one alone may bend the constants to imitate another.
+    moved = bounded(linear.point, linear.keys, inverse(total.normal) @ total.gradient)
+    usual = problem.frame.vehicle.body_constants
+    ratios = {k: moved[k] / c for k, c in zip(BODY_KEYS[:2], usual[:2], strict=True)}
+    turned = abs(moved["imu_misalignment.yaw_deg"])
+    if all(abs(np.log(max(r, 1e-3))) > OTHER_CRAFT for r in ratios.values()):
+        words = ", ".join(f"{key} is {r:.2f} of the profile's" for key, r in ratios.items())
+    elif turned > OTHER_ROTORS_DEG:
+        words = f"roll and pitch are {turned:.0f} deg away from where its rotors would be"
+    else:
+        return [f"{axis} hardly moved: what acts on it cannot be told" for axis in still]
+    raise BadInputError(
+        f"{names}: the model does not belong to this craft ({words}); give the model that was"
+        f" fitted for it, and the right --vehicle (now {problem.frame.vehicle.name})"
+    )
 
 
 def _findings(
@@ -200,6 +211,7 @@ def _findings(
     known: Sequence[Variant],
     lost: dict[str, str],
     residual: Leftover,
+    warnings: list[str],
 ) -> Findings:
     final, errors = outcome.final, outcome.final.stderr()
     keys = tuple(key for v in known for key in v.keys)
@@ -208,7 +220,6 @@ def _findings(
         keys = (*keys, *one.variant.keys)
         if not negligible(one.variant, final.point):
             effects.append(_effect(one, len(effects) + 1, final, keys, model))
-    warnings = []
     if not problem.known_motor:
         warnings.append(
             "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"

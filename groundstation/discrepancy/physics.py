@@ -25,6 +25,7 @@ from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.motor import REVOLUTION
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.dynamics.vehicle import MotorConstants, Vehicle, lever_arm_m
+from groundstation.identification.torque import rotor_squares
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -114,14 +115,13 @@ def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) ->
 def spin_rotors(flight: Flight, point: Mapping[str, float], vehicle: Vehicle) -> Rotors:
     """Rotor speeds of a flight: measured, or simulated with the point's motor effects."""
     run = flight.run
+    motor = MotorConstants(*(point[key] for key in MOTOR_KEYS))
     if flight.rotor_measured:
-        end = run.rotor_rev_s
-        before = np.vstack([end[:1], end[:-1]])
-        return Rotors(end, (end**2 + before**2 + end * before) / 3.0)
+        squares = rotor_squares(run, motor, measured=True)
+        return Rotors(np.sqrt(squares.end), squares.square)
     from groundstation.discrepancy.kernels import rotor_run
 
     dead, braking, sag, lag = (value(point, key) for key in VOLTAGE_KEYS)
-    motor = MotorConstants(*(point[key] for key in MOTOR_KEYS))
     constants = np.array([motor.a0, motor.a1, motor.a2, dead, braking, sag / vehicle.winding_ohm])
     supply = 1000.0 * run.supply_v
     start = np.array([motor.steady_rev_s(u) for u in run.duty[0] * supply[0]])

@@ -223,8 +223,8 @@ def bounded(point: Point, keys: Sequence[str], change: Array) -> Point:
     moved = dict(point)
     for key, step in zip(keys, change.tolist(), strict=True):
         low, high = BOUNDS.get(key, (-np.inf, np.inf))
-        if key in BODY_KEYS or key in ("a0", "a1"):
-            low = 0.2 * point[key]
+        if key in BODY_KEYS or key in MOTOR_KEYS:
+            low, high = sorted((0.2 * point[key], 5.0 * point[key]))
         moved[key] = float(np.clip(value(point, key) + step, low, high))
     return moved
 

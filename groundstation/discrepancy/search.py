@@ -23,10 +23,11 @@ from groundstation.discrepancy.judge import (
     plausible,
     refusal,
 )
-from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem
+from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem, bounded
 from groundstation.discrepancy.spectra import Quadratic
 from groundstation.discrepancy.unknowns import (
     ABSENT,
+    BODY_KEYS,
     EFFECT_KEYS,
     TIMING,
     VARIANTS,
@@ -49,6 +50,9 @@ PENALTY = 8.0
 """For each parameter, in -2 log L."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves."""
+BENT, RIGHTINGS = 0.12, 5
+"""A body constant so far off (in the logarithm) is not where columns are evaluated; how often it
+is moved: by a factor of five at most each time."""
 TURNS = 3
 """How often the next best are tried where the best were refused."""
 RIVAL = 12.0
@@ -113,7 +117,7 @@ def search(
     base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor place
     # to linearise at. A centre of gravity off its place makes c0 vanish, for one.
-    now = Fit(dict(problem.start), base_keys, np.inf, np.zeros((len(base_keys),) * 2))
+    now = Fit(_righted(problem, every), base_keys, np.inf, np.zeros((len(base_keys),) * 2))
     accepted: list[Accepted] = []
     reasons: dict[str, str] = {}
     held_out: dict[str, float] = {}
@@ -182,6 +186,25 @@ def search(
         first_linear,
         first_quadratic,
     )
+
+
+def _righted(problem: Problem, every: Sequence[str]) -> Point:
+    """The model's point, or, where a fit of every effect at once contradicts its body constants,
+    with those of that fit: a base that was fitted to the affected flights may be bent so far that
+    no column evaluated there means anything.
+    """
+    point = dict(problem.start)
+    for _ in range(RIGHTINGS):
+        linear = problem.linear(point, every, problem.flights)
+        problem.learn_noise(linear)
+        total = problem.with_prior(linear)
+        change = inverse(total.normal) @ total.gradient
+        at = linear.place(BODY_KEYS)
+        moved = bounded(point, BODY_KEYS, change[at])
+        if all(abs(np.log(moved[key] / point[key])) < BENT for key in BODY_KEYS):
+            break
+        point = moved
+    return point
 
 
 def screen(
