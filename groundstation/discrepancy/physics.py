@@ -35,8 +35,9 @@ Columns = dict[int, Array]
 GYRO, ACCELEROMETER, ATTITUDE = 0, 3, 6
 SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 SUBSTEPS = 2
-LEAK_S = 16.0
-"""Velocity is known over times shorter than this."""
+LEAK_S, LEANING_LEAK_S = 16.0, 4.0
+"""Velocity is known over times shorter than this; a lean turns the attitude until it feels no
+acceleration, which leaves less."""
 VOLTAGE_KEYS = (
     "motor_dead_voltage.voltage_mv",
     "motor_braking_asymmetry.factor",
@@ -218,13 +219,13 @@ class _Evaluation:
     def _find_velocity(self) -> None:
         from groundstation.discrepancy.kernels import body_velocity
 
-        run = self.flight.run
+        leaning = value(self.point, "attitude_filter_lean.strength") > 0.0
         body_velocity(
-            np.ascontiguousarray(run.attitude),
+            np.ascontiguousarray(self.flight.run.attitude),
             np.ascontiguousarray(self.sensed_force),
             STANDARD_GRAVITY,
             self.period,
-            LEAK_S,
+            LEANING_LEAK_S if leaning else LEAK_S,
             self.flight.first,
             self.velocity,
         )
