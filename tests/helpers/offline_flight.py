@@ -31,4 +31,9 @@ def fly_offline(settings, programme, jitter_s=0.0):
     samples, _ = decode_all(RawBatch(packets, np.rint(heard * 1e9).astype(np.int64)))
     flying = samples.time_s - samples.time_s[0] > start + TAKE_OFF_S - 1.0
     sent = np.rint(times * 1e9).astype(np.int64)
-    return samples[np.flatnonzero(flying)], sent[len(level) :], np.radians(table[len(level) :]), craft
+    return (
+        samples[np.flatnonzero(flying)],
+        sent[len(level) :],
+        np.radians(table[len(level) :]),
+        craft,
+    )
