@@ -29,7 +29,7 @@ def _rates(lines: list[Line]) -> str:
         groups[_group(line), _mode(line)].append(line)
     for (group, mode), some in sorted(groups.items()):
         counted = [line for line in some if line["counted"]]
-        right = sum(_passes(line) for line in counted)
+        right = sum(line["right"] for line in counted)
         false = sum(bool(line.get("false")) for line in some)
         failed = sum("error" in line and bool(line["error"]) for line in some)
         rows.append(
@@ -37,11 +37,6 @@ def _rates(lines: list[Line]) -> str:
             f" | {false} | {failed} |"
         )
     return "\n".join(rows)
-
-
-def _passes(line: Line) -> bool:
-    """Right; a craft with nothing listed in it passes without a false name."""
-    return bool(line["right"])
 
 
 def _by_name(lines: list[Line]) -> str:
