@@ -22,10 +22,12 @@ class LinkStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 class RecordingStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The present recording, or the last one. wanted: whether there should be one. dropped: items
-    that are not in the file. free_mb: on its disk. text: the last fault."""
+    that are not in the file. free_mb: on its disk. text: the last fault. path: the file, for
+    programs in another folder."""
 
     state: Literal["off", "recording", "finished", "failed", "low_space"]
     file: str | None
+    path: str | None = None
     bytes: int
     samples: int
     raw_packets: int = 0

@@ -159,7 +159,9 @@ class Sessions:
         return recorder.fullness if recorder else 0.0
 
     def status(self) -> dict[str, Any]:
-        """file, bytes, samples of the present recording, or of the last one, and its state."""
+        """file, bytes, samples of the present recording, or of the last one, and its state.
+
+        path: the file, for programs that run in another folder."""
         recorder = self._recorder
         status = recorder.status() if recorder else self._last
         if status is None:
@@ -167,6 +169,7 @@ class Sessions:
         return {
             "state": status.state,
             "file": str(status.file),
+            "path": str(status.file.absolute()),
             "bytes": status.bytes,
             "samples": status.samples,
             "raw_packets": status.raw_packets,
