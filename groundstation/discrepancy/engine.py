@@ -235,7 +235,7 @@ def _findings(
         effects=tuple(effects),
         base=model,
         model=model_of(final.point, errors, keys, model),
-        candidates=_candidates(outcome),
+        candidates=_candidates(outcome, {effect.name for effect in effects}),
         not_shown=tuple(_not_shown(outcome.first)),
         lost=lost,
         channels=_channels(problem, outcome, held),
@@ -279,8 +279,9 @@ def _manoeuvre(name: str, other: str) -> str:
     return EFFECTS[other].excited_by
 
 
-def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
-    accepted = {one.variant.label for one in outcome.accepted}
+def _candidates(outcome: Outcome, named: set[str]) -> tuple[Candidate, ...]:
+    fitted = {one.variant.label: one.variant.effect for one in outcome.accepted}
+    accepted = {label for label, effect in fitted.items() if effect in named}
     found = []
     for one in outcome.first:
         label = one.variant.label
@@ -289,6 +290,8 @@ def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
             for key, size, error in zip(one.variant.keys, one.values, one.errors, strict=False)
         }
         reason = "" if label in accepted else outcome.reasons.get(label, "")
+        if label in fitted and label not in accepted:
+            reason = "within the rounding of the firmware's own bias: fitted, not an effect"
         found.append(
             Candidate(
                 label,

@@ -11,6 +11,8 @@ from typing import Any
 
 from numba import njit
 
+FASTEST_REV_S = 2000.0
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def rotor_run(
@@ -71,8 +73,8 @@ def rotor_run(
                     s4 *= braking
                 total += n * n + 2.0 * (n2 * n2 + n3 * n3) + n4 * n4
                 n += h / 6.0 * (s1 + 2.0 * (s2 + s3) + s4)
-            if n < 0.0:
-                n = 0.0
+            # What a search tries need not be a motor: it must stay a number.
+            n = min(max(n, 0.0), FASTEST_REV_S)
             end[k, i] = n
             square[k, i] = total / (6.0 * substeps)
 

@@ -30,8 +30,9 @@ BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
 """The smooth spectrum is a running median over this share of the frequency, or this far."""
 EXCESS, FAR = 1.7, 5.8
 """Rises count from this ratio and this many standard deviations: 1 in 10^8 each."""
-SLOW_HZ = 40.0
-"""Above it there is vibration, which hides no effect."""
+SLOW_HZ = (0.5, 6.0)
+"""Below, velocity is not known well enough to explain what it does; above, there is vibration,
+which hides no effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz:
     )
     slow: dict[int, float] = {}
     for channel, hz, ratio, freedom in peaks:
-        if hz < SLOW_HZ:
+        if SLOW_HZ[0] < hz < SLOW_HZ[1]:
             slow[channel] = slow.get(channel, 0.0) + freedom * (ratio - 1.0)
     return found, slow
 

@@ -7,6 +7,8 @@ from searched_flights import base_model, flights, samples
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.recordings import flights_of
+from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 
 HIDDEN = {
@@ -121,11 +123,7 @@ def test_a_hover_shows_which_effects_it_cannot_show():
 
 
 def test_a_model_of_another_craft_is_refused():
-    import msgspec
-
-    model = base_model()
-    body = msgspec.structs.replace(model.body, c0=3.0 * model.body.c0, c1=3.0 * model.body.c1)
-    other = msgspec.structs.replace(model, body=body)
+    other = vehicle_model(load_vehicle("crazyflie21"))  # its rotors stand between the axes
     runs, held = flights(1, {})
     with pytest.raises(BadInputError, match="does not belong to this craft"):
         find_effects(runs, other, held)
