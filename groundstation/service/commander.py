@@ -81,6 +81,7 @@ class Commander:
         self._lease: Lease | None = None
         self._stops = 0  # zero thrusts still to be repeated
         self._stopped_by = DEAD_MAN
+        self._closing = False
         self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
 
     # -- what a client can do --------------------------------------------------------------
@@ -94,6 +95,8 @@ class Commander:
         """Begin a lease: its token, and the limits the client must keep."""
         link = self._require_link()
         _, reason = self._telemetry()
+        if self._closing:
+            reason = "the daemon ends"
         if reason:
             raise BadInputError(f"no craft can be commanded: {reason}")
         if self._lease is not None:
@@ -156,13 +159,18 @@ class Commander:
 
     async def write_parameters(self, token: str, values: dict[str, float]) -> dict[str, float]:
         """Write parameters; what the craft says they are now. All are checked before any is
-        written; what was written before the craft failed to confirm one stays."""
+        written; what was written before the craft failed to confirm one, or the lease ended,
+        stays."""
         lease = self._require(token)
         link = self._require_link()
         for name, value in values.items():
             link.require_parameter(name, value)
         confirmed = {}
         for name, value in values.items():
+            if lease is not self._lease:
+                raise NotAuthorisedError(
+                    f"the lease is over; {name} and what comes after it was not written"
+                )
             confirmed[name] = await link.write_parameter(name, value, client=lease.client)
             lease.heard_s = time.monotonic()
         return confirmed
@@ -221,7 +229,7 @@ class Commander:
         if lease is None:
             return
         silent_s = now_s - lease.setpoint_s
-        if lease.thrust and silent_s >= self.limits.stop_s:
+        if self._is_overdue(lease, now_s):
             self.interventions += 1
             self._stop_motors(lease, client=DEAD_MAN)
             self._end(f"{lease.client} has vanished: motors stopped", kind="fault")
@@ -234,7 +242,9 @@ class Commander:
             self._end(f"{lease.client} was silent for {self.limits.lease_s:g} s: its lease is over")
 
     async def close(self) -> None:
-        """Stop motors that still run, and disconnect. Safe to call twice."""
+        """Stop motors that still run, and disconnect; nobody commands after this. Safe to call
+        twice."""
+        self._closing = True
         lease = self._lease
         if lease is not None:
             if lease.thrust:
@@ -255,12 +265,20 @@ class Commander:
             )
         return self.link
 
+    def _is_overdue(self, lease: Lease, now_s: float) -> bool:
+        """Whether motors run although their client has been silent for too long."""
+        return bool(lease.thrust) and now_s - lease.setpoint_s >= self.limits.stop_s
+
     def _require(self, token: str) -> Lease:
+        now_s = time.monotonic()
+        # where the daemon itself stood still, a stale request may come before the dead man's turn
+        if self._lease is not None and self._is_overdue(self._lease, now_s):
+            self.look(now_s)
         lease = self._lease
         if lease is None or not hmac.compare_digest(lease.token.encode(), token.encode()):
             self.refused += 1
             raise NotAuthorisedError("this token is not (or no more) in force; acquire a lease")
-        lease.heard_s = time.monotonic()
+        lease.heard_s = now_s
         return lease
 
     def _stop_motors(self, lease: Lease, *, client: str | None = None) -> None:

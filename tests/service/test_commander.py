@@ -1,5 +1,6 @@
 """Commanding through the daemon: cflib over UDP to a stand-in, whose pilot holds the height."""
 
+import asyncio
 import math
 import time
 
@@ -9,7 +10,8 @@ from flown_link import free_udp_port
 from installed import RECORDINGS, until
 from served_station import recorded, serve
 
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError, NotAuthorisedError
+from groundstation.links.command import CommandState
 from groundstation.service.client import Client, Pilot, ask, live
 from groundstation.service.config import (
     Config,
@@ -35,7 +37,13 @@ def crafts():
 
 
 @pytest.fixture
-def fly(tmp_path, path, crafts):
+def stations():
+    """The daemons that have flown."""
+    return []
+
+
+@pytest.fixture
+def fly(tmp_path, path, crafts, stations):
     """Runs a conversation with a daemon whose craft can be commanded; then its recording."""
 
     def flying(conversation, **dead_man):
@@ -52,6 +60,7 @@ def fly(tmp_path, path, crafts):
                 lambda: ask(path, "GET", "/status")["command"]["state"] == "connected",
                 "the command link is connected",
             )
+            stations.append(station)
             crafts.append(station.link._craft)
             conversation()
 
@@ -69,6 +78,11 @@ def steer(pilot, seconds, *, roll=0.0, pitch=0.0, yaw=0.0, thrust=HOVER):
         answer = pilot.setpoint(roll, pitch, yaw, thrust)
         time.sleep(0.02)
     return answer
+
+
+def in_the_loop(station, work):
+    """Run ``work`` in the daemon's own event loop."""
+    return asyncio.run_coroutine_threadsafe(work, station._loop).result(30)
 
 
 def burst(pilot):
@@ -94,7 +108,8 @@ def test_the_craft_leans_and_turns_as_commanded_in_the_signs_of_the_telemetry(fl
             yaw = steer(pilot, 0.8, yaw=60.0)["telemetry"]["yaw_deg"]
             reached["yaw"] = yaw - before
 
-    recording = fly(conversation)
+    # as patient as may be: a busy machine holds up this client too
+    recording = fly(conversation, level_s=0.5, stop_s=2.0)
     assert reached["roll"] > 3
     assert reached["pitch"] > 3
     assert reached["yaw"] > 15
@@ -189,6 +204,62 @@ def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
     recording = fly(conversation)
     last = setpoints(recording)[-1]
     assert (last["thrust"], last["client"]) == (0, "dead man")
+
+
+def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, stations):
+    """The dead man's time is up, though it is not his turn yet: the motors stay off."""
+
+    async def stand_still(commander, token):
+        time.sleep(0.8)
+        with pytest.raises(NotAuthorisedError):
+            commander.setpoint(token, 0.0, 0.0, 0.0, HOVER)
+
+    def conversation():
+        with Pilot(path, "stale") as pilot:
+            steer(pilot, 0.5)
+            in_the_loop(stations[0], stand_still(stations[0].commander, pilot.lease["token"]))
+
+    entries = setpoints(fly(conversation))
+    last = max(k for k, entry in enumerate(entries) if entry["client"] == "stale")
+    assert {(entry["client"], entry["thrust"]) for entry in entries[last + 1 :]} == {
+        ("dead man", 0)
+    }
+
+
+def test_a_lease_that_ends_ends_what_is_being_written(fly, path, stations):
+    async def write_and_release(commander):
+        token = commander.acquire("leaving").token
+        values = {"pid_rate.roll_kp": 55.0, "pid_rate.pitch_kp": 56.0}
+        writing = asyncio.create_task(commander.write_parameters(token, values))
+        await asyncio.sleep(0)
+        commander.release(token)
+        with pytest.raises(NotAuthorisedError, match=r"pid_rate\.pitch_kp and what comes after"):
+            await writing
+
+    def conversation():
+        in_the_loop(stations[0], write_and_release(stations[0].commander))
+        values = ask(path, "GET", "/command/parameters")["values"]
+        assert (values["pid_rate.roll_kp"], values["pid_rate.pitch_kp"]) == (55.0, 70.0)
+
+    fly(conversation)
+
+
+def test_nobody_can_begin_to_command_a_daemon_that_ends(fly, path, stations):
+    async def end(commander):
+        ending = asyncio.create_task(commander.close())
+        await asyncio.sleep(0)
+        assert commander.link.state is CommandState.CONNECTED
+        with pytest.raises(BadInputError, match="the daemon ends"):
+            commander.acquire("late")
+        await ending
+
+    def conversation():
+        pilot = Pilot(path, "flying").__enter__()
+        steer(pilot, 0.3)
+        pilot.close()
+        in_the_loop(stations[0], end(stations[0].commander))
+
+    assert setpoints(fly(conversation))[-1]["thrust"] == 0
 
 
 def test_a_silent_client_on_the_ground_loses_its_lease_unless_it_keeps_it(fly, path):
