@@ -1,4 +1,4 @@
-"""What a flight changed in a craft, on disk until it has been settled: a program that is killed
+"""What flights changed in crafts, on disk until it has been settled: a program that is killed
 must not leave its gains unnoticed."""
 
 from __future__ import annotations
@@ -19,34 +19,59 @@ def notes_path() -> Path:
 
 
 def note_changes(uri: str, saved: dict[str, float], written: dict[str, float]) -> None:
-    """Say, before anything is written, what is about to change."""
+    """Say, before anything is written, what is about to change on the craft at ``uri``."""
+    note = {"time": time.time(), "saved": saved, "written": written}
+    _put({**_notes(), uri: note})
+
+
+def forget_changes(uri: str) -> None:
+    """All is as it is meant to be on the craft at ``uri``."""
+    notes = _notes()
+    if notes.pop(uri, None) is not None:
+        _put(notes)
+
+
+def changes_left(uri: str) -> dict[str, Any] | None:
+    """What earlier flights changed on the craft at ``uri`` and never settled: ``time``, ``saved``,
+    ``written``; or None."""
+    return _notes().get(uri)
+
+
+def crafts_left() -> list[str]:
+    """The crafts on which something was left changed."""
+    return list(_notes())
+
+
+def _notes() -> dict[str, dict[str, Any]]:
     path = notes_path()
-    content = {"uri": uri, "time": time.time(), "saved": saved, "written": written}
     try:
+        content = json.loads(path.read_text())
+        return {
+            str(uri): {
+                "time": float(note["time"]),
+                "saved": {str(k): float(v) for k, v in note["saved"].items()},
+                "written": {str(k): float(v) for k, v in note["written"].items()},
+            }
+            for uri, note in content.items()
+        }
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise BadInputError(
+            f"{path}: cannot be read ({error}), so it is not known what an interrupted flight left"
+            " changed; look at the craft's gains, then remove the file"
+        ) from error
+
+
+def _put(notes: dict[str, dict[str, Any]]) -> None:
+    path = notes_path()
+    try:
+        if not notes:
+            path.unlink(missing_ok=True)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_suffix(".new")
-        partial.write_text(json.dumps(content))
+        partial.write_text(json.dumps(notes))
         partial.replace(path)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def forget_changes() -> None:
-    """All is as it is meant to be."""
-    notes_path().unlink(missing_ok=True)
-
-
-def changes_left() -> dict[str, Any] | None:
-    """What an earlier flight changed and never settled, or None."""
-    try:
-        content = json.loads(notes_path().read_text())
-        return {
-            "uri": str(content["uri"]),
-            "time": float(content["time"]),
-            "saved": {str(k): float(v) for k, v in content["saved"].items()},
-            "written": {str(k): float(v) for k, v in content["written"].items()},
-        }
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return {"uri": "?", "time": 0.0, "saved": {}, "written": {}}

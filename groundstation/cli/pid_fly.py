@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.left_changed import changes_left, forget_changes, note_changes
+from groundstation.cli.left_changed import (
+    changes_left,
+    crafts_left,
+    forget_changes,
+    note_changes,
+)
 from groundstation.cli.model_files import AS_JSON, require_new
-from groundstation.cli.sticks import Source, StandInPilot, open_sticks
+from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
+from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
@@ -22,18 +31,10 @@ if TYPE_CHECKING:
     from groundstation.control.programme import Programme
 
 CLIENT = "pid fly"
-HOLD_HEIGHT = "flightmode.althold"
-MOTORS_ON = 10000
-"""The firmware takes less thrust for none."""
-DESCENT = 0.97
-"""Thrust of the landing, as a share of what hovered: about 0.5 m/s^2 downwards."""
-DESCENT_S = 2.4
-TOUCHED_DPS = 150.0
-"""Level flight never turns so fast: the ground has been met."""
 LEAST_REST_V = 3.5
 """Battery at rest below which a flight does not begin."""
-TAKE_OFF_S = 3.0
-STOPPED_S = 3.0
+KEEP_S = 0.4
+"""The least lease is 1 s."""
 CONNECT_S, TELEMETRY_S = 20.0, 5.0
 """How long a daemon that has just started is waited for."""
 
@@ -76,6 +77,7 @@ def fly(
     from groundstation.control.cascade import require_gains
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import AXES, PidGains
+    from groundstation.control.plant import plant_of_model
     from groundstation.control.programme import Programme, require_flyable
     from groundstation.dynamics.model import load_model
 
@@ -101,7 +103,7 @@ def fly(
             wanted[name] = value
         require_gains(wanted, f"gains {gains}")
     if model is not None:
-        load_model(model)  # what is wrong with it is better known before the flight
+        plant_of_model(load_model(model))  # what is wrong with it is better known before a flight
     if dry_run:
         _show(planned, wanted, as_json)
         return
@@ -111,7 +113,7 @@ def fly(
     report = _flight(planned, wanted, restore, thrust, yes)
     if report["aborted"]:
         raise GroundStationError(
-            f"flight aborted: {report['aborted']}; motors are off, the recording is"
+            f"flight aborted: {report['aborted']}; {report['motors']}, the recording is"
             f" {report['recording']}"
         )
     _judge(report, planned, model, html, as_json)
@@ -141,50 +143,94 @@ def _flight(
     """Everything that touches the craft; what happened."""
     path = socket_path()
     _await_connection(path)
-    left = changes_left()
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
         real = not uri.startswith("udp://")
         if real and thrust == "stand-in":
             raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
+        before = pilot.parameters()
+        former, written = _left_changed(uri, before)
+        _require_ready(pilot, wanted, before)
+        if real and not yes:
+            with kept(pilot):
+                if not typer.confirm(f"{uri}: clear of people, ready to fly?"):
+                    raise BadInputError("not flown")
         with open_sticks(thrust or ("keyboard" if real else "stand-in")) as sticks:
-            before = pilot.parameters()
-            if left is not None:
-                _tell_left(left, before)
-            _require_ready(pilot, wanted, before)
-            if real and not yes and not typer.confirm(f"{uri}: clear of people, ready to fly?"):
-                raise BadInputError("not flown")
             recording = _begin_recording(path)
             changed = dict(wanted)
             if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):
                 changed[HOLD_HEIGHT] = 1.0
-            saved = {name: before[name] for name in changed}
+            # what an interrupted flight found is what the craft had
+            saved = {name: former.get(name, before[name]) for name in changed}
             if changed:
-                note_changes(uri, saved, changed)
-            aborted = ""
+                note_changes(uri, {**former, **saved}, {**written, **changed})
+            aborted, motors = "an unforeseen error", ""
             try:
                 _write(pilot, changed)
                 details = {"programme": programme.as_dict(), "gains": wanted, "saved": saved}
-                pilot.mark("pid fly begins", **details)
+                pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
                 say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
-                aborted = _command(pilot, programme, sticks)
+                aborted = fly_programme(pilot, programme, sticks)
             except KeyboardInterrupt:
                 aborted = "Ctrl-C"
+            except GroundStationError as error:
+                aborted = str(error)
             finally:
                 # motors first: parameters may take a while
-                _stop(pilot)
-                kept = {} if restore or aborted else wanted
-                back = {name: value for name, value in saved.items() if name not in kept}
-                _settle(pilot, back, aborted)
-    status = ask(path, "POST", "/record/stop")
-    if recording["was_on"]:
-        ask(path, "POST", "/record/start")
+                motors = stop_motors(pilot)
+                stays = {} if restore or aborted else wanted
+                back = {name: value for name, value in saved.items() if name not in stays}
+                earlier = {name: value for name, value in former.items() if name not in changed}
+                _settle(pilot, uri, back, earlier, written, aborted)
     return {
         "aborted": aborted,
-        "recording": status.get("path") or status["file"],
-        "gains": {name: before[name] for name in before if name.startswith("pid_")} | wanted,
+        "motors": motors,
+        "recording": _end_recording(path, recording, aborted),
+        "gains": _flown_gains(before, wanted),
         "restored": sorted(back),
     }
+
+
+def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    """What an interrupted flight found on this craft, and what it wrote; empty where none was,
+    or where all is as it found it (a craft forgets when it is switched off)."""
+    import numpy as np
+
+    left = changes_left(uri)
+    if left is None:
+        return {}, {}
+    saved: dict[str, float] = left["saved"]
+    if all(
+        np.float32(present.get(name, value)) == np.float32(value) for name, value in saved.items()
+    ):
+        forget_changes(uri)
+        return {}, {}
+    _tell_left(uri, left, present)
+    return saved, left["written"]
+
+
+def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str, float]:
+    return {name: value for name, value in before.items() if name.startswith("pid_")} | wanted
+
+
+@contextlib.contextmanager
+def kept(pilot: Pilot) -> Iterator[None]:
+    """The lease lasts while a human thinks. Nothing else may use the pilot meanwhile."""
+    answered = threading.Event()
+
+    def keep() -> None:
+        # a lease that is lost shows at the next command
+        with contextlib.suppress(GroundStationError):
+            while not answered.wait(KEEP_S):
+                pilot.keep()
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        answered.set()
+        keeper.join()
 
 
 def _await_connection(path: Path) -> None:
@@ -238,6 +284,20 @@ def _begin_recording(path: Path) -> dict[str, Any]:
     return {"was_on": was_on, **ask(path, "POST", "/record/start")}
 
 
+def _end_recording(path: Path, recording: dict[str, Any], aborted: str) -> str:
+    """The file of this flight; a recording that ran before it goes on in a new one."""
+    try:
+        status = ask(path, "POST", "/record/stop")
+        if recording["was_on"]:
+            ask(path, "POST", "/record/start")
+    except GroundStationError as error:
+        if not aborted:
+            raise
+        say(f"the recording could not be ended: {error}", error=True)
+        status = recording
+    return str(status.get("path") or status["file"])
+
+
 def _write(pilot: Pilot, values: dict[str, float]) -> None:
     """Write parameters and require that the craft read back the same numbers."""
     import numpy as np
@@ -252,114 +312,32 @@ def _write(pilot: Pilot, values: dict[str, float]) -> None:
             )
 
 
-def _settle(pilot: Pilot, back: dict[str, float], aborted: str) -> None:
-    """Put parameters back, and forget the note once that has worked."""
+def _settle(
+    pilot: Pilot,
+    uri: str,
+    back: dict[str, float],
+    earlier: dict[str, float],
+    written: dict[str, float],
+    aborted: str,
+) -> None:
+    """Put parameters back. Once that has worked the note holds no more than ``earlier``, what an
+    interrupted flight changed and this one did not touch."""
     try:
         _write(pilot, back)
     except (GroundStationError, KeyboardInterrupt) as error:
         say(f"the former gains could not be put back ({error}): pid fly --undo", error=True)
         return
-    forget_changes()
+    if earlier:
+        note_changes(uri, earlier, written)
+    else:
+        forget_changes(uri)
     if back and aborted:
         say("the former gains are back", error=True)
 
 
-def _stop(pilot: Pilot) -> None:
-    """Zero thrust until the telemetry says that the motors stand, or is not heard any more."""
-    deadline = time.monotonic() + STOPPED_S
-    try:
-        while time.monotonic() < deadline:
-            telemetry = pilot.setpoint(0.0, 0.0, 0.0, 0)["telemetry"]
-            if telemetry is None or not any(telemetry["motors"]):
-                break
-            time.sleep(0.05)
-    except GroundStationError as error:
-        say(f"stopping: {error}; the daemon's dead man stops the motors", error=True)
-
-
-class _Clock:
-    """Setpoints every 10 ms; what was missed is not made up for."""
-
-    def __init__(self) -> None:
-        self._next = time.monotonic()
-
-    def wait(self) -> None:
-        self._next = max(self._next + 0.01, time.monotonic() - 0.01)
-        time.sleep(max(self._next - time.monotonic(), 0.0))
-
-
-def _command(pilot: Pilot, programme: Programme, sticks: Source) -> str:
-    """Take off, fly the programme, land; why it was aborted, or empty."""
-    from groundstation.control.programme import RATE_HZ, reason_to_abort
-
-    table = programme.setpoints()
-    clock = _Clock()
-    answer: dict[str, Any] = {}
-
-    def send(roll: float, pitch: float, yaw: float, thrust: int) -> str:
-        nonlocal answer
-        answer = pilot.setpoint(roll, pitch, yaw, thrust)
-        return reason_to_abort(answer)
-
-    # take-off: until the human says so, or the pilot has had his time
-    for tick in range(10**9):
-        hands = sticks.read()
-        if hands.stop:
-            return "stopped by hand"
-        reason = send(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
-        if reason and hands.thrust > MOTORS_ON:
-            return reason
-        if hands.begin and hands.thrust > MOTORS_ON and tick >= TAKE_OFF_S * RATE_HZ:
-            break
-        clock.wait()
-    pilot.mark("pid fly programme")
-    for roll, pitch, yaw in table.tolist():
-        hands = sticks.read()
-        if hands.stop or hands.thrust <= MOTORS_ON:
-            return "stopped by hand"
-        reason = send(
-            roll + hands.roll_deg, pitch + hands.pitch_deg, yaw + hands.yaw_dps, hands.thrust
-        )
-        if reason:
-            return reason
-        clock.wait()
-    pilot.mark("pid fly landing")
-    return _land(pilot, sticks, clock, answer)
-
-
-def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> str:
-    """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
-    from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
-
-    if isinstance(sticks, StandInPilot):
-        if HOLD_HEIGHT in pilot.parameters():
-            pilot.write({HOLD_HEIGHT: 0.0})
-        hover = 65536.0 * sum(last["telemetry"]["motors"]) / 4.0
-        for _ in range(round(DESCENT_S * RATE_HZ)):
-            answer = pilot.setpoint(0.0, 0.0, 0.0, round(DESCENT * hover))
-            reason = reason_to_abort(answer, LANDING)
-            if reason:
-                return reason
-            if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:
-                break
-            clock.wait()
-        return ""
-    say("the programme is flown: land", error=True)
-    while True:
-        hands = sticks.read()
-        if hands.stop or hands.thrust <= MOTORS_ON:
-            return ""
-        reason = reason_to_abort(
-            pilot.setpoint(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
-        )
-        if reason:
-            return reason
-        clock.wait()
-
-
-def _tell_left(left: dict[str, Any], present: dict[str, float]) -> None:
+def _tell_left(uri: str, left: dict[str, Any], present: dict[str, float]) -> None:
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(left["time"]))
-    say(f"the flight of {when} on {left['uri']} was interrupted and left changed:", error=True)
+    say(f"the flight of {when} on {uri} was interrupted and left changed:", error=True)
     for name, value in left["saved"].items():
         say(
             f"  {name}: was {value:g}, written {left['written'].get(name, value):g},"
@@ -370,21 +348,23 @@ def _tell_left(left: dict[str, Any], present: dict[str, float]) -> None:
 
 
 def _undo() -> None:
-    left = changes_left()
-    if left is None:
+    crafts = crafts_left()
+    if not crafts:
         typer.echo("nothing was left changed")
         return
     path = socket_path()
     _await_connection(path)
     with Pilot(path, CLIENT) as pilot:
-        if pilot.lease["uri"] != left["uri"]:
+        uri = pilot.lease["uri"]
+        left = changes_left(uri)
+        if left is None:
             raise BadInputError(
-                f"the changes were made on {left['uri']}, the daemon commands"
-                f" {pilot.lease['uri']}; nothing was written"
+                f"the changes were made on {', '.join(crafts)}, the daemon commands {uri};"
+                " nothing was written"
             )
-        _tell_left(left, pilot.parameters())
+        _tell_left(uri, left, pilot.parameters())
         _write(pilot, left["saved"])
-    forget_changes()
+    forget_changes(uri)
     typer.echo("the former values are back: " + ", ".join(left["saved"]))
 
 

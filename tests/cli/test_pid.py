@@ -145,6 +145,16 @@ def test_a_gain_that_cannot_be_is_refused_before_anything_is_reached(tmp_path, v
         pid("fly", "--gains", gains)
 
 
+def test_a_model_that_cannot_predict_is_refused_before_the_flight(tmp_path, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
+    model = json.loads(Path(BODY).read_text())
+    roll = {"na": 2, "nb": 1, "nk": 2, "a": [-1.9, 0.9], "b": [1e-6], "ts": 0.002}
+    path = tmp_path / "arx.json"
+    path.write_text(json.dumps({**model, "body": None, "arx": {"roll": roll}}))
+    with pytest.raises(BadInputError, match="no body constants"):
+        pid("fly", "--model", path)
+
+
 def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("GROUNDSTATION_SOCKET", str(tmp_path / "nobody.sock"))
     plan = json.loads(pid("fly", "--gains", GAINS, "--dry-run", "--json"))

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from installed import COMMAND, RECORDINGS, Daemon, require_failure, until
 
+from groundstation.cli.left_changed import changes_left, note_changes
+from groundstation.cli.pid_fly import kept
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot, ask
 
@@ -71,7 +73,7 @@ class Station:
         )
 
     @contextlib.contextmanager
-    def flying(self, *arguments):
+    def flying(self, *arguments, mark="pid fly programme"):
         """``pid fly`` in the midst of its programme; killed in the end if it still runs."""
         with subprocess.Popen(
             [COMMAND, "pid", "fly", *map(str, arguments)],
@@ -81,16 +83,16 @@ class Station:
             env=self._environment,
         ) as flight:
             try:
-                until(self._in_programme(flight), "the programme is flown")
+                until(self._in_programme(flight, mark), "the programme is flown")
                 yield flight
             finally:
                 flight.kill()
 
-    def _in_programme(self, flight):
+    def _in_programme(self, flight, mark):
         def look():
             if flight.poll() is not None:
                 require_flown(flight.stderr.read())
-            return "pid fly programme" in self.marks()
+            return mark in self.marks()
 
         return look
 
@@ -196,6 +198,58 @@ def test_gains_that_cannot_fly_end_in_an_abort_and_are_put_back(station, tmp_pat
     assert "nothing was left changed" in station.fly("--undo").stdout
 
 
+def test_what_an_interrupted_flight_found_stays_the_former_value(station, tmp_path, monkeypatch):
+    """Or a second flight would take the left-over gains for the craft's own."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
+    former = {"pid_attitude.roll_kp": 3.5, "pid_rate.yaw_kp": 50.0}
+    written = {"pid_attitude.roll_kp": 5.0, "pid_rate.yaw_kp": 60.0}
+    note_changes("radio://0/80/250K", {GAIN: 1.0}, {GAIN: 2.0})
+    note_changes(uri, former, written)
+    with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
+        pilot.write(written)
+    gains = tmp_path / "wild.toml"
+    gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
+    flight = station.fly("--gains", gains, *ONCE, "--restore")
+    assert "flight aborted: " in flight.stderr
+    values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
+    assert values["pid_attitude.roll_kp"] == 3.5
+    left = changes_left(uri)
+    assert left is not None
+    assert left["saved"] == {"pid_rate.yaw_kp": 50.0}
+    assert station.fly("--undo").returncode == 0
+    assert changes_left(uri) is None
+    refused = require_failure(station.fly("--undo"))
+    assert "the changes were made on radio://0/80/250K" in refused
+
+
+def test_a_fault_in_flight_ends_it_and_puts_the_gains_back(station):
+    with station.flying("--gains", GAINS, *SHORT, mark="pid fly begins") as flight:
+        ask(station.daemon.socket, "POST", "/record/stop")  # nowhere to put the next mark
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1
+    assert "flight aborted: nothing is being recorded" in stderr
+    assert "motors are off" in stderr
+    assert station.gain() == STOCK
+    assert "nothing was left changed" in station.fly("--undo").stdout
+
+
+def test_the_lease_lasts_while_a_human_thinks(tmp_path, port):
+    settings = tmp_path / "short.toml"
+    settings.write_text(
+        f'command = "udp://127.0.0.1:{port}"\n'
+        '[link]\nname = "stand-in"\n[stand_in]\nprogram = "wait"\n'
+        "[recording]\nenabled = false\n[dead_man]\nlease_s = 1.0\n"
+    )
+    with Daemon(tmp_path, "--config", settings) as daemon:
+        daemon.status_when(connected, "the command link is connected")
+        with Pilot(daemon.socket, "a human") as pilot:
+            with kept(pilot):
+                time.sleep(2.0)
+            assert ask(daemon.socket, "GET", "/status")["command"]["client"] == "a human"
+            pilot.keep()
+
+
 def test_only_one_may_command(station):
     with Pilot(station.daemon.socket, "somebody else"):
         refused = station.fly(*SHORT)
@@ -226,7 +280,7 @@ def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
         try:
             until(name.exists, "the pseudo-terminal is there")
             command = ("--command", f"udp://127.0.0.1:{port}")
-            sessions = ("--recordings", tmp_path / "sessions")
+            sessions = ("--recordings", "sessions")  # of the daemon's folder, not of pid fly's
             with Daemon(tmp_path, "--link", f"serial:{name}", *command, *sessions) as daemon:
                 daemon.status_when(connected, "the command link is connected")
                 station = Station(daemon, tmp_path)

@@ -1,0 +1,127 @@
+"""A programme in the air: take-off, manoeuvres, landing, and motors that stop."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from groundstation.cli.sticks import Source, StandInPilot
+from groundstation.cli.terminal import say
+from groundstation.errors import GroundStationError
+from groundstation.service.client import Pilot
+
+if TYPE_CHECKING:
+    from groundstation.control.programme import Programme
+
+HOLD_HEIGHT = "flightmode.althold"
+MOTORS_ON = 10000
+"""The firmware takes less thrust for none."""
+DESCENT = 0.97
+"""Thrust of the landing, as a share of what hovered: about 0.5 m/s^2 downwards."""
+DESCENT_S = 2.4
+TOUCHED_DPS = 150.0
+"""Level flight never turns so fast: the ground has been met."""
+TAKE_OFF_S = 3.0
+STOPPED_S = 3.0
+STOPS = 5
+"""Zero thrust is sent so often at least: a radio may lose some."""
+
+
+def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
+    """Take off, fly the programme, land; why it was aborted, or empty."""
+    from groundstation.control.programme import RATE_HZ, reason_to_abort
+
+    table = programme.setpoints()
+    clock = _Clock()
+    answer: dict[str, Any] = {}
+
+    def send(roll: float, pitch: float, yaw: float, thrust: int) -> str:
+        nonlocal answer
+        answer = pilot.setpoint(roll, pitch, yaw, thrust)
+        return reason_to_abort(answer)
+
+    # take-off: until the human says so, or the pilot has had his time
+    for tick in range(10**9):
+        hands = sticks.read()
+        if hands.stop:
+            return "stopped by hand"
+        reason = send(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
+        if reason and hands.thrust > MOTORS_ON:
+            return reason
+        if hands.begin and hands.thrust > MOTORS_ON and tick >= TAKE_OFF_S * RATE_HZ:
+            break
+        clock.wait()
+    pilot.mark("pid fly programme")
+    for roll, pitch, yaw in table.tolist():
+        hands = sticks.read()
+        if hands.stop or hands.thrust <= MOTORS_ON:
+            return "stopped by hand"
+        reason = send(
+            roll + hands.roll_deg, pitch + hands.pitch_deg, yaw + hands.yaw_dps, hands.thrust
+        )
+        if reason:
+            return reason
+        clock.wait()
+    pilot.mark("pid fly landing")
+    return _land(pilot, sticks, clock, answer)
+
+
+def stop_motors(pilot: Pilot) -> str:
+    """Zero thrust until fresh telemetry says that the motors stand; what is known of them."""
+    from groundstation.control.programme import AbortLimits
+
+    deadline = time.monotonic() + STOPPED_S
+    try:
+        for sent in range(1, 10**9):
+            telemetry = pilot.setpoint(0.0, 0.0, 0.0, 0)["telemetry"]
+            heard = telemetry is not None and telemetry["age_s"] <= AbortLimits().silent_s
+            if sent >= STOPS and heard and not any(telemetry["motors"]):
+                return "motors are off"
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.05)
+    except GroundStationError as error:
+        say(f"stopping: {error}; the daemon's dead man stops the motors", error=True)
+        return "the dead man stops the motors"
+    return "motors were told to stop, no telemetry shows it"
+
+
+def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> str:
+    """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
+    from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
+
+    if isinstance(sticks, StandInPilot):
+        if HOLD_HEIGHT in pilot.parameters():
+            pilot.write({HOLD_HEIGHT: 0.0})
+        hover = 65536.0 * sum(last["telemetry"]["motors"]) / 4.0
+        for _ in range(round(DESCENT_S * RATE_HZ)):
+            answer = pilot.setpoint(0.0, 0.0, 0.0, round(DESCENT * hover))
+            reason = reason_to_abort(answer, LANDING)
+            if reason:
+                return reason
+            if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:
+                break
+            clock.wait()
+        return ""
+    say("the programme is flown: land", error=True)
+    while True:
+        hands = sticks.read()
+        if hands.stop or hands.thrust <= MOTORS_ON:
+            return ""
+        reason = reason_to_abort(
+            pilot.setpoint(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
+        )
+        if reason:
+            return reason
+        clock.wait()
+
+
+class _Clock:
+    """Setpoints every 10 ms; what was missed is not made up for."""
+
+    def __init__(self) -> None:
+        self._next = time.monotonic()
+
+    def wait(self) -> None:
+        self._next = max(self._next + 0.01, time.monotonic() - 0.01)
+        time.sleep(max(self._next - time.monotonic(), 0.0))
