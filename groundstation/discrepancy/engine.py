@@ -215,7 +215,7 @@ def _findings(
 ) -> Findings:
     final, errors = outcome.final, outcome.final.stderr()
     keys = tuple(key for v in known for key in v.keys)
-    effects = []
+    effects: list[FoundEffect] = []
     for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
         if not negligible(one.variant, final.point):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.attitude_rows import AttitudeRows, Gaps, attitude_rows
-from groundstation.discrepancy.recordings import filled
+from groundstation.discrepancy.recordings import without_gaps
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
@@ -85,7 +85,7 @@ def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:
 
 
 def _flights(raw: Run, least_s: float) -> list[Flight]:
-    known = np.isfinite(raw.gyro).all(axis=1)
+    known: Flags = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
     if not known.any():
         raise BadInputError(
             f"{raw.name}: the gyro is missing; without body rates no effect can be told"
@@ -95,23 +95,7 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         raise BadInputError(f"{raw.name}: PWM or battery voltage is missing; the motors need both")
     has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
     has_attitude = bool(np.isfinite(raw.attitude).any())
-    run = Run(
-        raw.name,
-        raw.start_s,
-        raw.period_s,
-        *(
-            filled(getattr(raw, name))
-            for name in (
-                "duty",
-                "supply_v",
-                "gyro",
-                "accelerometer",
-                "attitude",
-                "rotor_rev_s",
-                "debug_s",
-            )
-        ),
-    )
+    run = without_gaps(raw)
     turning = (run.rotor_rev_s > 20.0 if measured else run.duty > TURNING).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
     period = run.period_s

@@ -60,11 +60,10 @@ class Evidence:
             weights.append(weight)
         if len(sizes) < 2:
             return 0.0, 0.0
-        size, weight = np.array(sizes), np.array(weights)
-        mean = float((size * weight).sum() / weight.sum())
-        away = np.abs(size - mean)
-        worst = int(np.argmax(away * np.sqrt(weight)))
-        return float(away[worst] * np.sqrt(weight[worst])), float(away[worst])
+        every, trust = np.array(sizes), np.array(weights)
+        away = np.abs(every - float((every * trust).sum() / trust.sum()))
+        worst = int(np.argmax(away * np.sqrt(trust)))
+        return float(away[worst] * np.sqrt(trust[worst])), float(away[worst])
 
 
 def judge(

@@ -45,8 +45,13 @@ class Signal:
     held_out: float
 
 
-def leftover(problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz: float) -> Leftover:
-    """Judge what a fit leaves. rotor_hz: mean rotor speed, to tell vibration by its fold."""
+def leftover(
+    problem: Problem, fit: Fit, validation: Sequence[Flight], rotor_hz: float
+) -> tuple[Leftover, dict[int, float]]:
+    """Judge what a fit leaves. rotor_hz: mean rotor speed, to tell vibration by its fold.
+
+    Also returns how much slow structure each channel has beyond coloured noise, in -2 log L.
+    """
     signals = [s for s in scan(problem, fit, validation) if s.drop > SCAN_DROP]
     signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
     peaks = rises(problem.linear(fit.point, (), problem.flights))

@@ -260,7 +260,8 @@ class _Evaluation:
         """Values at the rows, as they were ``delay`` before."""
         if self.delay == 0.0:
             return values
-        return _linear(values, np.arange(len(values)) - self.delay / self.period)
+        at = np.arange(len(values), dtype=np.float64) - self.delay / self.period
+        return _linear(values, at)
 
     def shift_mean(self, means: Array, ends: Array) -> Array:
         """Means over the periods before the rows, as they were ``delay`` before."""

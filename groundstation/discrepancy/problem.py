@@ -240,7 +240,8 @@ def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) 
     residual, slopes = series.vertical
     seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
     ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
-    sigma = np.hypot(*(still if rest else END_SPEED_M_S for rest, still in ends)) / seconds
+    begin, end = (still if rest else END_SPEED_M_S for rest, still in ends)
+    sigma = np.hypot(begin, end) / seconds
     found = [Vertical(number, residual, _row(slopes, keys), float(sigma))]
     if series.lift is not None:
         loose = max(

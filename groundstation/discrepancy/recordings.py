@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,4 +101,5 @@ def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def without_gaps(run: Run) -> Run:
     """The run with its missing rows filled in, for what needs every row."""
-    return replace(run, **{name: filled(getattr(run, name)) for name in CHANNELS})
+    parts: dict[str, Any] = {name: filled(getattr(run, name)) for name in CHANNELS}
+    return replace(run, **parts)
