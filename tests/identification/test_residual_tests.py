@@ -23,11 +23,23 @@ def test_slightly_coloured_noise_does_not(coefficient):
 
 def test_independent_coloured_signals_are_not_called_correlated():
     generator = np.random.default_rng(2)
-    passed = []
-    for _ in range(200):
-        one, other = lfilter([1.0], [1.0, -0.9], generator.normal(size=(2, 3000)), axis=1)
-        passed.append(cross_correlation_test(one, other).passes)
-    assert np.mean(passed) > 0.9
+    for pole in (0.0, 0.9, 0.98):
+        passed = []
+        for _ in range(100):
+            white = generator.normal(size=3000)
+            one, other = lfilter([1.0], [1.0, -pole], generator.normal(size=(2, 3000)), axis=1)
+            passed.append(cross_correlation_test(white, one).passes)
+            passed.append(cross_correlation_test(one, other).passes)
+        assert np.mean(passed) > 0.97, pole
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9, 0.98])
+def test_an_input_that_explains_a_hundredth_of_the_residual_is_seen(pole):
+    generator = np.random.default_rng(5)
+    for _ in range(20):
+        inputs = lfilter([1.0], [1.0, -pole], generator.normal(size=4000))
+        residual = generator.normal(size=4000) + 0.1 * np.roll(inputs, 2) / inputs.std()
+        assert not cross_correlation_test(residual, inputs).passes
 
 
 def test_an_input_that_acts_late_shows_at_its_lag():
