@@ -8,6 +8,7 @@ laid out here (MCAP specification version 0) and the index is kept as the bytes 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import struct
 import zlib
@@ -306,6 +307,8 @@ def _create(path: Path) -> int:
         raise RecordingError(f"{path}: {path.parent} is not a folder") from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
+    with contextlib.suppress(OSError):  # not every file system has locks
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # tells a clean-up that it is being written
     with contextlib.suppress(OSError):  # not every file system can sync a folder
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:

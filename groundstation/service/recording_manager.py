@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import os
 import time
 from collections.abc import Callable, Coroutine
@@ -50,6 +51,7 @@ class RecordingManager:
         self._began_s = 0.0
         self._retry_s, self._retry_at_s, self._told = RESUME_FIRST_S, 0.0, ""
         self._retain_at_s = 0.0
+        self._stuck: list[str] = []  # what retention could not delete
         self._lock = asyncio.Lock()  # held while a recording is begun or finished
         self._finishing: set[asyncio.Task[Any]] = set()
         self._look = asyncio.Event()
@@ -128,7 +130,9 @@ class RecordingManager:
                 if self._wanted:
                     await self._look_after()
             if time.monotonic() >= self._retain_at_s:
-                await self._retain()
+                # no file is begun meanwhile that would not be known as a present one
+                async with self._lock:
+                    await self._retain()
 
     async def _look_after(self) -> None:
         status = self.sessions.status()
@@ -219,33 +223,57 @@ class RecordingManager:
         if keep <= 0:
             return
         present = {path.name for path in self.sessions.present()}
-        deleted = await asyncio.to_thread(delete_oldest, self.sessions.folder, keep, present)
+        deleted, stuck = await asyncio.to_thread(delete_oldest, self.sessions.folder, keep, present)
         self.deleted += len(deleted)
         for name in deleted:
             self._note("deleted", f"{name}: the recordings need more than {keep / 1e6:.0f} MB")
+        if stuck and stuck != self._stuck:
+            self._note("fault", f"not deleted, though there is too much: {'; '.join(stuck)}")
+        self._stuck = stuck
 
 
-def delete_oldest(folder: Path, keep_bytes: int, present: set[str]) -> list[str]:
+def delete_oldest(folder: Path, keep_bytes: int, present: set[str]) -> tuple[list[str], list[str]]:
     """Delete recordings of ours, oldest first, until the rest needs at most ``keep_bytes``; their
-    names. Never a present one, and nothing that has another name than we give."""
+    names, and what could not be deleted with the reason.
+
+    Never a present one, nor one that another daemon is writing, and nothing that has another name
+    than we give.
+    """
     if not folder.is_dir():
-        return []
+        return [], []
+    found = []
     with os.scandir(folder) as entries:
-        found = [
-            (entry.name, entry.stat(follow_symlinks=False).st_size)
-            for entry in entries
-            if OUR_NAME.fullmatch(entry.name) and entry.is_file(follow_symlinks=False)
-        ]
+        for entry in entries:
+            if OUR_NAME.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                with contextlib.suppress(FileNotFoundError):  # deleted meanwhile
+                    found.append((entry.name, entry.stat(follow_symlinks=False).st_size))
     total = sum(size for _, size in found)
-    deleted = []
+    deleted, stuck = [], []
     for name, size in sorted(found):
         if total <= keep_bytes:
             break
-        if name not in present:
-            (folder / name).unlink(missing_ok=True)
+        if name in present:
+            continue
+        try:
+            _delete(folder / name)
+        except OSError as error:
+            stuck.append(f"{name}: {error.strerror}")
+        else:
             total -= size
             deleted.append(name)
-    return deleted
+    return deleted, stuck
+
+
+def _delete(path: Path) -> None:
+    """Delete a file. Raises OSError where that fails or somebody is still writing it."""
+    fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink()
+    except BlockingIOError as error:
+        raise OSError(error.errno, "is still being written") from error
+    finally:
+        os.close(fd)
 
 
 def _free_bytes(folder: Path) -> int | None:

@@ -1,6 +1,7 @@
 """Rotation, resuming and retention, on a flying stand-in."""
 
 import asyncio
+import errno
 import os
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from groundstation.errors import BadInputError
 from groundstation.recording.catalogue import catalogue
+from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.open_recording import open_recording
 from groundstation.service import recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
@@ -155,8 +157,46 @@ def test_a_link_that_points_elsewhere_is_never_followed_to_delete(tmp_path):
     outside = tmp_path / "2000-01-01T00-00-00-000Z_usb.mcap"
     outside.write_bytes(b"x" * 100)
     os.symlink(outside, folder / outside.name)
-    assert delete_oldest(folder, 0, set()) == []
+    assert delete_oldest(folder, 0, set()) == ([], [])
     assert outside.exists()
+
+
+def test_what_another_daemon_writes_is_not_deleted_and_holds_nothing_up(tmp_path):
+    written, finished = (f"2000-01-01T00-00-0{k}-000Z_usb.mcap" for k in range(2))
+    (tmp_path / finished).write_bytes(b"x" * 100)
+    with McapRecorder(tmp_path / written, {}, low_space_bytes=0):
+        deleted, stuck = delete_oldest(tmp_path, 0, set())
+        assert deleted == [finished]
+        assert stuck == [f"{written}: is still being written"]
+    assert open_recording(tmp_path / written).damage == []
+    assert delete_oldest(tmp_path, 0, set()) == ([written], [])
+
+
+def test_a_recording_that_cannot_be_deleted_is_told_once_and_the_next_ones_go(
+    run, tmp_path, monkeypatch
+):
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    held = folder / "2000-01-01T00-00-00-000Z_usb.mcap"
+    held.write_bytes(b"x" * 10**6)
+    monkeypatch.setattr(recording_manager, "RETAIN_S", 0.1)
+    unlink = type(held).unlink
+
+    def refusing(path, **options):
+        if path == held:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        unlink(path, **options)
+
+    monkeypatch.setattr(type(held), "unlink", refusing)
+
+    async def conversation(station):
+        await until(lambda: station.recordings.deleted >= 2)
+        assert station.supervisor.restarts == 0
+
+    station = run(conversation, rotate_mb=0.05, keep_mb=0.2)
+    assert held.exists()
+    told = [event.text for event in station.events if event.kind == "fault"]
+    assert told == [f"not deleted, though there is too much: {held.name}: Operation not permitted"]
 
 
 def test_the_catalogue_tells_finished_torn_and_growing_files_apart(run, tmp_path):
