@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.control.cascade_design import WINDOW_S, AxisDesign, Robustness
 from groundstation.control.design import (
@@ -25,6 +27,7 @@ from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.printed import GAINS, RESULTS
 from groundstation.control.report import LOOP_NAMES, front_figure, step_figure
+from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.report.figure import IMPROVED, figure
 from groundstation.report.page import Page
@@ -32,6 +35,7 @@ from groundstation.report.page import Page
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
@@ -54,17 +58,22 @@ def firmware_report(
         ]
         if tried is not None:
             table = tried.judgements[one.axis]
-            good = table[np.isfinite(table[:, RMS])]
             entry["draws"] = {
                 "drawn": tried.drawn,
                 "stable": tried.stable[one.axis],
-                "sensitivity_95": float(np.percentile(good[:, SENSITIVITY], 95)),
-                "settling_s_95": float(np.percentile(good[:, SETTLING], 95)),
-                "overshoot_pct_95": float(np.percentile(good[:, OVERSHOOT], 95)),
+                "sensitivity_95": _of_95_percent(table[:, SENSITIVITY]),
+                "settling_s_95": _of_95_percent(table[:, SETTLING]),
+                "overshoot_pct_95": _of_95_percent(table[:, OVERSHOOT]),
             }
+            settling = entry["draws"]["settling_s_95"]
             entry["notes"].append(
                 f"{tried.stable[one.axis]} of {tried.drawn} models drawn from the fit's covariance"
-                f" are stable; 95 % of them settle within {entry['draws']['settling_s_95']:.3f} s"
+                " are stable; "
+                + (
+                    "more than 5 % of them do not settle"
+                    if settling is None
+                    else f"95 % of them settle within {settling:.3f} s"
+                )
             )
         axes[one.axis] = entry
     left_out = plant_of_model(model).left_out
@@ -72,9 +81,16 @@ def firmware_report(
         notes.append(
             f"effects that do not act on rotation alone are left out: {', '.join(left_out)}"
         )
-    if tried is None:
+    if not estimates_of(model):
         notes.append("the model carries no covariance: what its uncertainty does is not known")
     return {"form": "firmware", "vehicle": model.vehicle, "axes": axes, "notes": notes}
+
+
+def _of_95_percent(values: Array) -> float | None:
+    """What 95 % of the values do not exceed; None where that is no finite number."""
+    ordered = np.sort(np.where(np.isfinite(values), values, np.inf))
+    bound = float(ordered[math.ceil(0.95 * len(values)) - 1])
+    return bound if math.isfinite(bound) else None
 
 
 def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any]:
@@ -125,7 +141,7 @@ def firmware_page(
     page.table(("gain", "value"), list(gains.items()))
     page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
     page.heading("What the fit is unsure of")
-    page.bullets([line for e in report["axes"].values() for line in e["notes"]])
+    page.bullets([f"{axis}: {line}" for axis, e in report["axes"].items() for line in e["notes"]])
     if tried is not None:
         page.figure(_draws_figure(tried), f"{tried.drawn} models drawn from the fit's covariance.")
     page.heading("Pareto fronts")
@@ -272,10 +288,12 @@ def _verdict(one: AxisResult, stock: AxisResult) -> str:
 def _draws_figure(tried: Robustness) -> Figure:
     made, panels = figure(rows=1, columns=len(tried.judgements), height=2.8)
     for panel, (axis, table) in zip(panels, tried.judgements.items(), strict=True):
-        good = table[np.isfinite(table[:, RMS])]
+        good = table[np.isfinite(table[:, [SETTLING, OVERSHOOT]]).all(axis=1)]
         panel.plot(1e3 * good[:, SETTLING], good[:, OVERSHOOT], ".", color=IMPROVED, alpha=0.3)
         panel.set_title(axis)
         panel.set_xlabel("settling, ms")
+        if not len(good):
+            continue
         # never so close that rounding to samples looks like a spread
         panel.set_xlim(900 * good[:, SETTLING].min(), 1100 * good[:, SETTLING].max())
         panel.set_ylim(-0.5, max(5.0, 1.2 * good[:, OVERSHOOT].max()))
