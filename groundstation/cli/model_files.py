@@ -54,6 +54,8 @@ def model_before(model: str | None, vehicle: str) -> Model:
 def require_new(path: Path) -> None:
     if path.exists():
         raise BadInputError(f"{path} exists already; nothing is ever overwritten")
+    if not path.absolute().parent.is_dir():
+        raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
 
 
 def write_table(path: Path, head: str, table: Any) -> None:

@@ -379,6 +379,7 @@ def _judge(
     flown: Flown | None = None
     if programme.shape != "level":
         from groundstation.control.flown_recording import analyse_recording
+        from groundstation.control.plant import plant_of_model
         from groundstation.dynamics.model import load_model
         from groundstation.recording.open_recording import open_recording
 
@@ -389,6 +390,9 @@ def _judge(
                 " recording.folder"
             )
         loaded = None if model is None else load_model(model)
+        left_out = () if loaded is None else plant_of_model(loaded).left_out
+        if left_out:
+            say(f"the prediction leaves out: {', '.join(left_out)}", error=True)
         recording = open_recording(Path(report["recording"]))
         flown = analyse_recording(recording, loaded, report["gains"], CLIENT)
         report["delay_s"], report["delay_spread_s"] = flown.delay_s, flown.spread_s
