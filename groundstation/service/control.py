@@ -15,6 +15,7 @@ import h11
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
@@ -144,8 +145,9 @@ class _Guarded:
 
 def control_app(station: Station) -> Starlette:
     """The routes; every answer is JSON, errors as ``{"error": text}``: status 400 for what the
-    station refuses, 403 for a token that is not in force, 409 for what another client holds,
-    413 and 429 beyond the limits, 500 for a fault of its own, which is an event too."""
+    station refuses, 403 for a token that is not in force, 404 and 405 for what there is not, 409
+    for what another client holds, 413 and 429 beyond the limits, 500 for a fault of its own,
+    which is an event too."""
     table = operations(station)
     schema = openapi(table)
     rate = RateLimit(REQUESTS_HZ, REQUESTS_BURST)
@@ -211,11 +213,20 @@ def control_app(station: Station) -> Starlette:
 
     others = {"/health": health, "/metrics": scrape, "/openapi.json": schema_of_all,
               "/stream": stream}  # fmt: skip
+
+    async def nowhere(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        text = f"{request.method} {request.url.path}: {error.detail}; see GET /openapi.json"
+        refusal = _refusal(error.status_code, text)
+        refusal.headers.update(error.headers or {})
+        return refusal
+
     return Starlette(
         routes=[
             *(route(operation) for operation in table),
             *(Route(path, guarded(f"GET {path}", work)) for path, work in others.items()),
-        ]
+        ],
+        exception_handlers={HTTPException: nowhere},
     )
 
 

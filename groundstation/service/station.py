@@ -366,7 +366,12 @@ class Station:
         """Why nothing that could be commanded is behind the telemetry, or empty."""
         if self._switching:
             return "the link is being switched"
-        return f"{self.link.name} is a recording" if self.link.finite else ""
+        if self.link.finite:
+            return f"{self.link.name} is a recording"
+        if self.link.name == "stand-in" and not self.config.command.startswith("udp://"):
+            # who watches a simulated flight must not fly a real craft
+            return f"the telemetry is the stand-in's, and {self.config.command} is another craft"
+        return ""
 
 
 _WARNINGS = frozenset(

@@ -364,16 +364,17 @@ def test_the_stream_carries_samples_events_and_marks(fly, path):
 
 
 @pytest.mark.parametrize(
-    ("link", "says"),
+    ("link", "command", "says"),
     [
-        ("stand-in", "no command link"),
-        (f"replay:{RECORDINGS / 'stand_in_flight.mcap'}", "is a recording"),
+        ("stand-in", "", "no command link"),
+        (f"replay:{RECORDINGS / 'stand_in_flight.mcap'}", "udp://127.0.0.1:1", "is a recording"),
+        ("stand-in", "radio://0/80/2M", "the telemetry is the stand-in's"),
     ],
 )
-def test_where_no_craft_can_be_commanded_a_client_is_told_why(tmp_path, path, link, says):
+def test_where_no_craft_can_be_commanded_a_client_is_told_why(tmp_path, path, link, command, says):
     config = Config(
         link=LinkConfig(name=link),
-        command="" if link == "stand-in" else "udp://127.0.0.1:1",
+        command=command,
         recording=RecordingConfig(folder=str(tmp_path), enabled=False),
     )
 
