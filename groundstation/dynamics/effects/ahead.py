@@ -36,6 +36,9 @@ SAG_ROUNDS = 30
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
 CLIMB_S = 4.0
 """From take-off on, or before landing, height can be reckoned for so long."""
+REST_S, TOUCH_DOWN_S = 3.0, 0.5
+"""The accelerometer's offset is judged by so much of the rest before a flight, or after it and the
+touch-down."""
 
 
 class Flown(Protocol):
@@ -341,28 +344,35 @@ def fresh_rows(attitude: Array) -> Mask:
 def height_of(run: Flown, flying: Mask) -> Array:
     """Height above ground (n,) in m, where a recording can tell it.
 
-    The accelerometer is integrated twice, from the motors' start until ``CLIMB_S`` after the
-    take-off, and back from a landing; by then it is wrong by some centimetres. Elsewhere the
-    height is not known and taken as infinite.
+    The accelerometer, less what it shows beyond 1 g at rest there, is integrated twice: from the
+    motors' start until ``CLIMB_S`` after the take-off, and back from a landing; by then it is wrong
+    by some centimetres. Elsewhere the height is not known and taken as infinite.
     """
     height = np.where(flying, np.inf, 0.0)
     roll, pitch = run.attitude[:, 0], run.attitude[:, 1]
     x, y, z = run.accelerometer.T
     up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
     rise = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0) * run.period_s
-    rows = round(CLIMB_S / run.period_s)
+    still = ~np.asarray((run.duty > 0.0).any(axis=1))
+    rows, rest, settled = (round(s / run.period_s) for s in (CLIMB_S, REST_S, TOUCH_DOWN_S))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flying.astype(np.int8), [0]])))
     for first, last in edges.reshape(-1, 2):
         if first > 0:
             standing = np.flatnonzero(~_turning(run)[:first])
             start = standing[-1] + 1 if len(standing) else 0
             part = slice(start, min(first + rows, last))
-            height[part] = np.maximum(np.cumsum(np.cumsum(rise[part])) * run.period_s, 0.0)
+            gained = rise[part] - _at_rest(rise[:start][still[:start]][-rest:])
+            height[part] = np.maximum(np.cumsum(np.cumsum(gained)) * run.period_s, 0.0)
         if last < len(flying):
             part = slice(max(last - rows, first), last)
-            back = np.cumsum(np.cumsum(rise[part][::-1])) * run.period_s
+            lost = rise[part] - _at_rest(rise[last:][still[last:]][settled:rest])
+            back = np.cumsum(np.cumsum(lost[::-1])) * run.period_s
             height[part] = np.minimum(height[part], np.maximum(back[::-1], 0.0))
     return height
+
+
+def _at_rest(rise: Array) -> float:
+    return float(rise.mean()) if len(rise) else 0.0
 
 
 def _flying(run: Flown, drive: Drive) -> Mask:

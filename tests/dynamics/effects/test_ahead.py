@@ -134,6 +134,24 @@ def test_height_is_reckoned_after_a_take_off_and_unknown_later():
     assert np.isinf(height[-1])
 
 
+@pytest.mark.parametrize("offset_g", [0.05, -0.05])
+def test_an_offset_of_the_accelerometer_is_not_taken_for_height(offset_g):
+    """Integrated for 4 s, 0.05 g are 4 m: the ground would be missed, or seen high above it."""
+    hidden = {"accelerometer_bias": {"z_g": offset_g}, "ground_effect": MEDIUM["ground_effect"]}
+    run, truth = flown(9.0, 7, effects=hidden)
+    terms = [term for name, sizes in hidden.items() for term in affected(name, sizes).effects]
+    model = msgspec.structs.replace(BASE, effects=tuple(terms))
+    height = height_of(run, observe_run(model, run).flying)
+    known = np.isfinite(height) & (height > 0.0)
+    assert np.abs(height - truth["position_m"][:, 2])[known].max() < 0.1
+    given = truth["position_m"][:, 2].copy()
+    errors = [
+        predict_ahead(model, run, HORIZONS, height_m=one).errors(run)[..., 5]
+        for one in (None, given)
+    ]
+    assert np.std(errors[0]) < 1.05 * np.std(errors[1])
+
+
 def test_lost_gyro_rows_are_bridged_by_the_model(clean):
     gyro = clean.gyro.copy()
     lost = np.random.default_rng(0).random(len(gyro)) < 0.02
