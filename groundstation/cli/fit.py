@@ -251,6 +251,13 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         _print_account(account, files.output)
 
 
+def _unit_of(name: str) -> str:
+    """Of a held-out figure, whose name tells what it is."""
+    if "percent" in name:
+        return " %"
+    return " rad/s" if name.startswith("gyro") else " m/s^2"
+
+
 def _fingerprint(path: Path) -> dict[str, str]:
     return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
@@ -260,10 +267,11 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
     echo(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
     estimates = account.get("estimates")
     if estimates:
+        width = max(map(len, estimates["names"]))
         for name, value, error in zip(
             estimates["names"], estimates["values"], estimates["stderr"], strict=True
         ):
-            echo(f"  {name:<42}{value:14.6g} +- {error:.2g}")
+            echo(f"  {name:<{width}}{value:14.6g} +- {error:.2g}")
     for axis, one in account.get("axes", {}).items():
         tests = ", ".join(
             f"{test.replace('_', ' ')} {'passes' if one[test]['passes'] else 'fails'}"
@@ -273,7 +281,7 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
     held = account.get("validation")
     if isinstance(held, dict):
         for name, value in held.items():
-            echo(f"  held out: {name:<32}{value:.4g}")
+            echo(f"  held out: {name:<30}{value:10.4g}{_unit_of(name)}")
     for one in held if isinstance(held, list) else []:
         echo(
             f"  held out: {one['recording']}: fit {one['rotor_fit_percent']:.1f} %,"

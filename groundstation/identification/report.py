@@ -269,6 +269,7 @@ def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
     right.set_yticks(ticks, labels, fontsize=7)
     right.set_xlabel("standard error, % of the value")
     right.set_title("uncertainty")
+    right.set_axisbelow(True)
     return made
 
 
