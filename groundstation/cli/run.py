@@ -90,7 +90,11 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     control = ControlSocket(socket_path(config.control.socket))
     port = None
     if config.control.tcp_port:
-        port = ControlPort(config.control.tcp_port, control.path.with_suffix(".token"))
+        try:
+            port = ControlPort(config.control.tcp_port, control.path.with_suffix(".token"))
+        except GroundStationError:
+            control.close()
+            raise
     server = ControlServer(station, control, port)
     tasks: list[asyncio.Task[None]] = []
 

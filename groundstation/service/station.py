@@ -219,6 +219,7 @@ class Station:
                 await self.start_recording()
         finally:
             self._switching = False
+        self._tell_no_craft()
 
     def reload(self) -> dict[str, list[str]]:
         """Take over what can be from the configuration: the keys that were, and those that need
@@ -320,6 +321,7 @@ class Station:
         return link
 
     async def _link_opened(self) -> None:
+        self._tell_no_craft()
         if self.config.recording.enabled:
             await self.start_recording()
 
@@ -361,6 +363,11 @@ class Station:
         self.sessions.statistics(entry)
         self.stream.statistics(entry)
         self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
+
+    def _tell_no_craft(self) -> None:
+        """Of a command link that is not used with this telemetry, before somebody wonders."""
+        if self.config.command and (reason := self._no_craft()):
+            self.note("waiting", f"not connected: {reason}", source=self.config.command)
 
     def _no_craft(self) -> str:
         """Why nothing that could be commanded is behind the telemetry, or empty."""

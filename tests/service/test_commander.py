@@ -381,5 +381,7 @@ def test_where_no_craft_can_be_commanded_a_client_is_told_why(tmp_path, path, li
     def conversation(station):
         with pytest.raises(GroundStationError, match=says), Pilot(path, "hopeful"):
             pass
+        told = [event.text for event in station.events if event.kind == "waiting"]
+        assert (len(told) == 1 and says in told[0]) == bool(command)
 
     serve(config, path, conversation)
