@@ -385,16 +385,20 @@ def _judge(
 
         if not Path(report["recording"]).exists():
             raise BadInputError(
-                f"the flight was recorded to {report['recording']}, which is not here: the daemon"
-                " runs in another folder; start pid fly there, or give it an absolute"
-                " recording.folder"
+                f"the flight was recorded to {report['recording']}, which is not there: start"
+                " pid fly where it can read the daemon's recordings"
             )
         loaded = None if model is None else load_model(model)
         left_out = () if loaded is None else plant_of_model(loaded).left_out
         if left_out:
             say(f"the prediction leaves out: {', '.join(left_out)}", error=True)
         recording = open_recording(Path(report["recording"]))
-        flown = analyse_recording(recording, loaded, report["gains"], CLIENT)
+        try:
+            flown = analyse_recording(recording, loaded, report["gains"], CLIENT)
+        except BadInputError as error:
+            raise BadInputError(
+                f"flown and recorded to {report['recording']}, but not measured: {error}"
+            ) from error
         report["delay_s"], report["delay_spread_s"] = flown.delay_s, flown.spread_s
         report["axes"] = {one.axis: one.as_dict() for one in flown.axes}
         if html is not None:

@@ -4,9 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+from installed import RECORDINGS
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
+from groundstation.cli.pid_fly import _judge
+from groundstation.control.programme import Programme
 from groundstation.errors import BadInputError
 
 DATA = Path(__file__).parents[1] / "control" / "data"
@@ -162,3 +165,10 @@ def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeyp
     assert plan["programme"]["reach_m"] == pytest.approx(1.73, abs=0.01)
     assert plan["gains"]["pid_rate.yaw_kp"] > 0
     assert "10 deg" in pid("fly", "--dry-run")
+
+
+def test_a_flight_that_cannot_be_measured_says_where_it_is_recorded():
+    recording = str(sorted(RECORDINGS.glob("*.mcap"))[0])
+    with pytest.raises(BadInputError, match=r"not measured: .* no whole programme") as refusal:
+        _judge({"recording": recording, "gains": {}}, Programme(), None, None, False)
+    assert f"recorded to {recording}" in str(refusal.value)
