@@ -1,5 +1,10 @@
 """Settings for every test."""
 
+import os
+
+# Before numpy is there: its matrices are small here, and more threads spend their time waiting.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from hypothesis import HealthCheck, settings
 
 # A deadline measures the machine, not the code, and examples may be slow on a loaded one.

@@ -57,6 +57,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         "Correlation of what the model leaves with itself and with earlier inputs; 99 of 100"
         " values lie inside the grey band where nothing is left to explain. In closed loop only"
         " inputs from before count: later ones follow from the residual, through the controller."
+        " With a slow input neighbouring values leave the band together; the verdict allows for it."
     )
     for test in evidence.residuals:
         page.figure(_residual(test), _residual_text(test))
@@ -185,7 +186,7 @@ def _tables(page: Page, account: dict[str, Any]) -> None:
             for row in one["table"]
         ]
         page.table(
-            [name.replace("_", " ") for name in head],
+            [name.replace("_", " ").replace("rad s", "rad/s") for name in head],
             rows,
             f"The best by free run on held-out data; chosen: {one['chosen']}.",
         )
@@ -292,6 +293,6 @@ def _steps(steps: Sequence[Step]) -> Figure:
         axes.set_ylim(max(1.2 * lowest, -1.3) - 0.6, 1.6)
         axes.set_title(name)
         axes.set_xlabel("time, s")
-        axes.legend(loc="lower left")
+        axes.legend(loc="lower right")
     every[0].set_ylabel("output over the chosen one's end")
     return made
