@@ -50,6 +50,8 @@ def catalogue(folder: Path, *, recording: Path | None = None) -> list[CatalogueE
     """Every MCAP file of ``folder`` by name; ``recording`` is the one being written."""
     entries = []
     for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
+        if not path.is_file():
+            continue  # a pipe would be waited for for ever
         try:
             entries.append(_entry(path, is_open=path == recording))
         except FileNotFoundError:

@@ -132,13 +132,22 @@ def permitted_link(name: str, folder: Path) -> str:
     if "\0" in argument:
         raise BadInputError("a path cannot hold a zero byte")
     if kind == "replay":
-        path = (folder / argument).resolve()
+        path = _resolved(folder / argument)
         if not path.is_relative_to(folder.resolve()):
             raise BadInputError(
                 f"{argument} is not in the recordings folder {folder}; for a file elsewhere start "
                 "a daemon with --link replay:FILE"
             )
+        if path.exists() and not path.is_file():  # a pipe would be waited for for ever
+            raise BadInputError(f"{path}: not a file; give the recording itself")
         return f"replay:{path}"
-    if kind == "serial" and not Path(argument).resolve().is_relative_to("/dev"):
+    if kind == "serial" and not _resolved(Path(argument)).is_relative_to("/dev"):
         raise BadInputError(f"{argument} is not a device in /dev")
     return name
+
+
+def _resolved(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+        raise BadInputError(f"{path}: leads nowhere") from error

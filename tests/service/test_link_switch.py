@@ -1,6 +1,7 @@
 """Another link takes over while the daemon runs: real replays and a real stand-in."""
 
 import asyncio
+import os
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,9 @@ def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tm
         ("replay:/etc/passwd", False),
         ("replay:escape/passwd", False),
         ("replay:a\0b", False),
+        ("replay:circle", False),
+        ("replay:pipe", False),
+        ("replay:.", False),
         ("serial:/dev/ttyUSB0", True),
         ("serial:/etc/passwd", False),
         ("serial:/dev/../etc/passwd", False),
@@ -196,6 +200,8 @@ def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tm
 )
 def test_no_path_of_a_request_leaves_the_recordings_folder(tmp_path, name, allowed):
     (tmp_path / "escape").symlink_to("/etc")
+    (tmp_path / "circle").symlink_to("circle")
+    os.mkfifo(tmp_path / "pipe")
     if allowed:
         kind, _, argument = permitted_link(name, tmp_path).partition(":")
         assert kind != "replay" or Path(argument).is_relative_to(tmp_path.resolve())

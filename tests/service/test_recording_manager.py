@@ -209,6 +209,7 @@ def test_the_catalogue_tells_finished_torn_and_growing_files_apart(run, tmp_path
     (path,) = files(tmp_path)
     torn = path.with_name("torn.mcap")
     torn.write_bytes(path.read_bytes()[:-100])
+    os.mkfifo(path.with_name("pipe.mcap"))
     whole, cut = catalogue(tmp_path / "sessions")
     assert (cut.state, cut.samples) == ("torn", None)
     recording = open_recording(path, raw=True)
