@@ -33,6 +33,7 @@ _RATE_LAG = 10
 _TURNING_RAD_S = 0.1
 
 
+@np.errstate(invalid="ignore")  # damage may leave a NaN that numpy signals when it is converted
 def samples_from_columns(
     columns: Columns, time_us: NDArray[np.int64], tick_s: float, gyro_unit: GyroUnit | None
 ) -> tuple[SampleBatch, dict[str, str]]:

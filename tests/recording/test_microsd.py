@@ -149,6 +149,18 @@ def test_a_flipped_byte_is_reported_and_costs_at_most_its_record(folder, data):
     assert len(recording.samples) >= 199
 
 
+def test_damage_that_makes_a_signalling_nan_is_a_nan_like_any_other(folder):
+    events = {FIXED: ("fixedFrequency", {f"gyro.{axis}": "f" for axis in "xyz"})}
+    records = [(FIXED, 2000 * row, (1.0, 2.0, 3.0)) for row in range(4)]
+    records.append((FIXED, 8000, (12345.0, 2.0, 3.0)))
+    sound = log_bytes(events, records)
+    damaged = sound.replace(struct.pack("<f", 12345.0), b"\x01\x00\xa0\x7f")
+    recording = read_microsd(saved(folder, damaged))
+    assert np.isnan(recording.samples.gyro[-1, 0])
+    assert np.isfinite(recording.samples.gyro[:-1]).all()
+    assert recording.damage
+
+
 @given(st.data())
 def test_a_torn_file_keeps_every_whole_record(folder, data):
     records = mixed_records()
