@@ -88,14 +88,19 @@ def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a
     }
     seen_s = at_s["lost"] - pulled
     again_s = at_s["streaming"] - plugged
-    early, late = holding[EARLY], holding[-1]
+    # Twenty cables each: a moment may find a helper of the event loop's pool that just began or
+    # ended, a leak of one thread in ten cables moves the middle by seven.
+    early, late = (
+        np.median(part, axis=0) for part in (holding[EARLY : 2 * EARLY], holding[-EARLY:])
+    )
     print(f"CPU while absent: {100 * share:.2f} %")
     print(f"unplug seen in {seen_s.max():.4f} s at most, streaming again in {again_s.max():.3f} s")
-    print(f"descriptors, threads, bytes: {early} after {EARLY}, {late} after {CYCLES}")
+    print(f"descriptors, threads, bytes: {early} after {EARLY} to {2 * EARLY}, {late} at the end")
     assert share < 0.01
     assert seen_s.max() < UNPLUG_SEEN_S
     assert again_s.max() < REPLUG_STREAMS_S
-    assert late[:2] == early[:2]
+    assert late[0] == early[0]
+    assert late[1] <= early[1] + 1
     assert late[2] - early[2] < 4 << 20
     assert recording.damage == []
     assert len(recording.raw) == theirs.packets
