@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bench.timing import best
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.craft import craft_of_vehicle
 from groundstation.dynamics.model import ArxAxis
@@ -58,17 +59,6 @@ def rows() -> Iterator[Row]:
     yield from _body_accuracy()
 
 
-def _best(call: Callable[[], object], times: int = 15) -> float:
-    """The shortest of several calls in seconds: what else the machine does only adds to it."""
-    call()
-    taken = []
-    for _ in range(times):
-        start = time.perf_counter()
-        call()
-        taken.append(time.perf_counter() - start)
-    return min(taken)
-
-
 def _simulation() -> Iterator[Row]:
     steps = 200_000
     voltage = np.full((steps, 4), 2400.0)
@@ -76,8 +66,8 @@ def _simulation() -> Iterator[Row]:
     craft = craft_of_vehicle(VEHICLE)
     numbers = np.array([*VEHICLE.inertia_kg_m2, VEHICLE.mass_kg, VEHICLE.thrust_n, 0.045, 9.5e-9])
     log = np.empty((steps + 1, 17))
-    ours = _best(lambda: simulate(craft, start, voltage))
-    bare = _best(lambda: _bare_flight(numbers, MOTOR_TRUE, start, voltage, log))
+    ours = best(lambda: simulate(craft, start, voltage), 15)
+    bare = best(lambda: _bare_flight(numbers, MOTOR_TRUE, start, voltage, log), 15)
     yield "6-DOF with motors, full log", steps / ours / 1e6, steps / bare / 1e6, "M steps/s"
 
 
@@ -88,16 +78,16 @@ def _motor_speed() -> Iterator[Row]:
     speed, _ = simulate_motor(THESIS_MOTOR, voltage[1:, None], PERIOD, [120.0])
     measured = speed[:, 0] + generator.normal(0, 0.3, rows)
     run = MotorRun("made", PERIOD, voltage, measured, np.zeros(rows), np.zeros(rows))
-    ours = _best(lambda: fit_motor([run]))
-    bare = _best(lambda: _bare_motor_fit(voltage, measured))
+    ours = best(lambda: fit_motor([run]), 15)
+    bare = best(lambda: _bare_motor_fit(voltage, measured), 15)
     yield "motor fit, 4000 samples", ours * 1e3, bare * 1e3, "ms"
 
 
 def _arx_speed() -> Iterator[Row]:
     for rows in (4000, 100_000):
         data = [_arx_data(rows, seed) for seed in (0, 1)]
-        ours = _best(lambda data=data: search_arx(data[:1], data[1:]))
-        bare = _best(lambda data=data: _bare_arx_search(data[0], data[1]))
+        ours = best(lambda data=data: search_arx(data[:1], data[1:]), 15)
+        bare = best(lambda data=data: _bare_arx_search(data[0], data[1]), 15)
         yield f"ARX search, 88 structures, {rows} rows", ours * 1e3, bare * 1e3, "ms"
 
 
@@ -106,7 +96,7 @@ def _other_tools() -> Iterator[Row]:
     they are installed; neither is needed for anything else."""
     fit, held = _arx_data(4000, 0), _arx_data(4000, 1)
     orders = [(p, q, d) for p in range(1, 5) for q in (1, 2) for d in range(1, 11)]
-    ours = _best(lambda: search_arx([fit], [held], nk=range(1, 11)), 5)
+    ours = best(lambda: search_arx([fit], [held], nk=range(1, 11)), 5)
     for name, library, search in (
         ("SIPPY", "sippy_unipi", _sippy),
         ("SysIdentPy", "sysidentpy", _sysidentpy),
@@ -154,13 +144,13 @@ def _body_speed() -> Iterator[Row]:
     count = sum(len(one) for one in stretches)
     yield (
         f"body fit, three axes, {count} rows",
-        _best(lambda: fit_body(stretches_of(runs, THESIS_MOTOR), VEHICLE), 5),
+        best(lambda: fit_body(stretches_of(runs, THESIS_MOTOR), VEHICLE), 5),
         1.0,
         "s",
     )
     yield (
         "body fit with dead time",
-        _best(lambda: fit_body(stretches, VEHICLE, ("dead_time",)), 3),
+        best(lambda: fit_body(stretches, VEHICLE, ("dead_time",)), 3),
         1.0,
         "s",
     )

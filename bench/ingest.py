@@ -7,12 +7,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import psutil
 
+from bench.timing import best
 from groundstation.telemetry.decoder import Decoder, decode_all
 from groundstation.telemetry.packet import SAMPLE_TICKS, decode, encode
 from groundstation.telemetry.samples import RawBatch
@@ -32,8 +33,8 @@ def rows() -> Iterator[Row]:
     decode_all(raw)  # compiles, or loads what was compiled
     yield (
         "decode + unwrap + dedup, large batch (ref: numpy view + drop equal neighbours)",
-        len(raw) / _best(lambda: decode_all(raw)) / 1e6,
-        len(raw) / _best(lambda: _bare(raw)) / 1e6,
+        len(raw) / best(lambda: decode_all(raw), 5, warm=False) / 1e6,
+        len(raw) / best(lambda: _bare(raw), 5, warm=False) / 1e6,
         "million packets/s",
     )
     yield (
@@ -78,15 +79,6 @@ def _bare(raw: RawBatch) -> int:
     return len(decode(raw.packets[new]))
 
 
-def _best(work: Callable[[], object], times: int = 5) -> float:
-    spans = []
-    for _ in range(times):
-        start = time.perf_counter()
-        work()
-        spans.append(time.perf_counter() - start)
-    return min(spans)
-
-
 def _live_batch_s(raw: RawBatch) -> float:
     """Median time of a batch as a live link delivers it."""
     decoder = Decoder()
@@ -109,7 +101,7 @@ def _start_s(command: list[str]) -> float:
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
     start()
-    return float(np.median([_best(start, 1) for _ in range(7)]))
+    return float(np.median([best(start, 1, warm=False) for _ in range(7)]))
 
 
 def _daemon() -> tuple[float, float]:

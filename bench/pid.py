@@ -10,7 +10,7 @@ import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numba import njit
 
+from bench.timing import best
 from firmware_sim.craft import StandInSettings
 from firmware_sim.monte_carlo import fly_many
 from groundstation.control.cascade import run_cascade
@@ -50,23 +51,12 @@ def rows() -> Iterator[Row]:
     yield from _drawn(model, gains)
 
 
-def _best(call: Callable[[], object], times: int = 300) -> float:
-    """The shortest of several calls in seconds: what else the machine does only adds to it."""
-    call()
-    taken = []
-    for _ in range(times):
-        start = time.perf_counter()
-        call()
-        taken.append(time.perf_counter() - start)
-    return min(taken)
-
-
 def _direct() -> Iterator[Row]:
     plant, gains = axis_plant(THESIS, "roll", 2), PidGains(1.05e6, 1.93e6, 3760.0)
     reference = np.ones(PASSES)
     y, u = np.zeros(PASSES), np.zeros(PASSES)
-    ours = _best(lambda: run_direct(plant, gains, reference))
-    bare = _best(lambda: _bare_direct(1.05e6, 1.93e6, 3760.0, y, u))
+    ours = best(lambda: run_direct(plant, gains, reference), 300)
+    bare = best(lambda: _bare_direct(1.05e6, 1.93e6, 3760.0, y, u), 300)
     yield "direct loop, samples", PASSES / ours / 1e6, PASSES / bare / 1e6, "M/s"
 
 
@@ -80,8 +70,8 @@ def _cascade(model: Model) -> Iterator[Row]:
     assert body is not None
     numbers = np.array([model.motor.a0, model.motor.a1, model.motor.a2, body.c0, body.c1, body.c2])
     hover = plant.hover_mv / 3700.0 * 65536.0
-    ours = _best(lambda: run_cascade(plant, soft, setpoints))
-    bare = _best(lambda: _bare_cascade(numbers, plant.hover_rev_s, hover, setpoints, log))
+    ours = best(lambda: run_cascade(plant, soft, setpoints), 300)
+    bare = best(lambda: _bare_cascade(numbers, plant.hover_rev_s, hover, setpoints, log), 300)
     yield "firmware's loops on the craft, passes", PASSES / ours / 1e6, PASSES / bare / 1e6, "M/s"
 
 

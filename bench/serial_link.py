@@ -9,12 +9,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import psutil
 
+from bench.timing import best
 from firmware_sim.serial_port import SerialPort
 from groundstation.errors import LinkLostError
 from groundstation.links.serial import BATCH_S, SerialLink
@@ -38,15 +39,15 @@ def rows() -> Iterator[Row]:
     stream = frame_packets(np.random.default_rng(0).integers(0, 256, (PACKETS, 32), np.uint8))
     yield (
         "deframing, 10 frames a read (ref: bytes.split alone)",
-        PACKETS / _best(lambda: _deframe(stream, 360)) / 1e6,
-        PACKETS / _best(lambda: _split(stream, 360)) / 1e6,
+        PACKETS / best(lambda: _deframe(stream, 360), 3, warm=False) / 1e6,
+        PACKETS / best(lambda: _split(stream, 360), 3, warm=False) / 1e6,
         "million frames/s",
     )
     noise = np.random.default_rng(1).bytes(NOISE_BYTES)
     yield (
         "deframing 10 MB of noise (ref: bytes.split alone)",
-        _best(lambda: _deframe(noise, CHUNK), 1),
-        _best(lambda: _split(noise, CHUNK), 1),
+        best(lambda: _deframe(noise, CHUNK), 1, warm=False),
+        best(lambda: _split(noise, CHUNK), 1, warm=False),
         "s",
     )
     latencies_ms, missing, lost_ms = asyncio.run(_latency())
@@ -72,15 +73,6 @@ def _deframe(stream: bytes, size: int) -> None:
 def _split(stream: bytes, size: int) -> None:
     for at in range(0, len(stream), size):
         stream[at : at + size].split(DELIMITER)
-
-
-def _best(work: Callable[[], None], times: int = 3) -> float:
-    spans = []
-    for _ in range(times):
-        start = time.perf_counter()
-        work()
-        spans.append(time.perf_counter() - start)
-    return min(spans)
 
 
 async def _latency() -> tuple[list[float], int, float]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from bench.timing import best
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
 from groundstation.dynamics.effects.ahead import observe_run, predict_ahead
@@ -37,16 +38,20 @@ def rows() -> Iterator[Row]:
     """What, measured, reference in the same run, unit."""
     voltage = np.full((STEPS, 4), 2400.0)
     start = craft_state(rates=(0.1, 0.2, 0.3), rotor_rev_s=250)
-    plain = _best(lambda: simulate(craft_of_vehicle(VEHICLE), start, voltage))
+    plain = best(
+        lambda: simulate(craft_of_vehicle(VEHICLE), start, voltage), 7, clock=time.process_time
+    )
     many = craft_of_model(_with(*MANY))
     supply = np.full(STEPS, 3700.0)
-    full = _best(lambda: simulate(many, start, voltage, supply_mv=supply))
+    full = best(
+        lambda: simulate(many, start, voltage, supply_mv=supply), 7, clock=time.process_time
+    )
     yield "6-DOF with five effects, against none", STEPS / full / 1e6, STEPS / plain / 1e6, "M/s"
     run = _flight()
     for label, model in (("base model", BASE), ("five effects", _with(*MANY))):
-        seen = _best(partial(observe_run, model, run))
+        seen = best(partial(observe_run, model, run), 7, clock=time.process_time)
         yield f"observer, {label}", run.seconds / seen, 500.0, "x real time"
-        ahead = _best(partial(predict_ahead, model, run, HORIZONS))
+        ahead = best(partial(predict_ahead, model, run, HORIZONS), 7, clock=time.process_time)
         yield f"predictions 20 and 50 ms ahead, {label}", run.seconds / ahead, 500.0, "x real time"
     error = predict_ahead(BASE, run, HORIZONS).errors(run)
     for k, horizon in enumerate(HORIZONS):
@@ -54,19 +59,8 @@ def rows() -> Iterator[Row]:
         floor = gains_of(BASE, run.period_s).expected(horizon)
         yield f"clean flight, {2 * horizon} ms: worst error over noise", max(rms / floor), 1.0, ""
     reference = load_reference("doublet")
-    taken = _best(lambda: fly_reference(BASE, reference), 3)
+    taken = best(lambda: fly_reference(BASE, reference), 3, clock=time.process_time)
     yield "9 s along a reference", taken, 9.0, "s"
-
-
-def _best(call: Callable[[], object], times: int = 7) -> float:
-    """The shortest of several calls, processor time in seconds: others share the machine."""
-    call()
-    taken = []
-    for _ in range(times):
-        start = time.process_time()
-        call()
-        taken.append(time.process_time() - start)
-    return min(taken)
 
 
 def _with(*names: str) -> Model:
