@@ -14,7 +14,6 @@ import termios
 import tty
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from groundstation.errors import BadInputError
@@ -76,12 +75,7 @@ class Keyboard:
         tty.setcbreak(sys.stdin)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
     def read(self) -> Hands:
@@ -115,12 +109,7 @@ class Gamepad:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         os.close(self._file)
 
     def read(self) -> Hands:

@@ -13,6 +13,7 @@ from groundstation.discrepancy.recordings import without_gaps
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
+from groundstation.spans import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -97,10 +98,9 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
     has_attitude = bool(np.isfinite(raw.attitude).any())
     run = without_gaps(raw)
     turning = (run.rotor_rev_s > 20.0 if measured else run.duty > TURNING).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
     period = run.period_s
     flights = []
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in spans(turning):
         if (stop - start) * period < least_s:
             continue
         rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)

@@ -13,6 +13,7 @@ from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.identification.body_terms import SPIN
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import SATURATED, RotorSquares, rotor_squares
+from groundstation.spans import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -138,8 +139,7 @@ def _flight(run: Run, thrust: Array) -> tuple[Mask, Array, Array]:
     turning = (run.duty > IDLE).all(axis=1)
     flown = np.zeros(len(run), bool)
     since, before = np.full(len(run), np.inf), np.full(len(run), np.inf)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
-    for first, last in edges.reshape(-1, 2).tolist():
+    for first, last in spans(turning):
         begin, end = first + round(0.5 / run.period_s), last
         if first > 0:  # the ground carries the craft until thrust does
             lifted = np.flatnonzero(thrust[first:last] > LIFTS_OFF)

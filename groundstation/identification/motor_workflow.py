@@ -38,7 +38,7 @@ from groundstation.identification.motor import (
 )
 from groundstation.identification.motor_problem import EFFECTS, MotorRun
 from groundstation.identification.runs import Run, flying, hold_out
-from groundstation.identification.segments import EVERYTHING, Selection, selected, spans
+from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.supply import (
     LAG,
     SAG,
@@ -47,6 +47,7 @@ from groundstation.identification.supply import (
     fit_motor_and_supply,
     supply_terms,
 )
+from groundstation.spans import spans
 
 Array = NDArray[np.float64]
 

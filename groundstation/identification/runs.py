@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
+from groundstation.spans import spans
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -140,6 +141,4 @@ def flying(run: Run, least_s: float = 2.0) -> list[Run]:
     A motor counts as turning above 10 % duty. Shorter stretches than ``least_s`` are left out.
     """
     turning = (run.duty > 0.1).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], turning, [False]]).astype(np.int8)))
-    pairs = edges.reshape(-1, 2)
-    return [run[a:b] for a, b in pairs if (b - a) * run.period_s >= least_s]
+    return [run[a:b] for a, b in spans(turning) if (b - a) * run.period_s >= least_s]

@@ -94,12 +94,6 @@ def selected(run: Run, selection: Selection) -> Mask:
     return mask
 
 
-def spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, last) of each block of consecutive true rows; ``last`` is not in it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
-
-
 def hover(run: Run) -> Mask:
     """Rates and tilt stay small: the craft hangs in the air, its axes hardly move."""
     rate = _around(_smooth(run.gyro, run) ** 2, run).sum(axis=1)

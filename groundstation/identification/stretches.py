@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
-from groundstation.identification.segments import EVERYTHING, Selection, selected, spans
+from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, rotor_squares
+from groundstation.spans import spans
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from groundstation.identification.segments import (
     Selection,
     parse_selection,
     selected,
-    spans,
 )
 from groundstation.identification.stretches import airborne, stretches_of
+from groundstation.spans import spans
 
 VEHICLE = BUILT_IN["crazyflie1"]
 

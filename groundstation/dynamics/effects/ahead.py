@@ -21,6 +21,7 @@ from groundstation.dynamics.model import Model
 from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.dynamics.state import QUATERNION
 from groundstation.errors import BadInputError
+from groundstation.spans import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -355,8 +356,7 @@ def height_of(run: Flown, flying: Mask) -> Array:
     rise = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0) * run.period_s
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
     rows, rest, settled = (round(s / run.period_s) for s in (CLIMB_S, REST_S, TOUCH_DOWN_S))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flying.astype(np.int8), [0]])))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in spans(flying):
         if first > 0:
             standing = np.flatnonzero(~_turning(run)[:first])
             start = standing[-1] + 1 if len(standing) else 0
@@ -381,8 +381,7 @@ def _flying(run: Flown, drive: Drive) -> Mask:
     one = drive.craft[0]
     lift = drive.torques[::2, 0] / (one["mass"] * one["gravity"])
     flying = np.zeros(len(turning), np.bool_)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning.astype(np.int8), [0]])))
-    for first, last in edges.reshape(-1, 2):
+    for first, last in spans(turning):
         if first > 0:
             up = np.flatnonzero(lift[first:last] * (1.0 + one["ground_gain"]) > 1.0)
             if len(up) == 0:
