@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from bench.sealed.bound import significances
 from bench.sealed.cases import Case
-from bench.sealed.hidden import draw, planted, scaled
+from bench.sealed.hidden import planted, scaled
 from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.effects.drawn import draw
 from firmware_sim.effects.present import present_effects
 from firmware_sim.physics import parameters
 from groundstation.dynamics.vehicle import BUILT_IN

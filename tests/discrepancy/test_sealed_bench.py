@@ -13,10 +13,11 @@ from stand_in_bench import plant, slopes
 from bench.sealed.bound import significances
 from bench.sealed.cases import GROUPS, Case, matrix, named
 from bench.sealed.flights import CARRY, PROGRAMME, Sealed, flown, record
-from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, draw, planted, scaled
+from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
 from bench.sealed.signals import Signals, effect_signals
 from firmware_sim.effects.catalogue import EFFECTS
+from firmware_sim.effects.drawn import draw
 from firmware_sim.effects.present import present_effects
 from firmware_sim.layout import TRUTH
 from firmware_sim.settings import StandInSettings
