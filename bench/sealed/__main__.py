@@ -1,4 +1,4 @@
-"""``python -m bench.sealed run|make|table``: the acceptance matrix of ``discrepancy``."""
+"""``python -m bench.sealed run|zero|make|table``: the acceptance matrix of ``discrepancy``."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from bench.sealed.hidden import LISTED
 EXAMPLES = """examples:
   python -m bench.sealed run --only single quiet --seeds 2 --results results
   python -m bench.sealed run --case single:rotor_drag:3:clean --results results --keep
+  python -m bench.sealed zero --seeds 10 --results results
   python -m bench.sealed make single:rotor_drag:3:clean -o folder       (see what the search sees)
   python -m bench.sealed table --results results
 
 The results folder holds one line a case (results.jsonl); a run that was stopped goes on there.
+Tables judge what was hidden and said anew, so a mended judge needs no new searches.
 """
 
 
@@ -47,6 +49,7 @@ def main() -> int:
         help="where the base model comes from",
     )
     run.add_argument("--seeds", type=int, default=10)
+    run.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
     run.add_argument("--case", nargs="+", default=[], help="these cases only")
     run.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     run.add_argument("--keep", action="store_true", help="keep the folders of wrong cases")
@@ -55,11 +58,16 @@ def main() -> int:
     make.add_argument("-o", "--output", type=Path, required=True, help="a new folder")
     make.add_argument("--open", action="store_true", help="print what is hidden")
     table = commands.add_parser("table", help="the tables of docs/discrepancy.md")
-    for one in (run, make, table):
+    zero = commands.add_parser("zero", help="estimates of every candidate on clean flights")
+    zero.add_argument("--seeds", type=int, default=10)
+    zero.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
+    for one in (run, make, table, zero):
         one.add_argument("--results", type=Path, default=Path("sealed-results"))
     options = parser.parse_args()
     try:
-        return {"run": _run, "make": _make, "table": _table}[options.command](options)
+        return {"run": _run, "make": _make, "table": _table, "zero": _zero}[options.command](
+            options
+        )
     except ValueError as error:
         print(f"bench.sealed: {error}", file=sys.stderr)
         return 1
@@ -73,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
         modes = (options.mode,)
     cases = [named(text) for text in options.case] or [
         case
-        for case in matrix(tuple(options.only), modes, options.seeds)
+        for case in matrix(tuple(options.only), modes, options.seeds, options.first)
         if not options.names or set(case.names) & set(options.names)
     ]
     for line in run(cases, options.results, options.workers, keep=options.keep):
@@ -95,13 +103,24 @@ def _make(options: argparse.Namespace) -> int:
     return 0
 
 
-def _table(options: argparse.Namespace) -> int:
-    from bench.sealed.run import read_results
-    from bench.sealed.tables import tables
+def _zero(options: argparse.Namespace) -> int:
+    from bench.sealed import zero
 
-    print(tables(read_results(options.results)))
+    for line in zero.run(options.results, range(options.first, options.first + options.seeds)):
+        print(line["case"], file=sys.stderr, flush=True)
+    print(zero.table(zero.read(options.results)))
     return 0
 
+
+def _table(options: argparse.Namespace) -> int:
+    from bench.sealed.run import judged_again
+    from bench.sealed.tables import tables
+
+    print(tables(judged_again(options.results)))
+    return 0
+
+
+COMMANDS = {"run": _run, "make": _make, "table": _table, "zero": _zero}
 
 if __name__ == "__main__":
     sys.exit(main())

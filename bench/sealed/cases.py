@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.sealed.hidden import ALWAYS_FAITHFUL, LISTED, OUTSIDE
+from bench.sealed.hidden import ALWAYS_FAITHFUL, CONFUSABLE, LISTED, OUTSIDE
 
 Mode = Literal["clean", "affected"]
 Condition = Literal["", "loss", "restart", "low_battery", "other_mass"]
@@ -24,6 +24,7 @@ GROUPS = (
     "pair",
     "triple",
     "outside",
+    "hover",
     "power",
     "power_noise",
 )
@@ -76,13 +77,15 @@ class Case:
         return 2.0 if self.group.endswith("noise") else 1.0
 
 
-def matrix(groups: tuple[str, ...], modes: tuple[Mode, ...], seeds: int) -> Iterator[Case]:
+def matrix(
+    groups: tuple[str, ...], modes: tuple[Mode, ...], seeds: int, first: int = 0
+) -> Iterator[Case]:
     """All cases of some groups, seed by seed so that a part of the matrix is a fair sample.
 
-    seeds: for each name and for each plant; pairs, triples and quiet flights come ``seeds``
-    tenths of their full number.
+    seeds: for each name and for each plant, from ``first`` on; pairs, triples and quiet flights
+    come ``seeds`` tenths of their full number.
     """
-    for seed in range(seeds):
+    for seed in range(first, first + seeds):
         for group in groups:
             for mode in modes:
                 yield from _of_seed(group, mode, seed)
@@ -120,6 +123,10 @@ def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
         count, size = (PAIRS, 2) if group == "pair" else (TRIPLES, 3)
         for number in range(seed * count // 10, (seed + 1) * count // 10):
             yield _case(group, _mixture(number, size), number, mode)
+    elif group == "hover":
+        for pair in CONFUSABLE:
+            for name in sorted(pair):
+                yield _case(group, (name,), seed, mode)
     elif group == "outside":
         for name in OUTSIDE:
             yield _case(group, (name,), seed, mode)

@@ -32,6 +32,7 @@ from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 COMMAND = Path(sys.executable).with_name("groundstation")
 PROGRAMME = str(Path(__file__).with_name("programme.toml"))
+HOVER = str(Path(__file__).with_name("hover.toml"))
 VEHICLE = "vehicle.toml"
 FLIGHT_S, BENCH_S = 60.0, 64.0
 RESTART_CHARGE, RESTART_S, RESTART_FLIGHT_S = 0.1, 3.0, 66.0
@@ -81,6 +82,8 @@ class Generator:
         craft = _craft(case, family)
         hidden = _hidden(case, craft, family / "motor.json")
         affected = {**craft, "effects": hidden}
+        if case.group == "hover":
+            affected["program"] = HOVER
         condition = _condition(case)
         seconds = RESTART_FLIGHT_S if case.condition == "restart" else FLIGHT_S
         flights = []

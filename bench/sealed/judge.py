@@ -55,6 +55,7 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "missed": missed,
         "right": not false and not missed,
         "listed": _listed(report["effects"], false, missed),
+        "rivals": {e["name"]: [o["name"] for o in e["alternatives"]] for e in report["effects"]},
         "parameters": _parameters(sealed, report["effects"]),
         "explained": _explained(case, report),
         "loudness": _loudness(report),
@@ -100,7 +101,7 @@ def _listed(effects: list[dict[str, Any]], false: list[str], missed: list[str]) 
     if len(false) != 1 or len(missed) != 1 or {false[0], missed[0]} not in CONFUSABLE:
         return False
     (wrong,) = [effect for effect in effects if effect["name"] == false[0]]
-    return missed[0] in [other["name"] for other in wrong.get("alternatives", [])]
+    return missed[0] in [other["name"] for other in wrong["alternatives"]]
 
 
 def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str, Any]]:

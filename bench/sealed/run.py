@@ -10,12 +10,13 @@ import tempfile
 import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.sealed.cases import Case
+from bench.sealed.cases import Case, named
 from bench.sealed.flights import (
     FLIGHT_S,
     Generator,
@@ -25,6 +26,7 @@ from bench.sealed.flights import (
     record,
     vehicle_of,
 )
+from bench.sealed.hidden import CONFUSABLE
 from bench.sealed.judge import judge
 
 PATIENCE_S = 600.0
@@ -97,8 +99,8 @@ def run(
     """Judge every case that ``results`` does not hold yet, and append it there; what failed is
     tried again.
 
-    results: a folder, with ``results.jsonl`` and the base models' families. keep: leave the
-    folders of wrong cases there.
+    results: a folder, with ``results.jsonl``, what was hidden and said in every case
+    (``opened/``), and the base models' families. keep: leave the folders of wrong cases there.
     """
     results.mkdir(parents=True, exist_ok=True)
     path = results / "results.jsonl"
@@ -112,11 +114,12 @@ def run(
             local.search = Search(command)
             searches.append(local.search)
         with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
-            line = _judged(case, generator, local.search, Path(parent) / "case", lock)
+            folder = Path(parent) / "case"
+            line = _judged(case, generator, local.search, folder, lock, _opened(results, case))
             if keep and not line["right"]:
                 kept = results / "wrong" / case.name.replace(":", "-")
                 shutil.rmtree(kept, ignore_errors=True)
-                shutil.copytree(Path(parent) / "case", kept)
+                shutil.copytree(folder, kept)
         with lock, path.open("a") as file:
             file.write(json.dumps(line) + "\n")
         return line
@@ -136,8 +139,34 @@ def read_results(results: Path) -> list[dict[str, Any]]:
     return list({line["case"]: line for line in lines}.values())
 
 
+def judged_again(results: Path) -> list[dict[str, Any]]:
+    """The lines of ``results`` by the judge as it is now, from what was hidden and said; the
+    file is left as it is. What took a flight or a second search is kept."""
+    lines = []
+    for line in read_results(results):
+        case = named(line["case"])
+        opened = _opened(results, case)
+        if "error" not in line and opened.exists():
+            seal, said = json.loads(opened.read_text())
+            new = judge(case, Sealed(**seal), said)
+            if new["listed"] and line.get("settled"):
+                new["right"] = True
+            line = {**line, **new}
+        lines.append(line)
+    return lines
+
+
+def _opened(results: Path, case: Case) -> Path:
+    return results / "opened" / f"{case.name.replace(':', '-')}.json"
+
+
 def _judged(
-    case: Case, generator: Generator, search: Search, folder: Path, lock: threading.Lock
+    case: Case,
+    generator: Generator,
+    search: Search,
+    folder: Path,
+    lock: threading.Lock,
+    opened: Path,
 ) -> dict[str, Any]:
     sealed: Sealed | None = None
     try:
@@ -151,10 +180,14 @@ def _judged(
         line = {"case": case.name, "group": case.group, "counted": True, "right": False}
         hidden = sealed.hidden if sealed else {}
         return {**line, "hidden": hidden, "condition": case.condition, "error": str(error)}
-    line = judge(case, sealed, json.loads((folder / "report.json").read_text()))
+    said = json.loads((folder / "report.json").read_text())
+    opened.parent.mkdir(exist_ok=True)
+    opened.write_text(json.dumps([asdict(sealed), said]))
+    line = judge(case, sealed, said)
     line |= {"seconds": answer["seconds"], "peak_mb": answer["peak_mb"]}
-    if line["listed"]:
-        line["right"] = line["settled"] = _settled(case, sealed, search, folder)
+    if line["listed"] or case.group == "hover":
+        line["settled"] = _settled(case, sealed, search, folder)
+        line["right"] = line["right"] or (line["listed"] and line["settled"])
     if case.group == "single" and line["right"]:
         try:
             line["flown"] = _flown(case, sealed, folder)
@@ -164,7 +197,8 @@ def _judged(
 
 
 def _settled(case: Case, sealed: Sealed, search: Search, folder: Path) -> bool:
-    """Whether the manoeuvre, flown next with a full and with an empty cell, names the right one."""
+    """Whether the manoeuvre, flown next with a full and with an empty cell, names the right one
+    and no longer lists what it can be confused with."""
     for number, charge in ((3, 1.0), (4, 0.35)):
         settings = {**sealed.craft, "program": SETTLE, "charge": charge, "land_when_low": False}
         samples, _ = flown({**settings, "seed": flight_seed(case, number)}, FLIGHT_S)
@@ -173,7 +207,9 @@ def _settled(case: Case, sealed: Sealed, search: Search, folder: Path) -> bool:
         (folder / name).unlink()
     if search(folder)["error"]:
         return False
-    return bool(judge(case, sealed, json.loads((folder / "report.json").read_text()))["right"])
+    line = judge(case, sealed, json.loads((folder / "report.json").read_text()))
+    doubts = [{name, other} for name, some in line["rivals"].items() for other in some]
+    return bool(line["right"]) and not any(pair in CONFUSABLE for pair in doubts)
 
 
 def _flown(case: Case, sealed: Sealed, folder: Path) -> dict[str, float]:
