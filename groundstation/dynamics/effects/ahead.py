@@ -8,7 +8,7 @@ never see those of the future, so a live stream can be fed in pieces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -37,6 +37,8 @@ SAG_ROUNDS = 30
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
 CLIMB_S = 4.0
 """From take-off on, or before landing, height can be reckoned for so long."""
+CARRIED = 34
+"""Numbers that the observer goes on from."""
 REST_S, TOUCH_DOWN_S = 3.0, 0.5
 """The accelerometer's offset is judged by so much of the rest before a flight, or after it and the
 touch-down."""
@@ -79,6 +81,15 @@ class Drive:
     def rotor_rev_s(self) -> Array:
         """Rotor speeds (n, 4) behind each row."""
         return np.ascontiguousarray(self.speed[::2])
+
+    def since(self, row: int) -> Drive:
+        """The same from a row on."""
+        return replace(
+            self,
+            speed=self.speed[2 * row :],
+            torques=self.torques[2 * row :],
+            kick=self.kick[row:],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,20 +244,41 @@ def observe_run(
 
     Raises BadInputError where PWM, battery voltage or the whole gyro are missing.
     """
-    from groundstation.dynamics.effects.kernels import observe
-
     if not np.isfinite(run.gyro).any():
         raise BadInputError("the gyro is missing; the craft's state cannot be followed without it")
     drive = drive_run(model, run)
-    gains = gains_of(model, run.period_s, noise)
-    n = len(run.duty)
     flying = _flying(run, drive)
     fresh = fresh_rows(run.attitude)
     if height_m is None:
         near = drive.craft[0]["ground_gain"] != 0.0
-        height_m = height_of(run, flying) if near else np.full(n, np.nan)
+        height_m = height_of(run, flying) if near else np.full(len(run.duty), np.nan)
+    seen, _ = observe_part(
+        run, drive, gains_of(model, run.period_s, noise), flying, fresh, height_m=height_m
+    )
+    return seen
+
+
+def observe_part(
+    run: Flown,
+    drive: Drive,
+    gains: Gains,
+    flying: Mask,
+    fresh: Mask,
+    *,
+    height_m: Array,
+    carry: Array | None = None,
+) -> tuple[Observed, Array]:
+    """(state behind every row of ``flying`` (m,), what the next part goes on from).
+
+    Those are the first m rows of the run; drive and fresh may reach further, for predictions.
+    carry: from the part before, whose last row is the first of this one; None: a beginning.
+    """
+    from groundstation.dynamics.effects.kernels import observe
+
+    n = len(flying)
     states, lags = np.empty((n, 17)), np.empty((n, 3))
     filters, innovations = np.empty((n, 10)), np.zeros((n, 9))
+    kept = np.zeros(CARRIED) if carry is None else carry.copy()
     observe(
         drive.craft[0],
         drive.sensor[0],
@@ -254,21 +286,23 @@ def observe_run(
         drive.torques,
         drive.kick,
         drive.speed,
-        run.period_s,
-        np.ascontiguousarray(run.gyro),
-        np.ascontiguousarray(run.accelerometer),
-        np.ascontiguousarray(run.attitude),
+        drive.period_s,
+        np.ascontiguousarray(run.gyro[:n]),
+        np.ascontiguousarray(run.accelerometer[:n]),
+        np.ascontiguousarray(run.attitude[:n]),
         fresh,
         flying,
         height_m,
         gains.fresh,
         gains.stale,
+        kept,
+        carry is not None,
         states,
         lags,
         filters,
         innovations,
     )
-    return Observed(drive, gains, states, lags, filters, innovations, flying, fresh)
+    return Observed(drive, gains, states, lags, filters, innovations, flying, fresh), kept
 
 
 def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) -> Ahead:

@@ -381,6 +381,8 @@ def observe(
     height: Any,
     gain_fresh: Any,
     gain_stale: Any,
+    carry: Any,
+    goes_on: bool,
     states: Any,
     lags: Any,
     filters: Any,
@@ -393,6 +395,8 @@ def observe(
     attitude, rates, low-passed rates and velocity in body axes. Velocity is the integral of the
     measured specific force. On the ground (``flying`` false) the state is what is measured.
     gyro, accelerometer, attitude: (n, 3), NaN where a row lacks it. height: (n,) m.
+    carry: (34,) body, lag, filter, acceleration and time since a new attitude at the last row;
+    with ``goes_on`` those of row 0, where an earlier call ended.
     Fills states (n, 17), lags (n, 3), filters (n, 10), innovations (n, 9; 0 where not known).
     """
     c = constants(craft)
@@ -413,7 +417,15 @@ def observe(
         known_force = not math.isnan(accelerometer[j, 0])
         known_angle = not math.isnan(attitude[j, 0])
         since += h
-        if j == 0 or not flying[j]:
+        if j == 0 and goes_on:
+            for i in range(17):
+                y[i] = carry[i]
+            for i in range(3):
+                lagged[i], then[i] = carry[17 + i], carry[30 + i]
+            for i in range(10):
+                filt[i] = carry[20 + i]
+            since = carry[33]
+        elif j == 0 or not flying[j]:
             for i in range(3):
                 if known_rate:
                     own[i] = gyro[j, i] - sensor.gyro_bias[i]
@@ -506,6 +518,13 @@ def observe(
             lags[j, i] = lagged[i]
         for i in range(10):
             filters[j, i] = filt[i]
+    for i in range(17):
+        carry[i] = y[i]
+    for i in range(3):
+        carry[17 + i], carry[30 + i] = lagged[i], then[i]
+    for i in range(10):
+        carry[20 + i] = filt[i]
+    carry[33] = since
 
 
 @inner
