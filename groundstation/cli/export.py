@@ -9,7 +9,9 @@ import typer
 from groundstation.errors import BadInputError
 
 export = typer.Typer(
-    help="Files for whoever writes firmware or other programs.", no_args_is_help=True
+    help="Files for whoever writes firmware or other programs."
+    "\n\nExample: [bold]groundstation export header -o groundstation_telemetry.h[/bold]",
+    no_args_is_help=True,
 )
 
 

@@ -50,7 +50,11 @@ HTML = typer.Option(None, "--html", help="Write a report with figures to this ne
 
 
 def add_commands(app: typer.Typer) -> None:
-    fit = typer.Typer(no_args_is_help=True, help="Identify a motor, a body or ARX models.")
+    fit = typer.Typer(
+        no_args_is_help=True,
+        help="Identify a motor, a body or ARX models."
+        "\n\nExample: [bold]groundstation fit body flight.mcap -o body.json[/bold]",
+    )
     fit.command("motor")(fit_motor)
     fit.command("body")(fit_body)
     fit.command("arx")(fit_arx)

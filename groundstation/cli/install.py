@@ -13,14 +13,18 @@ RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
 
 
 def add_commands(app: typer.Typer) -> None:
-    group = typer.Typer(no_args_is_help=True, help="Set this machine up for the hardware.")
+    group = typer.Typer(
+        no_args_is_help=True,
+        help="Set this machine up for the hardware."
+        "\n\nExample: [bold]groundstation install service --print[/bold]",
+    )
     group.command("udev")(udev)
     group.command("service")(service)
     app.add_typer(group, name="install")
 
 
 def udev(
-    config: Path | None = typer.Option(None, help="TOML configuration file with a [usb] table."),
+    config: Path | None = typer.Option(None, help="TOML configuration file with a \\[usb] table."),
     show: bool = typer.Option(False, "--print", help="Only print the rule."),
 ) -> None:
     """Allow users at this machine, and the group plugdev, to read the bridge (needs root).
