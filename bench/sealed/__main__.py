@@ -61,13 +61,13 @@ def main() -> int:
     zero = commands.add_parser("zero", help="estimates of every candidate on clean flights")
     zero.add_argument("--seeds", type=int, default=10)
     zero.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
-    for one in (run, make, table, zero):
+    figures = commands.add_parser("figures", help="the figures of docs/discrepancy.md")
+    figures.add_argument("-o", "--output", type=Path, default=Path("docs/images"))
+    for one in (run, make, table, zero, figures):
         one.add_argument("--results", type=Path, default=Path("sealed-results"))
     options = parser.parse_args()
     try:
-        return {"run": _run, "make": _make, "table": _table, "zero": _zero}[options.command](
-            options
-        )
+        return COMMANDS[options.command](options)
     except ValueError as error:
         print(f"bench.sealed: {error}", file=sys.stderr)
         return 1
@@ -120,7 +120,15 @@ def _table(options: argparse.Namespace) -> int:
     return 0
 
 
-COMMANDS = {"run": _run, "make": _make, "table": _table, "zero": _zero}
+def _figures(options: argparse.Namespace) -> int:
+    from bench.sealed.figures import draw
+    from bench.sealed.run import judged_again
+
+    print(*draw(judged_again(options.results), options.output), sep="\n")
+    return 0
+
+
+COMMANDS = {"run": _run, "make": _make, "table": _table, "zero": _zero, "figures": _figures}
 
 if __name__ == "__main__":
     sys.exit(main())

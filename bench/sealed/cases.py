@@ -28,7 +28,7 @@ GROUPS = (
     "power",
     "power_noise",
 )
-POWER_SIGMAS = (2.0, 4.0, 6.0, 9.0, 14.0, 25.0)
+POWER_SIGMAS = (3.0, 5.0, 8.0, 12.0, 20.0)
 """Sizes of the power curve, in standard errors of the Cramer-Rao bound."""
 NO_SMALL_SIZE = ("attitude_filter_lean", "gyro_low_pass")
 """The lean is there or not; a gyro's lag of any bandwidth that flies is far above every limit."""

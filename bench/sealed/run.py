@@ -42,8 +42,8 @@ SETTLE = str(Path(__file__).with_name("settle.toml"))
 class Search:
     """A process that searches, restarted where it hangs or dies. Not for two threads at once."""
 
-    def __init__(self, command: tuple[str, ...] = ()) -> None:
-        self._command = command or (sys.executable, "-m", "bench.sealed.worker")
+    def __init__(self, *options: str) -> None:
+        self._command = (sys.executable, "-m", "bench.sealed.worker", *options)
         self._process: subprocess.Popen[str] | None = None
 
     def __call__(self, folder: Path) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class Search:
             return answer
         process.wait()
         self._process = None
-        return {"seconds": PATIENCE_S, "error": f"died ({process.returncode})", "peak_mb": 0}
+        return {"error": f"died ({process.returncode})"}
 
     def close(self) -> None:
         if self._process is not None and self._process.stdin is not None:
@@ -93,7 +93,6 @@ def run(
     cases: Iterable[Case],
     results: Path,
     workers: int,
-    command: tuple[str, ...] = (),
     keep: bool = False,
 ) -> Iterator[dict[str, Any]]:
     """Judge every case that ``results`` does not hold yet, and append it there; what failed is
@@ -111,11 +110,12 @@ def run(
 
     def one(case: Case) -> dict[str, Any]:
         if not hasattr(local, "search"):
-            local.search = Search(command)
-            searches.append(local.search)
+            local.search, local.names = Search(), Search("--names")
+            searches.extend((local.search, local.names))
+        search = local.names if case.group.startswith("power") else local.search
         with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
             folder = Path(parent) / "case"
-            line = _judged(case, generator, local.search, folder, lock, _opened(results, case))
+            line = _judged(case, generator, search, folder, lock, _opened(results, case))
             if keep and not line["right"]:
                 kept = results / "wrong" / case.name.replace(":", "-")
                 shutil.rmtree(kept, ignore_errors=True)
@@ -184,7 +184,7 @@ def _judged(
     opened.parent.mkdir(exist_ok=True)
     opened.write_text(json.dumps([asdict(sealed), said]))
     line = judge(case, sealed, said)
-    line |= {"seconds": answer["seconds"], "peak_mb": answer["peak_mb"]}
+    line |= {key: answer[key] for key in ("seconds", "processor_s", "peak_mb")}
     if line["listed"] or case.group == "hover":
         line["settled"] = _settled(case, sealed, search, folder)
         line["right"] = line["right"] or (line["listed"] and line["settled"])

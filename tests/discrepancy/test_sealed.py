@@ -15,7 +15,7 @@ from bench.sealed.cases import named
 from bench.sealed.flights import COMMAND, Generator
 from bench.sealed.judge import judge
 from bench.sealed.run import search_arguments
-from bench.sealed.worker import main as worker
+from bench.sealed.worker import command, main
 
 NOTHING = "quiet:nothing:0:clean"
 HIDDEN = (
@@ -72,7 +72,7 @@ def test_the_worker_answers_a_refusal_in_one_line(tmp_path, monkeypatch, capsys)
 
     missing = ["discrepancy", str(tmp_path / "absent.mcap"), "--model", "thesis"]
     monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(missing) + "\n"))
-    worker()
+    main(command)
     answer = json.loads(capsys.readouterr().out)
     assert answer["error"].startswith("refused: ")
     assert "absent.mcap" in answer["error"]
