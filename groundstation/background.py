@@ -14,24 +14,29 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-_NAME = "groundstation-background"
+_NAME = "groundstation-background "
 
 
-async def in_background(function: Callable[[], T]) -> T:
+async def in_background(
+    function: Callable[[], T], *, what: str = "", discard: Callable[[T], object] | None = None
+) -> T:
     """What ``function`` gives, run in a daemon thread; when cancelled, the thread is left behind.
 
-    The function must own everything it changes.
+    The function must own everything it changes. what: a name for ``still_running``. discard:
+    takes the result back when it comes after nobody waits any more.
     """
     loop = asyncio.get_running_loop()
     result: asyncio.Future[T] = loop.create_future()
 
     def settle(value: T | None, error: BaseException | None) -> None:
-        if result.done():
-            return  # nobody waits any more
+        if result.done():  # nobody waits any more
+            if discard is not None and error is None:
+                discard(value)  # type: ignore[arg-type]  # no error: it is a T
+            return
         if error is not None:
             result.set_exception(error)
         else:
-            result.set_result(value)  # type: ignore[arg-type]
+            result.set_result(value)  # type: ignore[arg-type]  # no error: it is a T
 
     def run() -> None:
         value, error = None, None
@@ -42,10 +47,15 @@ async def in_background(function: Callable[[], T]) -> T:
         with contextlib.suppress(RuntimeError):  # the loop is closed: the program has ended
             loop.call_soon_threadsafe(settle, value, error)
 
-    threading.Thread(target=run, name=_NAME, daemon=True).start()
+    threading.Thread(target=run, name=_NAME + what, daemon=True).start()
     return await result
+
+
+def still_running(what: str) -> bool:
+    """Whether work of this name runs: what hangs must not be begun again and again."""
+    return any(thread.name == _NAME + what for thread in threading.enumerate())
 
 
 def left_behind() -> bool:
     """Whether such a thread still runs: the interpreter cannot be torn down under a compiler."""
-    return any(thread.name == _NAME for thread in threading.enumerate())
+    return any(thread.name.startswith(_NAME) for thread in threading.enumerate())

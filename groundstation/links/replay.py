@@ -12,8 +12,9 @@ import numpy as np
 
 from groundstation.background import in_background
 from groundstation.clock import HostClock
-from groundstation.errors import BadInputError, LinkEndedError
+from groundstation.errors import BadInputError, GroundStationError, LinkEndedError
 from groundstation.links.base import Link, LinkBatch
+from groundstation.recording.file_window import FileWindow
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
@@ -130,7 +131,10 @@ def _is_mcap(path: Path) -> bool:
     from groundstation.recording.mcap_scan import looks_like_mcap
 
     try:
-        with path.open("rb") as file:
-            return looks_like_mcap(file.read(8))
-    except OSError:
+        window = FileWindow(path)  # never waits, as opening a pipe would
+    except GroundStationError:
         return False  # the general reader says what is wrong with it
+    try:
+        return looks_like_mcap(bytes(window.view(0, min(window.size, 8))))
+    finally:
+        window.close()

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.background import in_background, still_running
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError, LinkLostError
 from groundstation.links.base import Link
@@ -26,6 +27,8 @@ BATCH_S = 0.008
 READ_BYTES = 1 << 16
 MOST_WAITING_BYTES = 1 << 20
 """About 14 s at 2000 packets/s: only a program that does not read lets so much wait."""
+OPEN_S = 5.0
+"""A port that has not opened by then hangs in its driver."""
 REPORT_S = 1.0
 """Damage is reported at most so often."""
 UNREADABLE_BYTES = 100 * FRAME_BYTES
@@ -53,6 +56,7 @@ class SerialLink(Link):
         except ValueError as error:
             raise BadInputError(str(error)) from error
         self._serial: Any = None
+        self._hung = False
         self._reset()
 
     @property
@@ -73,8 +77,27 @@ class SerialLink(Link):
 
     async def _open(self) -> None:
         self._reset()
-        self._serial = _open_port(self.port, self.baud)
+        self._serial = await self._opened_port()
         asyncio.get_running_loop().add_reader(self._serial.fileno(), self._receive)
+
+    async def _opened_port(self) -> Any:
+        """Opened in a thread: a wedged adapter can hold whoever opens it for ever."""
+        what = f"opening {self.port}"
+        hung = LinkError(
+            f"serial port {self.port} does not answer: unplug the receiver and plug it in again"
+        )
+        if self._hung and still_running(what):
+            raise hung  # one thread that waits is enough
+        try:
+            async with asyncio.timeout(OPEN_S):
+                return await in_background(
+                    lambda: _open_port(self.port, self.baud),
+                    what=what,
+                    discard=lambda port: port.close(),
+                )
+        except TimeoutError as late:
+            self._hung = True
+            raise hung from late
 
     def _receive(self) -> None:
         """Called by the loop when bytes wait in the kernel, or the port hung up."""

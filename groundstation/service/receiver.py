@@ -26,6 +26,8 @@ ANNOUNCE_S = 2.0
 """Preparing takes longer than this where something has to be compiled."""
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 BUSY_S = 0.005
+OPEN_MOST_S = 30.0
+"""For a link that is to take over: a client is told within its own patience (45 s)."""
 
 _ATTEMPT = frozenset({LinkState.OPENING, LinkState.CLOSED})
 
@@ -126,7 +128,7 @@ class Receiver:
         self._incoming = link
         self._swapped.clear()
         try:
-            await link.open()
+            await _open_in_time(link)
             if self._reading.done():
                 raise BadInputError(f"{self.link.name} has ended, and the daemon with it")
         except BaseException:
@@ -290,3 +292,16 @@ class Receiver:
             samples = replace(samples, segment=samples.segment + self._segment_base)
         self._segment = max(self._segment, int(samples.segment[-1]))
         self._on_samples(samples)
+
+
+async def _open_in_time(link: Link) -> None:
+    try:
+        async with asyncio.timeout(OPEN_MOST_S) as limit:
+            await link.open()
+    except TimeoutError as error:
+        if not limit.expired():
+            raise
+        raise LinkError(
+            f"{link.name} has not opened within {OPEN_MOST_S:g} s, so the present link stays; "
+            "see whether its device or disk answers"
+        ) from error

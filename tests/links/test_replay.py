@@ -1,6 +1,7 @@
 """Replay: the same packets with the same spacing, whatever the speed and whatever the file."""
 
 import asyncio
+import os
 import time
 from pathlib import Path
 
@@ -189,6 +190,12 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(tmp_path, content, error
     with pytest.raises(error, match=says) as refused:
         replayed(path)
     assert "\n" not in str(refused.value)
+
+
+def test_a_pipe_is_refused_and_nobody_waits_for_its_writer(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BadInputError, match="not a file"):
+        asyncio.run(ReplayLink(tmp_path / "pipe").open())
 
 
 def test_a_recording_without_telemetry_is_refused(tmp_path):

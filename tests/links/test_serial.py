@@ -5,6 +5,7 @@ import grp
 import os
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -16,6 +17,7 @@ from serial_craft import SerialCraft
 
 from firmware_sim.serial_port import SerialPort
 from firmware_sim.settings import Loss, StandInSettings
+from groundstation.background import still_running
 from groundstation.errors import BadInputError, LinkError, LinkLostError
 from groundstation.links import serial as serial_module
 from groundstation.links.base import LinkState
@@ -369,3 +371,37 @@ def test_a_name_too_strange_for_a_path_is_refused_in_one_line():
     with pytest.raises(BadInputError) as refused:
         asyncio.run(SerialLink("/dev/tty\0S").open())
     assert "\n" not in str(refused.value)
+
+
+def test_a_port_that_hangs_while_it_opens_is_told_of_and_tried_by_one_thread_only(
+    line, tmp_path, monkeypatch
+):
+    """A wedged adapter: its driver holds whoever opens it, here a pipe without a writer does."""
+    gate, opened = tmp_path / "gate", []
+    os.mkfifo(gate)
+
+    def open_slowly(port, baud):
+        with open(gate, "rb"):
+            opened.append(open_port(port, baud))
+        return opened[-1]
+
+    open_port = serial_module._open_port
+    monkeypatch.setattr(serial_module, "_open_port", open_slowly)
+    monkeypatch.setattr(serial_module, "OPEN_S", 0.2)
+
+    async def session():
+        link = SerialLink(line.path)
+        threads = threading.active_count()
+        for _ in range(3):
+            with pytest.raises(LinkError, match="does not answer"):
+                await link.open()
+        assert threading.active_count() == threads + 1
+        gate.open("wb").close()  # the driver comes back
+        async with asyncio.timeout(PATIENCE_S):
+            while still_running(f"opening {line.path}") or opened[0].is_open:
+                await asyncio.sleep(0.01)
+        monkeypatch.setattr(serial_module, "_open_port", open_port)
+        async with link:
+            assert link.state is LinkState.OPENING
+
+    asyncio.run(session())

@@ -2,13 +2,15 @@
 
 import asyncio
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from installed import RECORDINGS
 
-from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.errors import BadInputError, GroundStationError, LinkError, TakenError
+from groundstation.links import serial as serial_module
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (
     EVENTS_TOPIC,
@@ -17,6 +19,7 @@ from groundstation.recording.mcap_schemas import (
     decode_entry,
 )
 from groundstation.recording.open_recording import open_recording
+from groundstation.service import receiver as receiver_module
 from groundstation.service.api import permitted_link
 from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
 from groundstation.service.station import Station
@@ -135,6 +138,30 @@ def test_where_the_other_link_cannot_be_opened_the_present_one_stays(tmp_path):
     assert set(recording.samples.segment) == {0}
     ticks = recording.samples.ticks
     assert np.diff(ticks).max() < 1.5 * np.median(np.diff(ticks))
+
+
+def test_a_link_that_never_opens_is_given_up_and_the_present_one_stays(tmp_path, monkeypatch):
+    asked = threading.Event()
+
+    def hang(port, baud):
+        asked.wait()
+        raise LinkError("nobody listens any more")
+
+    monkeypatch.setattr(serial_module, "_open_port", hang)
+    monkeypatch.setattr(receiver_module, "OPEN_MOST_S", 0.3)
+
+    async def conversation(station):
+        before = station.receiver.decoder.counts().samples
+        with pytest.raises(LinkError, match=r"has not opened within 0.3 s, so the present link"):
+            await station.switch_link("serial:/dev/ttyUSB0")
+        await samples(station, before + 200)
+        assert station.status()["link"]["name"] == "stand-in"
+        await station.switch_link(f"replay:{FLIGHT}")
+
+    try:
+        run(tmp_path, conversation)
+    finally:
+        asked.set()
 
 
 def test_while_a_client_commands_the_link_stays(tmp_path, monkeypatch):
