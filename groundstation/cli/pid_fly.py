@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -173,11 +175,13 @@ def _flight(
                 aborted = fly_programme(pilot, programme, sticks)
             except KeyboardInterrupt:
                 aborted = "Ctrl-C"
+                say("stopping the motors", error=True)
             except GroundStationError as error:
                 aborted = str(error)
             finally:
                 # motors first: parameters may take a while
-                motors = stop_motors(pilot)
+                with _patient():
+                    motors = stop_motors(pilot)
                 stays = {} if restore or aborted else wanted
                 back = {name: value for name, value in saved.items() if name not in stays}
                 earlier = {name: value for name, value in former.items() if name not in changed}
@@ -231,6 +235,26 @@ def kept(pilot: Pilot) -> Iterator[None]:
     finally:
         answered.set()
         keeper.join()
+
+
+@contextlib.contextmanager
+def _patient() -> Iterator[None]:
+    """One Ctrl-C more does not keep the motors from being stopped, a second one does: then the
+    end of the lease stops them."""
+    asked = 0
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked += 1
+        if asked > 1:
+            raise KeyboardInterrupt
+        say("the motors are being stopped; Ctrl-C again leaves it to the daemon", error=True)
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _await_connection(path: Path) -> None:

@@ -184,6 +184,20 @@ def test_ctrl_c_stops_the_motors_and_puts_the_gains_back(station):
     assert station.gain() == STOCK
 
 
+def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station):
+    with station.flying("--gains", GAINS, *SHORT) as flight:
+        flight.send_signal(signal.SIGINT)
+        assert any(line == "stopping the motors\n" for line in flight.stderr)
+        flight.send_signal(signal.SIGINT)
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1, stderr
+    assert "flight aborted: Ctrl-C; motors are off" in stderr
+    if "the motors are being stopped; Ctrl-C again" in stderr:
+        assert station.gain() == STOCK
+    else:  # it came later, while the gains were put back
+        assert "pid fly --undo" in stderr
+
+
 def test_gains_that_cannot_fly_end_in_an_abort_and_are_put_back(station, tmp_path):
     gains = tmp_path / "wild.toml"
     gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
