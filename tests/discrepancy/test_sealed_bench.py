@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -11,18 +12,23 @@ from mcap.reader import make_reader
 from stand_in_bench import plant, slopes
 
 from bench.sealed.bound import significances
-from bench.sealed.cases import GROUPS, Case, matrix, named
+from bench.sealed.cases import GROUPS, POWER_SIGMAS, Case, matrix, named
+from bench.sealed.figures import draw as draw_figures
 from bench.sealed.flights import CARRY, PROGRAMME, Sealed, flown, record
 from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
+from bench.sealed.run import judged_again, search_arguments
 from bench.sealed.signals import Signals, effect_signals
+from bench.sealed.tables import tables
+from bench.sealed.worker import names_alone
+from bench.sealed.zero import table as clean_table
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.effects.drawn import draw
 from firmware_sim.effects.present import present_effects
 from firmware_sim.layout import TRUTH
 from firmware_sim.settings import StandInSettings
 from groundstation.discrepancy.regimes import motion_of, regimes_of
-from groundstation.dynamics.model import THESIS
+from groundstation.dynamics.model import THESIS, save_model
 from groundstation.identification.runs import Run
 
 RANGES = {
@@ -366,3 +372,69 @@ def test_every_regime_that_is_expected_is_one_that_reports_have():
 def test_a_line_of_results_is_json():
     line = judge(DAMPED, sealed(CERTAIN, **DAMPING), report(("rate_damping", {}, [])))
     assert json.loads(json.dumps(line)) == line
+
+
+def kept(folder, said, **more):
+    """A results folder with one judged case, as ``run`` leaves it."""
+    truth = sealed(CERTAIN, **DAMPING)
+    line = {**judge(DAMPED, truth, said), **more}
+    (folder / "opened").mkdir(parents=True)
+    (folder / "results.jsonl").write_text(json.dumps(line) + "\n")
+    opened = folder / "opened" / f"{DAMPED.name.replace(':', '-')}.json"
+    opened.write_text(json.dumps([asdict(truth), said]))
+    return line
+
+
+def test_a_mended_judge_judges_what_was_said_without_another_search(tmp_path):
+    line = kept(tmp_path, report(("rate_damping", {}, [])), flown={"base": 2.0, "improved": 1.0})
+    (tmp_path / "results.jsonl").write_text(json.dumps({**line, "right": False}) + "\n")
+    (again,) = judged_again(tmp_path)
+    assert again == line
+
+
+def test_a_case_that_was_refused_stays_as_it_is(tmp_path):
+    line = kept(tmp_path, report(), right=False, error="refused: no gyro")
+    assert judged_again(tmp_path) == [line]
+
+
+def test_the_tables_count_and_the_figures_show_what_was_named(tmp_path):
+    right = report(("rate_damping", {"damping_n_m_s": (1e-5, 1e-6)}, []), gyro_x=(3.0, 1.0, 1.0))
+    wrong = report(("dead_time", {}, []))
+    truth = sealed(CERTAIN, **DAMPING)
+    lines = [
+        judge(DAMPED, truth, right),
+        judge(Case("single", ("rate_damping",), 1), truth, wrong),
+        judge(Case("power", ("rate_damping",), 0, sigmas=POWER_SIGMAS[1]), truth, right),
+    ]
+    text = tables(lines)
+    assert "| single | clean | 1 | 2 | 0 | 1 | 0 |" in text
+    assert "| `rate_damping` | `dead_time` 1 |" in text
+    assert "| explained part at least 0.9 | 1 | 1 |" in text
+    assert "| `rate_damping` | 1/1 |" in text
+    shown = {path.name: path.read_text() for path in draw_figures(lines, tmp_path)}
+    assert set(shown) == {"discrepancy_power.svg", "discrepancy_confusion.svg"}
+    assert all(text.startswith("<?xml") for text in shown.values())
+
+
+def test_estimates_on_clean_flights_are_counted_by_their_own_error():
+    lines = [
+        {"case": str(k), "group": "quiet", "estimates": {"dead_time.delay_s": size}}
+        for k, size in enumerate((0.5, -1.9, 2.5))
+    ]
+    assert "| `dead_time.delay_s` | 2/3, 1.84 | 0/0, 0.00 |" in clean_table(lines)
+
+
+def test_for_power_curves_the_search_behind_the_command_is_asked_for_names_alone(tmp_path):
+    settings = {
+        "plant": "reduced",
+        "program": PROGRAMME,
+        "gains": CARRY,
+        "copies": 1,
+        "effects": {"velocity_moment": {"moment": 12.0}},
+    }
+    for seed, name in enumerate(("fit1", "validate")):
+        record(tmp_path / f"{name}.mcap", flown({**settings, "seed": seed}, 30.0)[0])
+    save_model(THESIS, tmp_path / "model.json")
+    names_alone(search_arguments(tmp_path))
+    said = json.loads((tmp_path / "report.json").read_text())
+    assert "velocity_moment" in [effect["name"] for effect in said["effects"]]
