@@ -168,8 +168,12 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 def load_settings(path: Path) -> StandInSettings:
-    """Read settings from a TOML file. Raises ValueError with the key that is wrong."""
+    """Read settings from a TOML file, or from the [stand_in] table of a daemon's configuration.
+
+    Raises ValueError with the key that is wrong.
+    """
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=StandInSettings)
+        table = msgspec.toml.decode(path.read_bytes())
+        return msgspec.convert(table.get("stand_in", table), StandInSettings)
     except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
         raise ValueError(f"stand-in settings {path}: {error}; correct the file") from error

@@ -1,0 +1,84 @@
+"""``python -m firmware_sim.hide``: a craft with something wrong in it, and nobody told what.
+
+The seed chooses one effect and its size. They go into a new settings file, which flies the craft
+like any other; opening it is giving up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from firmware_sim.effects.drawn import draw
+from firmware_sim.settings import load_settings
+
+HIDEABLE = (
+    "centre_of_gravity_offset",
+    "rotor_acceleration_torque",
+    "motor_dead_voltage",
+    "imu_misalignment",
+    "velocity_moment",
+    "motor_braking_asymmetry",
+    "rotor_mismatch",
+    "attitude_filter_lean",
+    "supply_sag",
+    "gyro_low_pass",
+    "accelerometer_bias",
+    "gyro_bias",
+    "yaw_damping",
+)
+"""Effects that any ordinary flight shows at every size drawn; neighbours are unlike each other,
+so that one seed after the other is another story."""
+
+EXAMPLE = """example:
+  python -m firmware_sim.hide --settings craft.toml --seed 3 -o sealed.toml
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the file. Returns 0, or 1 after one line on stderr."""
+    parser = argparse.ArgumentParser(
+        prog="python -m firmware_sim.hide",
+        description="Hide an effect, chosen by seed, in a craft of the stand-in.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--settings", type=Path, required=True, help="the craft without it")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="a new TOML file")
+    options = parser.parse_args(arguments)
+    try:
+        text = _sealed(options.settings, options.seed)
+        with options.output.open("x", encoding="utf-8") as file:
+            file.write(text)
+        load_settings(options.output)
+    except FileExistsError:
+        print(f"firmware_sim: {options.output} exists already; give another name", file=sys.stderr)
+        return 1
+    except (ValueError, OSError) as error:
+        print(f"firmware_sim: {error}", file=sys.stderr)
+        return 1
+    print(f"{options.output}: something is hidden in this craft")
+    return 0
+
+
+def _sealed(settings: Path, seed: int) -> str:
+    """The settings' own text, and a table with what is hidden at its end."""
+    if seed < 0:
+        raise ValueError(f"--seed {seed}: must not be negative")
+    if load_settings(settings).effects:
+        raise ValueError(f"{settings}: this craft has effects already; start from one without")
+    text = settings.read_text(encoding="utf-8")
+    table = "stand_in.effects" if "stand_in" in tomllib.loads(text) else "effects"
+    name = HIDEABLE[seed % len(HIDEABLE)]
+    values = draw(name, np.random.default_rng(seed))
+    lines = [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
+    return "\n".join([text.rstrip(), "", f"[{table}.{name}]", *lines, ""])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
