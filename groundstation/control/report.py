@@ -195,6 +195,16 @@ def flight_page(flown: Flown, name: str, model: str | None) -> Page:
             "bad" if apart else "good",
         )
     page.table(FLIGHT_HEAD, flight_rows(flown), DEFINITIONS)
+    page.figure(flight_figure(flown), STEPS_TEXT)
+    page.text(flight_lines(flown)[-1] + ".")
+    return page
+
+
+STEPS_TEXT = "Averages over all steps of the flight, in the device's time."
+
+
+def flight_figure(flown: Flown) -> Figure:
+    """One panel an axis: the mean step, measured and predicted."""
     made, panels = figure(rows=1, columns=len(flown.axes), height=3.0, sharey=True)
     for panel, one in zip(panels, flown.axes, strict=True):
         time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
@@ -206,9 +216,7 @@ def flight_page(flown: Flown, name: str, model: str | None) -> Page:
         panel.set_xlabel("s")
         panel.legend(loc="lower right")
     panels[0].set_ylabel("response / step")
-    page.figure(made, "Averages over all steps of the flight, in the device's time.")
-    page.text(flight_lines(flown)[-1] + ".")
-    return page
+    return made
 
 
 THESIS_HEAD = (
