@@ -1,30 +1,51 @@
-"""``python -m bench [NAME...]``: one table, what, measured, reference in the same run, ratio."""
+"""``python -m bench [--json] [PART...]``: one table, each figure beside its reference or limit."""
 
 from __future__ import annotations
 
+import argparse
 import importlib
+import json
 import sys
 from pathlib import Path
 
+from bench.table import Row, header
 
-def main(names: list[str]) -> int:
-    known = sorted(
-        path.stem
-        for path in Path(__file__).parent.glob("*.py")
-        if "\ndef rows(" in path.read_text()  # the others are run by themselves, for hours
+
+def main() -> int:
+    known = _parts()
+    parser = argparse.ArgumentParser(
+        prog="python -m bench",
+        description="What was measured, a reference measured in the same run and their ratio, and"
+        " the limit where one is set. Hours long are apart: bench.soak, bench.sealed, bench.floor.",
     )
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        print(f"bench: {', '.join(unknown)} not known; use {', '.join(known)}", file=sys.stderr)
-        return 2
-    print(f"{'what':<64} {'measured':>12} {'reference':>12} {'ratio':>8}  unit")
-    for name in names or known:
-        print(f"-- {name}", flush=True)
-        for what, measured, reference, unit in importlib.import_module(f"bench.{name}").rows():
-            ratio = f"{measured / reference:8.3g}" if reference else "       -"
-            print(f"{what:<64} {measured:>12.4g} {reference:>12.4g} {ratio}  {unit}", flush=True)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(known)}")
+    parser.add_argument("--json", action="store_true", help="print JSON for programs")
+    chosen = parser.parse_args()
+    if unknown := [name for name in chosen.parts if name not in known]:
+        parser.error(f"{', '.join(unknown)} not known; there are {', '.join(known)}")
+    rows = []
+    if not chosen.json:
+        print(header())
+    for part in chosen.parts or known:
+        print(f"bench: {part}", file=sys.stderr, flush=True)
+        for made in importlib.import_module(f"bench.{part}").rows():
+            row = Row(*made)
+            rows.append(row.as_dict(part))
+            if not chosen.json:
+                print(row.line(), flush=True)
+    if chosen.json:
+        print(json.dumps(rows, indent=2, default=float))
     return 0
 
 
+def _parts() -> list[str]:
+    """The modules beside this one that give rows; the others run by themselves, for hours."""
+    return sorted(
+        path.stem
+        for path in Path(__file__).parent.glob("*.py")
+        if "\ndef rows(" in path.read_text()
+    )
+
+
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

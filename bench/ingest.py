@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from bench.table import Row
 from bench.timing import best
 from groundstation.telemetry.decoder import Decoder, decode_all
 from groundstation.telemetry.packet import SAMPLE_TICKS, decode, encode
 from groundstation.telemetry.samples import RawBatch
-
-Row = tuple[str, float, float, str]
 
 SAMPLES = 250_000
 LIVE_BATCH = 16
@@ -31,27 +30,28 @@ def rows() -> Iterator[Row]:
     """Each row's reference is measured beside it; ratios, not seconds, travel."""
     raw = _packets(SAMPLES, loss=0.05)
     decode_all(raw)  # compiles, or loads what was compiled
-    yield (
-        "decode + unwrap + dedup, large batch (ref: numpy view + drop equal neighbours)",
+    yield Row(
+        "decode, unwrap, remove copies: large batch (numpy view, equal neighbours dropped)",
         len(raw) / best(lambda: decode_all(raw), 5, warm=False) / 1e6,
         len(raw) / best(lambda: _bare(raw), 5, warm=False) / 1e6,
         "million packets/s",
     )
-    yield (
-        f"live batch of {LIVE_BATCH}, interpreted (ref: the time it spans)",
+    yield Row(
+        f"live batch of {LIVE_BATCH} packets (the time it spans)",
         _live_batch_s(raw) * 1e3,
         LIVE_SPAN_S * 1e3,
         "ms",
     )
-    yield (
-        "groundstation --help (ref: bare interpreter start)",
+    yield Row(
+        "groundstation --help (bare interpreter start)",
         _start_s([_script("groundstation"), "--help"]),
         _start_s([sys.executable, "-c", "pass"]),
         "s",
     )
     share, memory = _daemon()
-    yield ("daemon, 2000 packets/s replayed, recording, viewer (ref: 1 core)", share, 1.0, "core")
-    yield ("the same: resident memory of its process (ref: the limit)", memory, 150.0, "MB")
+    what = "daemon, 2000 packets/s replayed, recorder, viewer"
+    yield Row(f"{what}: processor (a core)", share, 1.0, "core")
+    yield Row(f"{what}: resident memory", memory, None, "MB", most=150.0)
 
 
 def _packets(samples: int, loss: float) -> RawBatch:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from bench.table import Row
 from bench.timing import best
 from firmware_sim.serial_port import SerialPort
 from groundstation.errors import LinkLostError
@@ -22,8 +23,6 @@ from groundstation.links.serial import BATCH_S, SerialLink
 from groundstation.service.client import ask
 from groundstation.telemetry.framing import DELIMITER, Deframer, frame_packets
 from groundstation.telemetry.packet import SAMPLE_TICKS, encode
-
-Row = tuple[str, float, float, str]
 
 PACKETS = 200_000
 NOISE_BYTES = 10_000_000
@@ -37,15 +36,15 @@ PERIOD_S = 1e-3
 def rows() -> Iterator[Row]:
     """Each row's reference is measured beside it, or is the limit it must keep."""
     stream = frame_packets(np.random.default_rng(0).integers(0, 256, (PACKETS, 32), np.uint8))
-    yield (
-        "deframing, 10 frames a read (ref: bytes.split alone)",
+    yield Row(
+        "deframing, 10 frames a read (bytes.split alone)",
         PACKETS / best(lambda: _deframe(stream, 360), 3, warm=False) / 1e6,
         PACKETS / best(lambda: _split(stream, 360), 3, warm=False) / 1e6,
         "million frames/s",
     )
     noise = np.random.default_rng(1).bytes(NOISE_BYTES)
-    yield (
-        "deframing 10 MB of noise (ref: bytes.split alone)",
+    yield Row(
+        "deframing 10 MB of noise (bytes.split alone)",
         best(lambda: _deframe(noise, CHUNK), 1, warm=False),
         best(lambda: _split(noise, CHUNK), 1, warm=False),
         "s",
@@ -53,15 +52,15 @@ def rows() -> Iterator[Row]:
     latencies_ms, missing, lost_ms = asyncio.run(_latency())
     batch_ms = 1e3 * BATCH_S
     median, worst = np.percentile(latencies_ms, [50, 99])
-    yield "end of frame to recorder, median (ref: span of a batch)", median, batch_ms, "ms"
-    yield "the same, 99th percentile", worst, batch_ms, "ms"
-    yield "packets missing of 2000/s (ref: sent)", missing, len(latencies_ms) + missing, "packets"
-    yield "port dies: link lost (ref: the limit)", lost_ms, 1000.0, "ms"
+    yield Row("serial frame to recorder, median (span of a batch)", median, batch_ms, "ms")
+    yield Row("serial frame to recorder, 99th percentile (the same)", worst, batch_ms, "ms")
+    yield Row("packets missing at 2000/s (sent)", missing, len(latencies_ms) + missing, "packets")
+    yield Row("port dies: link lost after", lost_ms, None, "ms", most=1000.0)
     share, lost = _daemon(serve=True)
-    yield "daemon, 2000 packets/s, recording (ref: 1 core)", share, 1.0, "core"
-    yield "the same: samples lost (ref: received)", *lost, "samples"
+    yield Row("daemon, 2000 packets/s from a serial line, recording (a core)", share, 1.0, "core")
+    yield Row("the same: samples lost (received)", *lost, "samples")
     share, _ = _daemon(serve=False)
-    yield "daemon waiting for an absent port (ref: the limit)", share, 0.01, "core"
+    yield Row("daemon waiting for an absent port (a core)", share, 1.0, "core", most=0.01)
 
 
 def _deframe(stream: bytes, size: int) -> None:

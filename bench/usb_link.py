@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-Row = tuple[str, float, float, str]
+from bench.table import Row
 
 HELPERS = Path(__file__).parents[1] / "tests" / "helpers"
 BATCH_MS = 8.0
@@ -28,9 +28,9 @@ def rows() -> Iterator[Row]:
             raise RuntimeError(result.output)
         for row in usb_guest.table(Path(folder)):
             reader = row["reader"]
-            yield (f"{reader}: lost (ref: frames)", row["lost"], row["frames"], "frames")
-            yield (f"{reader}: CPU (ref: 1 core)", row["cpu_pct"] / 100, 1.0, "core")
+            yield Row(f"{reader}: lost (frames)", row["lost"], row["frames"], "frames")
+            yield Row(f"{reader}: processor (a core)", row["cpu_pct"] / 100, 1.0, "core")
             if row["latency_ms"] is not None:
                 for name, value in zip(("median", "p99"), row["latency_ms"], strict=True):
-                    what = f"{reader}: frame end to recorder, {name} (ref: a batch)"
-                    yield (what, value, BATCH_MS, "ms")
+                    what = f"{reader}: frame to recorder, {name} (span of a batch)"
+                    yield Row(what, value, BATCH_MS, "ms")

@@ -1,0 +1,67 @@
+"""The bench's one table."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench import __main__ as bench
+from bench.table import Row, header
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_figure_stands_beside_its_reference_and_their_ratio():
+    row = Row("loop (bare loop)", 90.0, 100.0, "M/s")
+    assert row.ratio == pytest.approx(0.9)
+    assert row.met is None
+    assert row.line().split() == ["loop", "(bare", "loop)", "90", "100", "0.9", "-", "M/s"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "met", "shown"),
+    [
+        ({"most": 0.15}, True, "<= 0.15"),
+        ({"most": 0.1}, False, "<= 0.1 MISSED"),
+        ({"least": 0.12}, True, ">= 0.12"),
+        ({"least": 0.2}, False, ">= 0.2 MISSED"),
+    ],
+)
+def test_a_limit_is_shown_and_one_that_is_not_kept_is_marked(limits, met, shown):
+    row = Row("processor", 0.12, None, "core", **limits)
+    assert row.met is met
+    assert f" {shown}  core" in row.line()
+    assert row.as_dict("daemon")["met"] is met
+
+
+def test_columns_are_aligned():
+    rows = [Row("short", 1.0, 2.0, "s"), Row("processor (a core)", 123.4, None, "%", most=5)]
+    lines = [header(), *(row.line() for row in rows)]
+    assert {line.rfind("  ") for line in lines} == {len(header()) - len("  unit")}
+
+
+def test_what_takes_hours_is_no_part_and_every_part_gives_rows():
+    parts = bench._parts()
+    assert not {"soak", "floor", "sealed", "table", "timing"} & set(parts)
+    assert {"daemon", "discrepancy", "identification", "ingest", "pid", "recording"} <= set(parts)
+
+
+def test_an_unknown_part_is_a_usage_error_that_names_the_known_ones():
+    done = subprocess.run(
+        [sys.executable, "-m", "bench", "banana"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "banana not known; there are daemon, discrepancy" in done.stderr
+
+
+def test_json_holds_the_same_rows(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", "simulation"])
+    monkeypatch.setattr(
+        "bench.simulation.rows", lambda: iter([("old form", 1.0, 2.0, "s"), Row("b", 3, None, "")])
+    )
+    assert bench.main() == 0
+    first, second = json.loads(capsys.readouterr().out)
+    assert (first["part"], first["what"], first["ratio"]) == ("simulation", "old form", 0.5)
+    assert (second["reference"], second["ratio"], second["met"]) == (None, None, None)
