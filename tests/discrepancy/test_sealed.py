@@ -13,15 +13,14 @@ import pytest
 
 from bench.sealed.cases import named
 from bench.sealed.flights import COMMAND, Generator
-from bench.sealed.judge import judge
-from bench.sealed.run import search_arguments
+from bench.sealed.judge import LOUD, judge
+from bench.sealed.run import Search, search_arguments
 from bench.sealed.worker import command, main
 
-NOTHING = "quiet:nothing:0:clean"
 HIDDEN = (
-    "single:velocity_moment:0:clean",
     "single:gyro_low_pass:0:clean",
     "single:motor_braking_asymmetry:0:affected",
+    "pair:quadratic_rate_damping+velocity_moment:0:clean",
 )
 
 
@@ -30,41 +29,83 @@ def generator(tmp_path_factory):
     return Generator(tmp_path_factory.mktemp("families"))
 
 
-def searched(generator, name, folder):
-    """(the judgement, the report): recordings are made, searched, and the seal is opened."""
-    sealed = generator.make(named(name), folder / "seen")
-    assert sorted(path.name for path in (folder / "seen").iterdir()) == [
+@pytest.fixture(scope="module")
+def search():
+    """The installed command in a process that stays warm from case to case."""
+    process = Search()
+    yield process
+    process.close()
+
+
+def made(generator, name, folder):
+    """The recordings of a case and its sealed truth; nothing else is in the folder."""
+    sealed = generator.make(named(name), folder)
+    assert sorted(path.name for path in folder.iterdir()) == [
         "fit1.mcap",
         "fit2.mcap",
         "model.json",
         "validate.mcap",
     ]
+    return sealed
+
+
+def opened(name, sealed, folder):
+    """(the judgement, the report)"""
+    report = json.loads((folder / "report.json").read_text())
+    return judge(named(name), sealed, report), report
+
+
+def test_the_installed_command_names_the_hidden_effect_and_nothing_else(generator, tmp_path):
+    name = "single:velocity_moment:0:clean"
+    sealed = made(generator, name, tmp_path / "seen")
     done = subprocess.run(
-        [COMMAND, *search_arguments(folder / "seen")],
+        [COMMAND, *search_arguments(tmp_path / "seen")],
         capture_output=True,
         text=True,
         env={**os.environ, "NO_COLOR": "1"},
         timeout=280,
     )
     assert done.returncode == 0, done.stderr
-    report = json.loads((folder / "seen" / "report.json").read_text())
-    return judge(named(name), sealed, report), report
+    line, report = opened(name, sealed, tmp_path / "seen")
+    assert line["counted"]
+    assert line["found"] == ["velocity_moment"]
+    assert report["verdict"] == "effects_found"
 
 
 @pytest.mark.parametrize("name", HIDDEN)
-def test_the_hidden_effect_is_named_and_nothing_else(generator, tmp_path, name):
-    line, report = searched(generator, name, tmp_path)
+def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(
+    generator, search, tmp_path, name
+):
+    sealed = made(generator, name, tmp_path / "seen")
+    assert search(tmp_path / "seen")["error"] == ""
+    line, report = opened(name, sealed, tmp_path / "seen")
     assert line["counted"]
-    assert line["found"] == [named(name).names[0]]
+    assert sorted(line["found"]) == sorted(named(name).names)
     assert report["verdict"] == "effects_found"
     assert line["explained"] >= 0.9
     assert line["where_right"], line["where"]
 
 
-def test_where_nothing_is_hidden_nothing_is_named(generator, tmp_path):
-    line, report = searched(generator, NOTHING, tmp_path)
+def test_where_nothing_is_hidden_nothing_is_named(generator, search, tmp_path):
+    name = "quiet:nothing:0:clean"
+    sealed = made(generator, name, tmp_path / "seen")
+    assert search(tmp_path / "seen")["error"] == ""
+    line, report = opened(name, sealed, tmp_path / "seen")
     assert line["found"] == []
     assert report["verdict"] == "no_discrepancy"
+
+
+def test_what_no_name_describes_is_called_unexplained_in_its_own_channel(
+    generator, search, tmp_path
+):
+    name = "outside:side_gust:0:clean"
+    sealed = made(generator, name, tmp_path / "seen")
+    assert search(tmp_path / "seen")["error"] == ""
+    line, report = opened(name, sealed, tmp_path / "seen")
+    assert line["found"] == []
+    assert line["loudness"] > LOUD
+    assert report["verdict"] == "unexplained"
+    assert line["where_right"], line["where"]
 
 
 def test_the_worker_answers_a_refusal_in_one_line(tmp_path, monkeypatch, capsys):
