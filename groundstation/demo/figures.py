@@ -1,0 +1,142 @@
+"""Figures of the demo's report, from the files that its stages left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.control.flown import Flown
+from groundstation.control.flown_recording import analyse_recording
+from groundstation.demo.outcome import Distance, channels, flight, flights_apart
+from groundstation.discrepancy.findings import CHANNELS, Candidate
+from groundstation.discrepancy.gap import UNITS
+from groundstation.discrepancy.report_figures import label
+from groundstation.discrepancy.report_json import DiscrepancyReport
+from groundstation.dynamics.model import load_model
+from groundstation.identification.evidence import liveliest
+from groundstation.identification.motor import bench_run, simulate_run
+from groundstation.identification.runs import hold_out
+from groundstation.recording.open_recording import open_recording
+from groundstation.report.figure import IMPROVED, MEASURED, MODELLED, NEUTRAL, figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHOWN_S = 4.0
+RATES = (("gyro_x", "roll rate"), ("gyro_y", "pitch rate"), ("gyro_z", "yaw rate"))
+
+
+def motor_figure(folder: Path) -> Figure:
+    """Rotor speed on the bench, and the fitted motor's answer to the same voltage."""
+    model = load_model(str(folder / "motor.json"))
+    account = model.fit["motor"]["estimates"]
+    delay_s = account["values"][account["names"].index("delay_s")]
+    _, held = hold_out([flight(folder / "bench.csv")])
+    run = bench_run(held[0])
+    modelled = simulate_run(run, model.motor, delay_s)
+    rows = liveliest(run.voltage_mv, run.period_s, SHOWN_S)
+    fresh = np.flatnonzero(np.isfinite(run.rev_s[rows])) + rows.start
+    time = fresh * run.period_s
+    made, (speed, voltage) = figure(9.6, 4.0, rows=2, sharex=True, height_ratios=[3, 1])
+    speed.plot(time, run.rev_s[fresh], "o", markersize=3.2, color=NEUTRAL, label="measured")
+    speed.plot(time, modelled[fresh], color=IMPROVED, label="fitted motor, from the voltage alone")
+    speed.set_ylabel("rotor speed, rev/s")
+    _headroom(speed)
+    voltage.plot(run.period_s * np.arange(rows.start, rows.stop), run.voltage_mv[rows] / 1000.0,
+                 color=MEASURED)  # fmt: skip
+    voltage.set_ylabel("motor, V")
+    voltage.set_xlabel("time on the bench, held-out part, s")
+    return made
+
+
+def body_figure(folder: Path) -> Figure:
+    """Measured rates, and the fitted craft's on the same motor commands."""
+    run = flight(folder / "flight2.csv")
+    table = np.genfromtxt(folder / "simulated.csv", delimiter=",", names=True)
+    measured = channels(run)
+    rows = liveliest(measured[:, 0] + measured[:, 2], run.period_s, SHOWN_S)
+    time = table["time_s"][rows] - run.time_s[0]
+    made, axes = figure(9.6, 5.4, rows=3, sharex=True)
+    for axis, (channel, name) in zip(axes, RATES, strict=True):
+        axis.plot(time, measured[rows, CHANNELS.index(channel)], color=MEASURED, label="measured")
+        modelled = table[f"{channel}_dps"][rows]
+        axis.plot(time, modelled, color=IMPROVED, label="fitted model, from the motors' PWM")
+        axis.set_ylabel(f"{name}\ndeg/s")
+    _headroom(axes[0])
+    axes[-1].set_xlabel("time in the flight, s")
+    return made
+
+
+def flown_steps(folder: Path, report: dict[str, Any]) -> Flown:
+    """The steps of the controller's flight, measured and predicted. report: of ``pid fly``."""
+    recording = open_recording(Path(report["recording"]))
+    model = load_model(str(folder / "body.json"))
+    return analyse_recording(recording, model, report["gains"], "pid fly")
+
+
+def candidates_of(found: DiscrepancyReport) -> list[Candidate]:
+    """The report's candidates, for the bars of evidence."""
+    return [
+        Candidate(one.name, {}, one.score, one.t, one.held_out, one.accepted, one.reason)
+        for one in found.candidates
+    ]
+
+
+def gap_steps(found: DiscrepancyReport) -> list[tuple[str, float]]:
+    """The gap of the given model, with its constants fitted again, and after each effect that
+    joined."""
+    steps = [("model", found.gap.validation.before)]
+    steps += [("constants fitted again", effect.gap.before) for effect in found.effects[:1]]
+    return steps + [(effect.name, effect.gap.after) for effect in found.effects]
+
+
+def beside_figure(folder: Path, distance: Distance) -> Figure:
+    """The channel in which the first model strays most: all three flights of one seed."""
+    worst = int(np.argmax(distance.old / distance.moved))
+    time, *three = flights_apart(folder)
+    true, old, new = (one[:, worst] for one in three)
+    period_s = float(time[1] - time[0])
+    rows = liveliest(np.cumsum(np.abs(old - true)) * period_s, period_s, SHOWN_S)
+    made, (above, below) = figure(9.6, 4.4, rows=2, sharex=True, height_ratios=[3, 2])
+    above.plot(time[rows], true[rows], color=MEASURED, linewidth=2.4, label="hidden craft")
+    above.plot(time[rows], old[rows], color=MODELLED, label="first model flies")
+    above.plot(time[rows], new[rows], color=IMPROVED, label="improved model flies")
+    channel = CHANNELS[worst]
+    above.set_ylabel(f"{label(channel)}, {UNITS[channel]}")
+    _headroom(above)
+    below.plot(time[rows], (old - true)[rows], color=MODELLED)
+    below.plot(time[rows], (new - true)[rows], color=IMPROVED)
+    below.set_ylabel(f"difference, {UNITS[channel]}")
+    below.set_xlabel("time in the flight, s")
+    return made
+
+
+def distance_figure(distance: Distance) -> Figure:
+    """How far each channel strays, as a share of how much it moves."""
+    place = np.arange(len(CHANNELS))
+    made, (axis,) = figure(9.6, 3.2)
+    for shift, values, color, name in (
+        (-0.2, distance.old, MODELLED, "first model"),
+        (0.2, distance.new, IMPROVED, "improved model"),
+    ):
+        share = 100 * values / distance.moved
+        axis.barh(place + shift, share, 0.38, color=color, label=name)
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.set_yticks(place, [label(channel) for channel in CHANNELS])
+    axis.invert_yaxis()
+    axis.grid(visible=False, axis="y")
+    axis.set_xlabel("RMS difference from the hidden craft's flight, % of the channel's movement")
+    made.legend(*axis.get_legend_handles_labels(), loc="outside upper right", ncols=2,
+                frameon=False)  # fmt: skip
+    return made
+
+
+def _headroom(axis: Axes) -> None:
+    """Room above the lines for a legend in one row."""
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.25 * (high - low))
+    axis.legend(loc="upper right", ncols=3, frameon=False)

@@ -1,0 +1,216 @@
+"""Commands as a newcomer would type them: shown, run, logged, and kept to be repeated by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from groundstation.errors import BadInputError, GroundStationError
+
+LOG, SCRIPT = "log.txt", "commands.sh"
+PROGRAMS = {
+    "groundstation": (str(Path(sys.executable).with_name("groundstation")),),
+    "python": (sys.executable,),
+}
+END_S = 40.0
+"""A program that was asked to end is given so long; a daemon finishes its recording."""
+_SCRIPT_HEAD = """#!/bin/sh
+# What 'groundstation demo' ran, to be repeated by hand: sh {script} NEW_FOLDER
+set -e
+here=$(dirname "$(realpath "$0")")
+mkdir "${{1:?give a new folder}}"
+cd "$1"
+cp {inputs} .
+export PATH={path}:"$PATH"
+run=$(mktemp -d)
+export GROUNDSTATION_SOCKET="$run/control.sock" XDG_STATE_HOME="$run"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """wall_s, processor_s: since the shell was opened, its commands' processor time."""
+
+    wall_s: float
+    processor_s: float
+
+
+class Shell:
+    """Runs commands in a folder that becomes theirs. A context: nothing is left running.
+
+    folder: must not exist or be empty. inputs: name -> text of the files to begin with.
+    say: is given every command as it starts.
+
+    Programs run in process groups of their own: Ctrl-C is told them once, by us, and in order.
+    """
+
+    def __init__(
+        self, folder: Path, inputs: dict[str, str], say: Callable[[str], None] = print
+    ) -> None:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise BadInputError(
+                f"{folder}: exists already and is not an empty folder; name another one with -o"
+            )
+        self.folder = folder.absolute()
+        self._say = say
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in inputs.items():
+                (folder / name).write_text(text, encoding="utf-8")
+            copied = " ".join(f'"$here/{name}"' for name in inputs)
+            path = shlex.quote(str(Path(sys.executable).parent))
+            (folder / SCRIPT).write_text(
+                _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path), encoding="utf-8"
+            )
+        except OSError as error:
+            raise BadInputError(f"{folder}: cannot be written: {error.strerror}") from error
+        self._log = (folder / LOG).open("ab")
+        # not in the folder, whose path may be longer than a socket's may be
+        self._runtime = Path(tempfile.mkdtemp(prefix="groundstation-demo-"))
+        self.socket = self._runtime / "control.sock"
+        self._environment = {
+            **{k: v for k, v in os.environ.items() if not k.startswith("GROUNDSTATION_")},
+            "GROUNDSTATION_SOCKET": str(self.socket),
+            "XDG_STATE_HOME": str(self._runtime),
+            "NO_COLOR": "1",
+        }
+        self._began_s = time.monotonic()
+        self._began_processor_s = _children_s()
+
+    def __enter__(self) -> Shell:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._log.close()
+        shutil.rmtree(self._runtime, ignore_errors=True)
+
+    @property
+    def spent(self) -> Spent:
+        """What all has cost so far."""
+        return Spent(time.monotonic() - self._began_s, _children_s() - self._began_processor_s)
+
+    def run(self, *words: str, into: str | None = None) -> None:
+        """Run one command to its end. Words may hold ``*``, as for a shell.
+
+        into: file that takes what it prints, else the log does. Raises GroundStationError with
+        what the command said last where it fails.
+        """
+        line = _shown(words) + (f" > {into}" if into else "")
+        mark = self._tell(line)
+        with contextlib.ExitStack() as closing:
+            out: IO[bytes] = self._log
+            if into is not None:
+                out = closing.enter_context((self.folder / into).open("xb"))
+            process = self._start(words, out)
+            try:
+                status = process.wait()
+            finally:
+                _end(process)
+        if status:
+            self._note(f"# failed: {line}")
+            if into is not None:
+                (self.folder / into).unlink()  # what it said of itself; no recording
+            raise GroundStationError(
+                f"'{_shown(words)}' failed ({status}): {self._last_words(mark)};"
+                f" all that was said is in {self.folder / LOG}"
+            )
+        self._note(line)
+
+    @contextlib.contextmanager
+    def running(self, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+        """A daemon while inside; it is asked to end in the end. Raises GroundStationError where
+        it says that it could not do its work."""
+        line = f"{_shown(words)} &"
+        mark = self._tell(line)
+        self._note(f"{line}\nuntil groundstation status >/dev/null 2>&1; do sleep 0.5; done")
+        process = self._start(words, self._log)
+        try:
+            yield process
+        finally:
+            status = _end(process)
+            self._note("kill -TERM $! && wait $!")
+        if status:
+            raise GroundStationError(f"'{_shown(words)}' failed: {self._last_words(mark)}")
+
+    def said(self, process: subprocess.Popen[bytes]) -> str:
+        """Why a daemon has ended, to be asked when it has."""
+        return f"the daemon has ended ({process.poll()}): {self._last_words(0)}"
+
+    def files(self, pattern: str) -> list[Path]:
+        """The folder's files that a pattern names, in order."""
+        return sorted(self.folder.glob(pattern))
+
+    def _start(self, words: tuple[str, ...], out: IO[bytes]) -> subprocess.Popen[bytes]:
+        program, *arguments = words
+        expanded = [name for word in arguments for name in self._expanded(word)]
+        self._log.flush()
+        try:
+            return subprocess.Popen(
+                [*PROGRAMS[program], *expanded],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=self._log,
+                cwd=self.folder,
+                env=self._environment,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise GroundStationError(f"{PROGRAMS[program][0]}: {error.strerror}") from error
+
+    def _expanded(self, word: str) -> list[str]:
+        if "*" not in word:
+            return [word]
+        found = [str(path.relative_to(self.folder)) for path in self.files(word)]
+        if not found:
+            raise GroundStationError(f"{self.folder / word}: no such file")
+        return found
+
+    def _tell(self, line: str) -> int:
+        """Show and log a command; where in the log its own words begin."""
+        self._say(f"$ {line}")
+        self._log.write(f"\n$ {line}\n".encode())
+        self._log.flush()
+        return self._log.tell()
+
+    def _note(self, line: str) -> None:
+        with (self.folder / SCRIPT).open("a", encoding="utf-8") as file:
+            file.write(f"{line}\n")
+
+    def _last_words(self, mark: int) -> str:
+        text = (self.folder / LOG).read_bytes()[mark:].decode(errors="replace")
+        lines = [line for line in text.splitlines() if line.strip()]
+        return lines[-1].removeprefix("groundstation: ") if lines else "nothing was said"
+
+
+def _end(process: subprocess.Popen[bytes]) -> int:
+    """Ask a program to end, as Ctrl-C would; its status."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_S)
+        except BaseException as error:  # a second Ctrl-C, too
+            process.kill()
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+    return process.wait()
+
+
+def _shown(words: tuple[str, ...]) -> str:
+    return " ".join(word if "*" in word else shlex.quote(word) for word in words)
+
+
+def _children_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime

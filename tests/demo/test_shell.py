@@ -1,0 +1,102 @@
+"""The demo's commands: shown, logged, kept for repeating, and never left behind."""
+
+import os
+import subprocess
+import time
+
+import pytest
+
+from groundstation.demo.shell import LOG, SCRIPT, Shell
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.service.client import ask
+
+
+def python(text):
+    return ("python", "-c", text)
+
+
+@pytest.fixture
+def said():
+    return []
+
+
+@pytest.fixture
+def shell(tmp_path, said):
+    with Shell(tmp_path / "story", {"input.txt": "here"}, said.append) as opened:
+        yield opened
+
+
+def test_a_command_runs_in_the_folder_and_is_shown_logged_and_kept(shell, said):
+    shell.run(*python("print(open('input.txt').read())"))
+    shell.run(*python("print('kept')"), into="out.txt")
+    assert said[0] == "$ python -c 'print(open('\"'\"'input.txt'\"'\"').read())'"
+    assert "here" in (shell.folder / LOG).read_text()
+    assert (shell.folder / "out.txt").read_text() == "kept\n"
+    script = (shell.folder / SCRIPT).read_text()
+    assert script.rstrip().endswith("> out.txt")
+    subprocess.run(["sh", "-n", shell.folder / SCRIPT], check=True)
+
+
+def test_what_was_run_can_be_run_again_elsewhere(shell):
+    shell.run(*python("print(open('input.txt').read() + ' again')"), into="out.txt")
+    again = shell.folder.parent / "again"
+    subprocess.run(["sh", shell.folder / SCRIPT, again], check=True)
+    assert (again / "out.txt").read_text() == "here again\n"
+
+
+def test_a_failure_says_what_the_command_said_and_leaves_no_half_file(shell):
+    with pytest.raises(GroundStationError, match=r"failed \(1\): no such thing; .*log\.txt"):
+        shell.run(*python("print('half'); raise SystemExit('no such thing')"), into="half.json")
+    assert not (shell.folder / "half.json").exists()
+    assert (shell.folder / SCRIPT).read_text().rstrip().splitlines()[-1].startswith("# failed: ")
+
+
+def test_names_with_a_star_are_those_of_the_folder(shell):
+    shell.run(*python("open('b1', 'w'); open('b2', 'w')"))
+    shell.run(*python("import sys; print(sys.argv[1:])"), "b*", into="out.txt")
+    assert (shell.folder / "out.txt").read_text() == "['b1', 'b2']\n"
+    with pytest.raises(GroundStationError, match="no such file"):
+        shell.run(*python("pass"), "d*")
+
+
+def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    with pytest.raises(BadInputError, match="not an empty folder"):
+        Shell(tmp_path, {})
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_settings_of_the_user_s_daemon_do_not_reach_the_demo_s(tmp_path, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_LINK_NAME", "usb")
+    with Shell(tmp_path / "story", {}, lambda line: None) as shell:
+        shell.run(*python("import os; print(os.environ.get('GROUNDSTATION_LINK_NAME'))"), into="o")
+        assert (shell.folder / "o").read_text() == "None\n"
+
+
+def test_a_daemon_ends_with_its_block_and_its_recording_is_whole(shell):
+    with shell.running("groundstation", "run", "--recordings", "flights") as daemon:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and daemon.poll() is None:
+            try:
+                if ask(shell.socket, "GET", "/status")["recording"]["samples"] > 0:
+                    break
+            except GroundStationError:
+                time.sleep(0.1)
+    assert daemon.returncode == 0
+    (recording,) = shell.files("flights/*.mcap")
+    shell.run("groundstation", "inspect", str(recording.relative_to(shell.folder)))
+
+
+def test_an_interrupt_ends_what_runs_before_it_goes_on(shell):
+    with pytest.raises(KeyboardInterrupt), shell.running(*python(_WAIT)) as daemon:
+        raise KeyboardInterrupt
+    assert daemon.returncode is not None
+    with pytest.raises(ProcessLookupError):
+        os.kill(daemon.pid, 0)
+
+
+_WAIT = """
+import signal, time
+signal.signal(signal.SIGINT, lambda number, frame: exit(0))
+time.sleep(60)
+"""
