@@ -111,7 +111,8 @@ def _flights(model: Model, gains: dict[str, float]) -> Iterator[Row]:
             rms = abs(one.measured.rms / one.predicted.rms - 1)
             over = abs(one.measured.overshoot_pct - one.predicted.overshoot_pct)
             settled = one.measured.settling_s, one.predicted.settling_s
-            gap = math.inf if None in settled else abs(settled[0] - settled[1])  # type: ignore[operator]
+            never = settled[0] is None or settled[1] is None
+            gap = math.inf if never else abs(settled[0] - settled[1])
             for name, value in zip(worst, (100 * rms, over, 1e3 * gap), strict=True):
                 worst[name] = max(worst[name], value)
     yield Row("axes that agree with the prediction (flown)", flown_axes - apart, flown_axes, "")

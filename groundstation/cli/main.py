@@ -61,9 +61,9 @@ def _hold_streams() -> None:
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
             mode = "w" if number else "r"
-            setattr(sys, name, open(_discard(number), mode, encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, open(_discard(number), mode, encoding="utf-8"))  # noqa: SIM115 - it stays open
     # a file name need not be UTF-8
-    sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
+    sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a text file
 
 
 def _discard(number: int) -> int:

@@ -86,7 +86,7 @@ def fly(
     if html is not None:
         require_new(html)
     planned = Programme(
-        shape=programme,  # type: ignore[arg-type]
+        shape=programme,  # type: ignore[arg-type]  # require_flyable judges it
         axes=tuple(axis or AXES),
         angle_deg=amplitude,
         yaw_dps=yaw_rate,

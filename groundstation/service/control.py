@@ -96,6 +96,7 @@ class _Protocol(H11Protocol):
     _arriving: asyncio.TimerHandle | None = None
     _stalled: asyncio.TimerHandle | None = None
 
+    # the server opens streams only: a narrower type than any transport's
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         if len(self.connections) > CONNECTIONS_MOST:

@@ -5,8 +5,8 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, GAINS, MEDIUM, affected
-from stand_in_flights import recorded
+from affected_flights import BASE, MEDIUM, affected
+from stand_in_flights import CARRYING_GAINS, recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulate")
     name = "velocity_moment"
     for file, seconds, settings in (
-        ("flight", 25.0, {"effects": {name: MEDIUM[name]}, "gains": GAINS}),
+        ("flight", 25.0, {"effects": {name: MEDIUM[name]}, "gains": CARRYING_GAINS}),
         ("bench", 5.0, {"program": "wait"}),
     ):
         samples, _ = recorded(seconds, seed=8, plant="reduced", **settings)

@@ -9,9 +9,9 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, GAINS
+from affected_flights import BASE
 from installed import COMMAND, groundstation, require_failure
-from stand_in_flights import recorded
+from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.cli.app import app
 from groundstation.discrepancy.findings import CHANNELS
@@ -35,7 +35,7 @@ def write(path, samples, **metadata):
 def flight(seconds=40.0, **settings):
     samples, _ = recorded(
         seconds,
-        **{"seed": 3, "plant": "reduced", "gains": GAINS, "copies": 1, **settings},
+        **{"seed": 3, "plant": "reduced", "gains": CARRYING_GAINS, "copies": 1, **settings},
     )
     return samples
 

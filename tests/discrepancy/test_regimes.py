@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE, GAINS
+from affected_flights import BASE
 from compared_flights import flights, judged
-from stand_in_flights import recorded, truth_of
+from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.discrepancy.recordings import flights_of
 from groundstation.discrepancy.regimes import (
@@ -18,7 +18,7 @@ from groundstation.discrepancy.regimes import (
 
 @pytest.fixture(scope="module")
 def run_and_truth():
-    samples, truth = recorded(40.0, seed=5, plant="reduced", gains=GAINS)
+    samples, truth = recorded(40.0, seed=5, plant="reduced", gains=CARRYING_GAINS)
     (run,) = flights_of(samples)
     return run, truth_of(samples, truth)
 

@@ -1,22 +1,13 @@
 """Flights of the reduced stand-in with one effect at medium size, and the model that has it."""
 
 import msgspec
-from stand_in_flights import recorded, truth_of
+from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.runs import runs_of
 
 BASE = vehicle_model(BUILT_IN["crazyflie1"])
-GAINS = {
-    "pid_rate.roll_kp": 30.0,
-    "pid_rate.pitch_kp": 30.0,
-    "pid_attitude.roll_kp": 3.0,
-    "pid_attitude.pitch_kp": 3.0,
-    "pid_attitude.roll_ki": 3.0,
-    "pid_attitude.pitch_ki": 3.0,
-}
-"""Carry every size of every effect."""
 MEDIUM = {
     "dead_time": {"delay_s": 0.0057},
     "gyro_low_pass": {"bandwidth_hz": 25.0},
@@ -54,7 +45,7 @@ def affected(name, parameters=None):
 def flown(seconds, seed, name=None, **settings):
     """(run, truth) of one flight, with the effect at medium size if one is named."""
     effects = {} if name is None else {name: MEDIUM[name]}
-    chosen = {"plant": "reduced", "gains": GAINS, "effects": effects, **settings}
+    chosen = {"plant": "reduced", "gains": CARRYING_GAINS, "effects": effects, **settings}
     samples, truth = recorded(seconds, seed=seed, **chosen)
     (run,) = runs_of(samples)
     return run, truth_of(samples, truth)

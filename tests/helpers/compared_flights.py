@@ -2,8 +2,8 @@
 
 import functools
 
-from affected_flights import BASE, GAINS
-from stand_in_flights import recorded
+from affected_flights import BASE
+from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.discrepancy.comparison import compare
 from groundstation.discrepancy.recordings import flights_of
@@ -18,7 +18,7 @@ def flights(seed, plant="reduced", effects=(), seconds=SECONDS, loss=0.0, **sett
         seconds,
         seed=seed,
         plant=plant,
-        gains=GAINS,
+        gains=CARRYING_GAINS,
         copies=1,
         loss={"good_loss": loss},
         effects={name: dict(values) for name, values in effects},

@@ -3,21 +3,12 @@
 from functools import cache
 
 import numpy as np
-from stand_in_flights import recorded
+from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.discrepancy.recordings import flights_of
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 
-CARRYING_GAINS = {
-    "pid_rate.roll_kp": 30.0,
-    "pid_rate.pitch_kp": 30.0,
-    "pid_attitude.roll_kp": 3.0,
-    "pid_attitude.pitch_kp": 3.0,
-    "pid_attitude.roll_ki": 3.0,
-    "pid_attitude.pitch_ki": 3.0,
-}
-"""Gains that carry effects of every size (docs/stand_in.md)."""
 BENCH_ERRORS = np.array([1e-4, 1e-3, 2e-6])
 
 

@@ -7,6 +7,16 @@ from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 
+CARRYING_GAINS = {
+    "pid_rate.roll_kp": 30.0,
+    "pid_rate.pitch_kp": 30.0,
+    "pid_attitude.roll_kp": 3.0,
+    "pid_attitude.pitch_kp": 3.0,
+    "pid_attitude.roll_ki": 3.0,
+    "pid_attitude.pitch_ki": 3.0,
+}
+"""Gains that carry effects of every size (docs/stand_in.md)."""
+
 
 def recorded(seconds, **settings):
     """(samples, truth) of a stand-in's flight; the truth has one row per pass with power."""

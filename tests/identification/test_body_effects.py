@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
+from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.identification.body import fit_body
@@ -13,15 +13,6 @@ from groundstation.identification.supply import undo_supply
 
 VEHICLE = BUILT_IN["crazyflie1"]
 CONSTANTS = np.array(VEHICLE.body_constants)
-ROBUST = {
-    "pid_rate.roll_kp": 30.0,
-    "pid_rate.pitch_kp": 30.0,
-    "pid_attitude.roll_kp": 3.0,
-    "pid_attitude.pitch_kp": 3.0,
-    "pid_attitude.roll_ki": 3.0,
-    "pid_attitude.pitch_ki": 3.0,
-}
-"""Gains with which the craft carries every effect (docs/stand_in.md)."""
 HIDDEN = {
     "dead_time": {"delay_s": 0.004},
     "gyro_low_pass": {"bandwidth_hz": 40.0},
@@ -41,7 +32,7 @@ HIDDEN = {
 
 
 def flown(seed, seconds=30.0, **settings):
-    samples, _ = recorded(seconds, plant="reduced", seed=seed, gains=ROBUST, **settings)
+    samples, _ = recorded(seconds, plant="reduced", seed=seed, gains=CARRYING_GAINS, **settings)
     return stretches_of(runs_of(samples, f"flight {seed}"), THESIS_MOTOR)
 
 

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, GAINS
-from stand_in_flights import recorded, truth_of
+from affected_flights import BASE
+from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.effects.ahead import predict_ahead
@@ -102,7 +102,12 @@ def test_the_stand_in_flies_it_and_the_model_predicts_the_flight(source, tmp_pat
     model = with_own(source, ("loose_battery", {"cubic": 60.0, "push": 0.4}))
     path = tmp_path / "model.json"
     save_model(model, path)
-    settings = {"plant": "reduced", "gains": GAINS, "torque_noise": 0.0, "sensor_noise": 0.0}
+    settings = {
+        "plant": "reduced",
+        "gains": CARRYING_GAINS,
+        "torque_noise": 0.0,
+        "sensor_noise": 0.0,
+    }
     samples, truth = recorded(30.0, seed=4, craft=str(path), **settings)
     plain, _ = recorded(30.0, seed=4, **settings)
     assert not np.array_equal(samples.gyro, plain.gyro)
