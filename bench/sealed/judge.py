@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from bench.sealed.cases import Case
@@ -57,37 +58,44 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "listed": _listed(report["effects"], false, missed),
         "rivals": {e["name"]: [o["name"] for o in e["alternatives"]] for e in report["effects"]},
         "parameters": _parameters(sealed, report["effects"]),
-        "explained": _explained(case, report),
+        "explained": _explained(_acting(case, sealed), report),
         "loudness": _loudness(report),
         "residual": report["residual"],
         "where": [where.get("channel", ""), where.get("regime", "")],
-        "where_right": _excites(case, where.get("channel", ""), where.get("regime", "")),
+        "where_right": _excites(
+            _acting(case, sealed), where.get("channel", ""), where.get("regime", "")
+        ),
     }
 
 
-def points_at(case: Case, channel: str) -> bool:
-    """Whether something hidden shows in a channel."""
+def points_at(names: Iterable[str], channel: str) -> bool:
+    """Whether one of these effects shows in a channel."""
     plain = channel.replace("_", " ")
-    allowed = [name for hidden in case.names for name in CHANNELS[hidden]]
+    allowed = [name for hidden in names for name in CHANNELS[hidden]]
     return any(plain == name or plain.split(" ")[0] == name for name in allowed)
 
 
-def _excites(case: Case, channel: str, regime: str) -> bool:
-    """Whether something hidden shows in a channel in that regime; outside the list, in any."""
-    if not points_at(case, channel):
-        return False
-    known = [REGIMES[name] for name in case.names if name in REGIMES]
-    return not known or any(regime in some for some in known)
+def _acting(case: Case, sealed: Sealed) -> set[str]:
+    """What was hidden; a rotor's inertia hidden as crafts have it acts by both its torques."""
+    acting = set(case.names)
+    if acting & set(ROTOR_TORQUES):
+        acting |= set(ROTOR_TORQUES) & set(sealed.present)
+    return acting
+
+
+def _excites(names: set[str], channel: str, regime: str) -> bool:
+    """Whether one of the effects shows in a channel in that regime; outside the list, in any."""
+    return any(
+        points_at([name], channel) and (name not in REGIMES or regime in REGIMES[name])
+        for name in names
+    )
 
 
 def _asked(case: Case, sealed: Sealed) -> set[str]:
     """Names that the search should find, were they large enough."""
     if case.plant == "faithful":
         return set(sealed.present)
-    asked = {name for name in case.names if name in LISTED}
-    if asked & set(ROTOR_TORQUES):
-        asked |= set(ROTOR_TORQUES) & set(sealed.present)
-    return asked
+    return _acting(case, sealed) & set(LISTED)
 
 
 def _counted(case: Case, asked: set[str], wanted: set[str]) -> bool:
@@ -126,12 +134,12 @@ def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str,
     return out
 
 
-def _explained(case: Case, report: dict[str, Any]) -> float | None:
+def _explained(names: set[str], report: dict[str, Any]) -> float | None:
     """(before^2 - after^2) / (before^2 - floor^2) over the channels that were off."""
     gained = possible = 0.0
     for channel, gap in report["gap"]["channels"].items():
         before, after, floor = gap["before"], gap["after"], gap["noise_floor"]
-        if not points_at(case, channel) or not floor or before < CLEAR * floor:
+        if not points_at(names, channel) or not floor or before < CLEAR * floor:
             continue
         gained += (before**2 - after**2) / floor**2
         possible += (before**2 - floor**2) / floor**2

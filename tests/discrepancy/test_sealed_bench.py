@@ -335,8 +335,8 @@ def test_outside_the_list_any_name_is_wrong():
     case = Case("outside", ("side_gust",), 0)
     assert judge(case, sealed({}), report(verdict="unexplained"))["right"]
     assert not judge(case, sealed({}), report(("rotor_drag", {}, [])))["right"]
-    assert points_at(case, "accelerometer_y")
-    assert not points_at(case, "gyro z")
+    assert points_at(case.names, "accelerometer_y")
+    assert not points_at(case.names, "gyro z")
 
 
 @pytest.mark.parametrize(
@@ -350,6 +350,17 @@ def test_outside_the_list_any_name_is_wrong():
 def test_where_must_point_at_the_channel_and_the_regime(channel, regime, right):
     said = report(("rate_damping", {}, []), where=channel, regime=regime)
     assert judge(DAMPED, sealed(CERTAIN, **DAMPING), said)["where_right"] is right
+
+
+def test_a_rotors_inertia_that_acts_by_both_torques_may_show_first_in_either():
+    case = Case("single", ("rotor_gyroscopic_torque",), 0)
+    inertia = {"rotor_inertia_kg_m2": 4e-8}
+    significant = {"rotor_gyroscopic_torque": 30.0, "rotor_acceleration_torque": 300.0}
+    said = report(("rotor_gyroscopic_torque", {}, []), where="gyro z", regime="rotor acceleration")
+    both = sealed(significant, rotor_gyroscopic_torque=inertia, rotor_acceleration_torque=inertia)
+    assert judge(case, both, said)["where_right"]
+    alone = sealed(significant, rotor_gyroscopic_torque=inertia)
+    assert not judge(case, alone, said)["where_right"]
 
 
 def test_every_regime_that_is_expected_is_one_that_reports_have():
