@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.margins import Margins, loop_margins
-from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES
 from groundstation.control.plant import Plant
 from groundstation.errors import BadInputError
@@ -180,18 +179,6 @@ def step_response(
     response = run_cascade(plant, gains, setpoints, None, supply_mv, quirks)
     measured = response.gyro if axis == "yaw" else response.angles
     return np.asarray(measured[:, index] / STEP_RAD[axis])
-
-
-def step_cascade(
-    plant: Plant,
-    gains: Mapping[str, float],
-    axis: str,
-    seconds: float = 1.5,
-    supply_mv: float = SUPPLY_MV,
-) -> StepMetrics:
-    """Metrics of ``step_response``; rms and steady-state error in rad, yaw's in rad/s."""
-    response = step_response(plant, gains, axis, seconds, supply_mv)
-    return step_metrics(response * STEP_RAD[axis], SAMPLE_PERIOD_S, STEP_RAD[axis])
 
 
 def loop_response(

@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
+DIRECT = ("kp", "ki", "kd")
 
 
 def firmware_report(
@@ -48,7 +49,7 @@ def firmware_report(
     notes = [_limits_line(limits)]
     axes = {}
     for one in designs:
-        entry = _entry(one.nominal, one.margins, one.design)
+        entry = _entry(one.nominal, one.margins, one.design, tuple(one.gains))
         entry["gains"] = one.gains
         entry["reasons"] = list(one.reasons)
         stock = one.stock_margins
@@ -97,8 +98,8 @@ def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any
     """``pid design --json`` for PIDs on u'."""
     axes = {}
     for axis, (gains, design, margins, plant) in found.items():
-        entry = _entry(design.judgement, margins, design)
-        entry["gains"] = dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True))
+        entry = _entry(design.judgement, margins, design, DIRECT)
+        entry["gains"] = dict(zip(DIRECT, gains.as_tuple(), strict=True))
         entry["delay_samples"] = plant.nk
         entry["reasons"] = _reasons(gains, plant, limits)
         entry["notes"] = [
@@ -195,9 +196,11 @@ def _design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
     ]
 
 
-def _entry(judgement: Any, margins: Margins, design: Design) -> dict[str, Any]:
+def _entry(
+    judgement: Any, margins: Margins, design: Design, names: tuple[str, ...]
+) -> dict[str, Any]:
+    """names: of the gains, in the design's order."""
     rows = np.unique(np.linspace(0, len(design.front) - 1, FRONT_ROWS).astype(int))
-    front = design.front[rows]
     told = margins.as_dict()
     return {
         "rms": float(judgement[RMS]),
@@ -213,14 +216,13 @@ def _entry(judgement: Any, margins: Margins, design: Design) -> dict[str, Any]:
         "fastest_settling_s": design.fastest,
         "smallest_overshoot_pct": design.calmest,
         "front": [
-            dict(
-                zip(
-                    ("overshoot_pct", "settling_s", "max_sensitivity"),
-                    (float(row[i]) for i in (OVERSHOOT, SETTLING, SENSITIVITY)),
-                    strict=True,
-                )
-            )
-            for row in front
+            {
+                "overshoot_pct": float(row[OVERSHOOT]),
+                "settling_s": float(row[SETTLING]),
+                "max_sensitivity": float(row[SENSITIVITY]),
+                "gains": dict(zip(names, gains.tolist(), strict=True)),
+            }
+            for row, gains in zip(design.front[rows], design.front_gains[rows], strict=True)
         ],
     }
 

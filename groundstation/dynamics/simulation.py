@@ -25,7 +25,6 @@ from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, STATES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 Array = NDArray[np.float64]
-EULER_STATES = 16
 
 
 class BodyModel(IntEnum):

@@ -104,6 +104,12 @@ def test_a_design_is_written_explained_and_never_overwritten(tmp_path):
     assert [line.split(" = ")[0] for line in roll["reasons"]] == ["kp", "ki", "kd"]
     assert all("25 % more" in line for line in roll["reasons"])
     assert len(roll["front"]) > 50
+    assert all(point["gains"].keys() == roll["gains"].keys() for point in roll["front"])
+    fastest = min(roll["front"], key=lambda point: point["settling_s"])  # it was not chosen
+    path = tmp_path / "other.toml"
+    path.write_text("[roll]\n" + "".join(f"{k} = {v!r}\n" for k, v in fastest["gains"].items()))
+    judged = json.loads(pid("evaluate", "--gains", path, "--delay", 2, "--seconds", 2, "--json"))
+    assert judged["axes"]["roll"]["settling_s"] == pytest.approx(fastest["settling_s"])
     assert "<svg" in page.read_text()
     again = json.loads(pid("evaluate", "--gains", gains, "--delay", 2, "--seconds", 2, "--json"))
     assert again["axes"]["roll"]["settling_s"] == pytest.approx(roll["settling_s"])
