@@ -33,6 +33,8 @@ TOUCH_DOWN_S = 0.6
 LOW_S = 6.0
 """How long height can be had from integrating the accelerometer."""
 LEAST_AIR_S = 4.0
+FOLLOW_S = 40.0
+"""How slowly the attitude that the gyro carries follows the one reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,8 @@ class Flight:
     from rest and to rest where the flight began or ended on the ground; rests says whether it
     did. rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
     mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
-    None without accelerometer or attitude.
+    None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
+    accelerometer, None without attitude.
     """
 
     run: Run
@@ -60,6 +63,7 @@ class Flight:
     rotor_measured: bool
     gaps: Gaps
     up: tuple[Array, float] | None
+    carried: Array | None
 
     @property
     def period_s(self) -> float:
@@ -127,6 +131,7 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
                 measured,
                 Gaps(~known[first:last]),
                 _mean_up(run, whole) if has_accelerometer and attitude is not None else None,
+                None if attitude is None else _carried(run, attitude, start),
             )
         )
     return flights
@@ -135,6 +140,25 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
 def _mean_up(run: Run, rows: slice) -> tuple[Array, float]:
     up = rotation_matrix(run.attitude[rows])[:, 2]
     return up.mean(axis=0), float(np.einsum("ni,ni->n", up, run.accelerometer[rows]).mean())
+
+
+def _carried(run: Run, rows: AttitudeRows, start: int) -> Array:
+    """The attitude as the gyro carries it, less the gyro's bias.
+
+    The bias is what the gyro shows at rest before row ``start``, or else beyond the mean rate by
+    which the attitude turned.
+    """
+    from groundstation.discrepancy.kernels import carried_attitude
+
+    if start * run.period_s > 1.0 + REST_S:
+        bias = run.gyro[: start - round(REST_S / run.period_s)].mean(axis=0)
+    else:
+        turned = np.linalg.solve(rows.to_euler, rows.rate[..., None])[..., 0]
+        bias = (rows.gyro - turned).mean(axis=0)
+    out = np.empty_like(run.attitude)
+    attitude, gyro = (np.ascontiguousarray(part) for part in (run.attitude, run.gyro - bias))
+    carried_attitude(attitude, gyro, run.period_s, FOLLOW_S, out)
+    return out
 
 
 def _low_height(run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from numba import njit
 
 FASTEST_REV_S = 2000.0
@@ -153,6 +154,77 @@ def body_velocity(
         ax = r11 * force[k, 0] + r12 * force[k, 1] + r13 * force[k, 2]
         ay = r21 * force[k, 0] + r22 * force[k, 1] + r23 * force[k, 2]
         az = r31 * force[k, 0] + r32 * force[k, 1] + r33 * force[k, 2] - gravity
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def carried_attitude(attitude: Any, gyro: Any, period: float, follow_s: float, out: Any) -> None:
+    """Attitude (n, 3) that the gyro (n, 3) carries on from the first row.
+
+    ``attitude`` (n, 3) is followed with a time constant ``follow_s``, so that no drift lasts.
+    """
+    m = np.empty((3, 3))
+    turned = np.empty((3, 3))
+    for k in range(attitude.shape[0]):
+        cr, sr = math.cos(attitude[k, 0]), math.sin(attitude[k, 0])
+        cp, sp = math.cos(attitude[k, 1]), math.sin(attitude[k, 1])
+        cy, sy = math.cos(attitude[k, 2]), math.sin(attitude[k, 2])
+        r11, r12, r13 = cp * cy, cy * sp * sr - cr * sy, cr * cy * sp + sr * sy
+        r21, r22, r23 = cp * sy, cr * cy + sp * sr * sy, cr * sp * sy - cy * sr
+        r31, r32, r33 = -sp, cp * sr, cp * cr
+        if k == 0:
+            m[0, 0], m[0, 1], m[0, 2] = r11, r12, r13
+            m[1, 0], m[1, 1], m[1, 2] = r21, r22, r23
+            m[2, 0], m[2, 1], m[2, 2] = r31, r32, r33
+        else:
+            half = 0.5 * period
+            x = half * (gyro[k, 0] + gyro[k - 1, 0])
+            y = half * (gyro[k, 1] + gyro[k - 1, 1])
+            z = half * (gyro[k, 2] + gyro[k - 1, 2])
+            # To the second order in the turn of one period, then back to the estimate.
+            for i in range(3):
+                a, b, c = m[i, 0], m[i, 1], m[i, 2]
+                da, db, dc = b * z - c * y, c * x - a * z, a * y - b * x
+                turned[i, 0] = a + da + 0.5 * (db * z - dc * y)
+                turned[i, 1] = b + db + 0.5 * (dc * x - da * z)
+                turned[i, 2] = c + dc + 0.5 * (da * y - db * x)
+            n = turned
+            share = 0.5 * period / follow_s
+            ex = share * (
+                n[2, 0] * r21
+                + n[2, 1] * r22
+                + n[2, 2] * r23
+                - n[1, 0] * r31
+                - n[1, 1] * r32
+                - n[1, 2] * r33
+            )
+            ey = share * (
+                n[0, 0] * r31
+                + n[0, 1] * r32
+                + n[0, 2] * r33
+                - n[2, 0] * r11
+                - n[2, 1] * r12
+                - n[2, 2] * r13
+            )
+            ez = share * (
+                n[1, 0] * r11
+                + n[1, 1] * r12
+                + n[1, 2] * r13
+                - n[0, 0] * r21
+                - n[0, 1] * r22
+                - n[0, 2] * r23
+            )
+            for j in range(3):
+                a, b, c = n[0, j], n[1, j], n[2, j]
+                m[0, j] = a + ez * b - ey * c
+                m[1, j] = b + ex * c - ez * a
+                m[2, j] = c + ey * a - ex * b
+            for i in range(3):
+                size = math.sqrt(m[i, 0] ** 2 + m[i, 1] ** 2 + m[i, 2] ** 2)
+                for j in range(3):
+                    m[i, j] /= size
+        out[k, 0] = math.atan2(m[2, 1], m[2, 2])
+        out[k, 1] = -math.asin(min(max(m[2, 0], -1.0), 1.0))
+        out[k, 2] = math.atan2(m[1, 0], m[0, 0])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -36,8 +36,8 @@ GYRO, ACCELEROMETER, ATTITUDE = 0, 3, 6
 SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 SUBSTEPS = 2
 LEAK_S, LEANING_LEAK_S = 16.0, 4.0
-"""Velocity is known over times shorter than this; a lean turns the attitude until it feels no
-acceleration, which leaves less."""
+"""Velocity is known over times shorter than this; an attitude that leans and is carried by the
+gyro instead leaves less."""
 VOLTAGE_KEYS = (
     "motor_dead_voltage.voltage_mv",
     "motor_braking_asymmetry.factor",
@@ -219,9 +219,14 @@ class _Evaluation:
     def _find_velocity(self) -> None:
         from groundstation.discrepancy.kernels import body_velocity
 
+        # A lean turns the attitude until no acceleration is felt, and a filter that takes every
+        # second row of the gyro folds vibration into it: over seconds the gyro knows better.
         leaning = value(self.point, "attitude_filter_lean.strength") > 0.0
+        attitude = self.flight.run.attitude
+        if leaning and self.flight.carried is not None:
+            attitude = self.flight.carried
         body_velocity(
-            np.ascontiguousarray(self.flight.run.attitude),
+            np.ascontiguousarray(attitude),
             np.ascontiguousarray(self.sensed_force),
             STANDARD_GRAVITY,
             self.period,
@@ -505,7 +510,7 @@ class _Evaluation:
         elif effect == "imu_misalignment":
             self._mount_column(ANGLES.index(parameter.removesuffix("_deg")), out)
         elif effect == "attitude_filter_lean":
-            self._put_attitude(out, rows.lean if rows else None)
+            self._put_attitude(out, rows.lean - self.lag * rows.slope if rows else None)
         elif self.flight.has_accelerometer:
             self._force_column(effect, parameter, out)
 
@@ -575,7 +580,12 @@ class _Evaluation:
         column = _low_pass(angular, lag + step, self.period, start) - self.gyro_model
         self._put_gyro(out, column / step)
         if self.flight.attitude is not None:
-            self._put_attitude(out, self.flight.attitude.slope)
+            self._put_attitude(out, self.true_attitude() * self.flight.attitude.slope)
+
+    def true_attitude(self) -> float:
+        """1 where the attitude is the true one, 0 where a filter makes it of this very gyro,
+        whose lag is then in both."""
+        return 1.0 - value(self.point, "attitude_filter_lean.strength")
 
     def _thrust_column(self, effect: str, parameter: str, out: Columns) -> None:
         mean, _, mean_sum, last_sum = self.torques(self.rotors)
@@ -638,7 +648,7 @@ class _Evaluation:
         """
         bias = self.flight.run.gyro[0] - self.sensed_gyro[0]
         total = rows.gyro - bias + value(self.point, TIMING) * rows.timing
-        total = total + self.lag * rows.slope
+        total = total + self.true_attitude() * self.lag * rows.slope
         total = total + value(self.point, "attitude_filter_lean.strength") * rows.lean
         model = np.einsum("nij,nj->ni", rows.to_euler, total)
         return np.asarray(rows.rate - rows.gaps.spread(model))

@@ -29,6 +29,7 @@ from groundstation.discrepancy.unknowns import (
     ABSENT,
     BODY_KEYS,
     EFFECT_KEYS,
+    LOW_PASS,
     TIMING,
     VARIANTS,
     Point,
@@ -50,9 +51,20 @@ PENALTY = 8.0
 """For each parameter, in -2 log L."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves."""
-BENT, RIGHTINGS = 0.12, 5
+BENT, SETTLINGS = 0.12, 8
 """A body constant so far off (in the logarithm) is not where columns are evaluated; how often it
 is moved: by a factor of five at most each time."""
+CURVED = {
+    "dead_time.delay_s": 3e-4,
+    LOW_PASS: 3e-4,
+    "rotor_gyroscopic_torque.rotor_inertia_kg_m2": 1e-8,
+    "rotor_acceleration_torque.rotor_inertia_kg_m2": 1e-8,
+    "attitude_filter_lean.strength": 0.1,
+}
+"""Unknowns that others depend on, and how far from its place each may stay."""
+SURE = 100.0
+"""Drop of -2 log L beside every other effect from which one is taken without a contest: 10
+standard errors, where no rival can be within reach."""
 TURNS = 3
 """How often the next best are tried where the best were refused."""
 RIVAL = 12.0
@@ -117,14 +129,17 @@ def search(
     base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor place
     # to linearise at. A centre of gravity off its place makes c0 vanish, for one.
-    now = Fit(_righted(problem, every), base_keys, np.inf, np.zeros((len(base_keys),) * 2))
-    accepted: list[Accepted] = []
+    progress("screening", 0.1)
+    first_linear, first_quadratic = _settled(problem, every)
+    origin, seen = _without_effects(first_linear, first_quadratic, base_keys)
+    first = screen(origin, seen, base_keys, candidates)
     reasons: dict[str, str] = {}
     held_out: dict[str, float] = {}
-    first: list[Scored] = []
-    first_linear: Linear | None = None
-    first_quadratic: Quadratic | None = None
-    tried: set[frozenset[str]] = set()
+    now, accepted = _sure(
+        problem, validation, first_linear, first_quadratic, base_keys, candidates, reasons, progress
+    )
+    held_out |= {one.variant.label: one.evidence.held_out for one in accepted}
+    tried: set[frozenset[str]] = {frozenset(one.variant.label for one in accepted)}
     banned: set[str] = set()
     for number in range(MOST_ROUNDS):
         progress(
@@ -143,8 +158,6 @@ def search(
         joined = {one.variant.effect for one in accepted} | {one.effect for one in known}
         able = [v for v in candidates if v.effect not in joined and v.label not in banned]
         scores = screen(linear, total, now.keys, able)
-        if first_quadratic is None:
-            first, first_linear, first_quadratic = scores, linear, total
         newcomer = _round(
             problem,
             validation,
@@ -171,8 +184,6 @@ def search(
         reasons.pop(newcomer.variant.label, None)
         tried.add(frozenset(one.variant.label for one in accepted))
         now = newcomer.fit
-    assert first_quadratic is not None
-    assert first_linear is not None
     now = problem.fit(now.point, now.keys)
     return Outcome(
         now,
@@ -188,23 +199,50 @@ def search(
     )
 
 
-def _righted(problem: Problem, every: Sequence[str]) -> Point:
-    """The model's point, or, where a fit of every effect at once contradicts its body constants,
-    with those of that fit: a base that was fitted to the affected flights may be bent so far that
-    no column evaluated there means anything.
+def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]:
+    """All columns where a fit of every effect at once says that they mean something.
+
+    A base that was fitted to the affected flights may be bent so far that no column evaluated
+    there means anything; delays, lags and the rotors' inertia multiply each other, and yaw
+    torque behind a lag looks like the rotors' acceleration. So the body's constants and
+    what is far from linear move to what all effects together say, until they stay.
     """
     point = dict(problem.start)
-    for _ in range(RIGHTINGS):
+    for _ in range(SETTLINGS):
         linear = problem.linear(point, every, problem.flights)
         problem.learn_noise(linear)
         total = problem.with_prior(linear)
         change = inverse(total.normal) @ total.gradient
         at = linear.place(BODY_KEYS)
         moved = bounded(point, BODY_KEYS, change[at])
-        if all(abs(np.log(moved[key] / point[key])) < BENT for key in BODY_KEYS):
+        bent = any(abs(np.log(moved[key] / point[key])) > BENT for key in BODY_KEYS)
+        goals = bounded(point, list(CURVED), change[linear.place(list(CURVED))])
+        far = [key for key, near in CURVED.items() if _away(point, goals, key) > near]
+        if not bent and not far:
             break
-        point = moved
-    return point
+        if bent or any(key in point for key in far):
+            point = moved
+        point |= {key: goals[key] for key in far}
+    return linear, total
+
+
+def _away(point: Point, goals: Point, key: str) -> float:
+    return abs(goals[key] - point.get(key, ABSENT[key]))
+
+
+def _without_effects(
+    linear: Linear, total: Quadratic, kept: Sequence[str]
+) -> tuple[Linear, Quadratic]:
+    """The same parabola seen from where every effect but those behind ``kept`` is absent."""
+    gone = {k: ABSENT[k] for k in linear.keys if k in ABSENT and k in linear.point}
+    gone = {k: v for k, v in gone.items() if k not in kept}
+    if not gone:
+        return linear, total
+    step = np.array([gone[k] - linear.point[k] if k in gone else 0.0 for k in linear.keys])
+    value = total.value - 2.0 * total.gradient @ step + step @ total.normal @ step
+    there = replace(linear, point={k: v for k, v in linear.point.items() if k not in gone})
+    moved = replace(total, gradient=total.gradient - total.normal @ step, value=float(value))
+    return there, moved
 
 
 def screen(
@@ -232,6 +270,78 @@ def screen(
             drop = float(gradient[alive] @ values[alive])
         scored.append(Scored(variant, drop, values, errors))
     return sorted(scored, key=lambda one: one.drop - PENALTY * len(one.variant.keys), reverse=True)
+
+
+def _sure(
+    problem: Problem,
+    validation: Sequence[Flight],
+    linear: Linear,
+    total: Quadratic,
+    base_keys: tuple[str, ...],
+    candidates: Sequence[Variant],
+    reasons: dict[str, str],
+    progress: Progress,
+) -> tuple[Fit, list[Accepted]]:
+    """Join what is beyond doubt beside every other effect, all at once.
+
+    One by one, the first to join would have to stand for those that are still missing. Evidence
+    is gathered by taking the weakest away again and again; the order is the reverse.
+    """
+    origin, _ = _without_effects(linear, total, base_keys)
+    covariance = inverse(total.normal)
+    change = covariance @ total.gradient
+    best: dict[str, tuple[float, Scored]] = {}
+    for variant in candidates:
+        linear_keys = [key for key in variant.keys if key != "ground_effect.height_m"]
+        absent = np.array([ABSENT[key] for key in linear_keys])
+        own = linear.place(linear_keys)
+        there = np.array([linear.point.get(key, ABSENT[key]) for key in linear_keys]) - absent
+        values, block = there + change[own], covariance[np.ix_(own, own)]
+        one = Scored(variant, 0.0, values, np.sqrt(np.diag(block)))
+        drop = float(values @ inverse(block) @ values) - PENALTY * (len(own) - 1)
+        at = {**origin.point, **dict(zip(linear_keys, (values + absent).tolist(), strict=True))}
+        known = drop > SURE and np.isfinite(one.errors).all() and plausible(variant, at)
+        if known and drop > best.get(variant.effect, (0.0,))[0]:
+            best[variant.effect] = drop, one
+    point = dict(origin.point)
+    for _, one in best.values():
+        point = _started(point, one)
+    sure = [one.variant for _, one in best.values()]
+    keys = (*base_keys, *(key for variant in sure for key in variant.keys))
+    if not sure:
+        return Fit(point, keys, np.inf, np.zeros((len(keys),) * 2)), []
+    progress("fitting what is beyond doubt", 0.2)
+    after = now = problem.fit(point, keys)
+    found: list[Accepted] = []
+    refused: list[Variant] = []
+    while sure:
+        costs = [_cost(after, variant) for variant in sure]
+        weakest = sure.pop(int(np.argmin(costs)))
+        progress(f"weighing {weakest.effect}", -1.0)
+        rest = tuple(key for key in after.keys if key not in weakest.keys)
+        before = problem.fit(_without(after.point, weakest), rest, settled=ROUGHLY)
+        evidence = judge(problem, validation, before, after, weakest)
+        why = refusal(weakest, after, evidence)
+        if why:
+            reasons[weakest.label] = why
+            refused.append(weakest)
+        else:
+            found.insert(0, Accepted(weakest, evidence, [], after, evidence.gap))
+        after = before
+    if refused:
+        point = now.point
+        for variant in refused:
+            point = _without(point, variant)
+        now = problem.fit(point, _keys(base_keys, found))
+    return now, found
+
+
+def _cost(fit: Fit, variant: Variant) -> float:
+    """What the others lose without a variant, in -2 log L, by the covariance of their fit."""
+    keys = [key for key in variant.keys if key != "ground_effect.height_m"]
+    own = [fit.keys.index(key) for key in keys]
+    values = np.array([fit.point[key] - ABSENT[key] for key in keys])
+    return float(values @ inverse(fit.covariance[np.ix_(own, own)]) @ values)
 
 
 def _round(
@@ -266,11 +376,13 @@ def _round(
             fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
             fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
         fits.sort(key=lambda item: item[0], reverse=True)
-        best = fits[0][0]
+        # What cannot be there explains nothing, and sets no bar for others.
+        able = [(g, s.variant.effect) for g, s, f in fits if plausible(s.variant, f.point)]
+        best, strongest = able[0] if able else (0.0, "")
         for gain, one, fit in fits:
             label = one.variant.label
             if gain <= 0.0 or gain < SHARE * best:
-                reasons.setdefault(label, f"explains less than {fits[0][1].variant.effect}")
+                reasons.setdefault(label, f"explains less than {strongest}")
                 continue
             names = frozenset([label, *(other.variant.label for other in accepted)])
             evidence = judge(problem, validation, before, fit, one.variant)
