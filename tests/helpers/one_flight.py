@@ -136,6 +136,17 @@ def without_provenance(said, folder):
     return said.replace(f"{folder}/", "") if isinstance(said, str) else said
 
 
+def require_same_on_this_machine(flight, line, path):
+    """The samples of a flight, the same through stand-in, a replay of ``path`` and ``line``."""
+    flown = flight.through_stand_in()
+    samples, counts = decode_all(flown)
+    assert counts.lost > 0
+    assert len(samples) > 900
+    require_equal(flight.through_replay(flown, path), samples, "replay")
+    require_equal(flight.through_serial(line), samples, "serial")
+    return samples
+
+
 def require_equal(ours, expected, link):
     """Every column but the host's stamps, which are each link's own."""
     for name in COLUMNS:

@@ -28,7 +28,7 @@ def run_guest(out, chosen=".", flights=None):
     """
     for name, flight in (flights or {}).items():
         np.savez(out / f"{name}.npz", packets=flight.packets, arrival_s=flight.arrival_s)
-    (out / "flight.toml").write_text(SOUND_RADIO)
+    (out / "sound_flight.toml").write_text(SOUND_RADIO)
     _compile_for_the_guest(out)
     command = [
         # plugins that nothing here uses take longer to load than some tests to run
@@ -41,14 +41,14 @@ def run_guest(out, chosen=".", flights=None):
 
 
 def _compile_for_the_guest(out):
-    """Fly ``flight.npz``; what that compiled, for a processor as the guest has it, is left in
+    """Fly ``sound_flight.npz``; what that compiled, for a processor as the guest has it, is left in
     ``numba``: the guest itself would take longer than its tests.
     """
     compiled = virtual_machine.cache_folder() / "numba"
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(compiled)}
     subprocess.run(
-        [sys.executable, "-m", "firmware_sim", "--settings", out / "flight.toml",
-         "--for", str(FLIGHT_S), "--fast", "-o", out / "flight.npz"],
+        [sys.executable, "-m", "firmware_sim", "--settings", out / "sound_flight.toml",
+         "--for", str(FLIGHT_S), "--fast", "-o", out / "sound_flight.npz"],
         check=True, cwd=PROJECT, env={**os.environ, **generic},
     )  # fmt: skip
     shutil.copytree(compiled, out / "numba")

@@ -24,7 +24,9 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-PROGRAMS = ("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get")
+PROGRAMS = (
+    *("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get", "setpriv"),
+)
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p")
 GUEST_MODULES = ("usbcore", "vhci-hcd")
 MEMORY_MB = 512
@@ -78,6 +80,8 @@ def run(
         image.write_bytes(_initramfs(kernel, version))
         counting = ["-icount", f"shift=0,{icount}"] if icount else []
         machine = [
+            # ends with the tests, however they end
+            "setpriv", "--pdeathsig", "KILL",
             "qemu-system-x86_64", "-M", "q35,accel=tcg", "-cpu", "max", "-smp", "1",
             "-m", str(MEMORY_MB), "-nodefaults", "-no-user-config", "-display", "none",
             "-no-reboot", "-kernel", str(kernel / "boot" / f"vmlinuz-{version}"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from flights import flight
 from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
-from one_flight import BRIDGES, OneFlight, require_equal
+from one_flight import BRIDGES, OneFlight, require_same_on_this_machine
 from serial_craft import SerialCraft
 
 from firmware_sim.serial_port import SerialPort
@@ -75,14 +75,7 @@ class TestSerialThatFiltersCopies(SerialContract):
 @pytest.mark.parametrize("bridge", BRIDGES)
 def test_one_flight_is_the_same_through_stand_in_replay_and_serial(tmp_path, line, bridge):
     """Through USB as well where there is a kernel for it: ``tests/usb_vm``."""
-    flight = OneFlight(BRIDGES[bridge])
-    flown = flight.through_stand_in()
-    through_stand_in, counts = decode_all(flown)
-    assert counts.lost > 0
-    assert len(through_stand_in) > 900
-    through_replay = flight.through_replay(flown, tmp_path / "flight.mcap")
-    require_equal(through_replay, through_stand_in, "replay")
-    require_equal(flight.through_serial(line), through_stand_in, "serial")
+    require_same_on_this_machine(OneFlight(BRIDGES[bridge]), line, tmp_path / "flight.mcap")
 
 
 def test_two_thousand_packets_a_second_lose_nothing():

@@ -1,19 +1,17 @@
 """The control API on a real socket, with a real station behind it."""
 
-import asyncio
 import os
 import socket
 import stat
 import threading
 
 import pytest
+import served_station
 
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from groundstation.service.control import ControlServer
 from groundstation.service.control_socket import ControlSocket
-from groundstation.service.station import Station
 
 
 @pytest.fixture
@@ -25,30 +23,11 @@ def path(tmp_path):
 def serve(tmp_path, path):
     """Runs a function against the API of a flying station, off its loop; what it gave."""
 
-    def serving(conversation):
-        async def session():
-            station = Station(
-                Config(
-                    link=LinkConfig(name="stand-in"),
-                    recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False),
-                )
-            )
-            control = ControlSocket(path)
-            server = ControlServer(station, control)
-            await server.start()
-            running = asyncio.create_task(station.run())
-            try:
-                await station.tried.wait()
-                return await asyncio.to_thread(conversation)
-            finally:
-                station.stop()
-                await running
-                await server.stop()
-                control.close()
-
-        return asyncio.run(session())
-
-    return serving
+    config = Config(
+        link=LinkConfig(name="stand-in"),
+        recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False),
+    )
+    return lambda conversation: served_station.serve(config, path, lambda _: conversation())
 
 
 def test_the_socket_and_its_folder_are_its_owners_alone(path):

@@ -5,14 +5,23 @@ import re
 import numpy as np
 import pytest
 import virtual_machine
-from one_flight import BRIDGES, OneFlight, require_equal
+from one_flight import (
+    BRIDGES,
+    OneFlight,
+    flight_and_bench,
+    record,
+    require_equal,
+    require_same_on_this_machine,
+    results,
+)
 from usb_guest import PATIENCE_S, run_guest, table
 
 from firmware_sim.serial_port import SerialPort
+from groundstation.links.replay import FAST
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 
-LEAST_TESTS = 43
+LEAST_TESTS = 45
 TOLD = r"^(?:unplug seen|descriptors,|CPU while|\| .* \| \d+ \| \d+ \|$).*"
 """What the guest's tests measured, beside the table."""
 pytestmark = pytest.mark.timeout(PATIENCE_S + 100)
@@ -20,7 +29,8 @@ pytestmark = pytest.mark.timeout(PATIENCE_S + 100)
 
 @pytest.fixture(scope="module")
 def flights():
-    return {name: OneFlight(deduplicated) for name, deduplicated in BRIDGES.items()}
+    short = {name: OneFlight(deduplicated) for name, deduplicated in BRIDGES.items()}
+    return {**short, **flight_and_bench()}
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +78,25 @@ def test_the_ring_loses_no_frame_where_plain_reads_lose_many(guest):
 def test_one_flight_is_the_same_through_all_four_links(guest, flights, tmp_path, bridge):
     _, out = guest
     flight = flights[bridge]
-    flown = flight.through_stand_in()
-    through_stand_in, counts = decode_all(flown)
-    assert counts.lost > 0
-    assert len(through_stand_in) > 900
-    through_replay = flight.through_replay(flown, tmp_path / "flight.mcap")
-    require_equal(through_replay, through_stand_in, "replay")
     with SerialPort("pty") as line:
-        require_equal(flight.through_serial(line), through_stand_in, "serial")
-    with np.load(out / f"{bridge} through usb.npz") as received:
-        through_usb, _ = decode_all(RawBatch(received["packets"], received["ns"]))
-    require_equal(through_usb, through_stand_in, "USB")
+        samples = require_same_on_this_machine(flight, line, tmp_path / "flight.mcap")
+    through_usb, _ = decode_all(through_usb_of(bridge, out))
+    require_equal(through_usb, samples, "USB")
+
+
+def test_models_gains_and_effects_are_the_same_through_usb(guest, flights, tmp_path):
+    """Stand-in, replay and serial: ``tests/system/test_run_on_either.py``."""
+    _, out = guest
+    stand_in, usb = tmp_path / "stand-in", tmp_path / "usb"
+    for folder in (stand_in, usb):
+        folder.mkdir()
+    for name in ("flight", "bench"):
+        record(flights[name].through_stand_in(speed=FAST), stand_in / f"{name}.mcap")
+        record(through_usb_of(name, out), usb / f"{name}.mcap")
+    assert results(usb) == results(stand_in)
+
+
+def through_usb_of(name, out):
+    """What the link in the guest received of a flight."""
+    with np.load(out / f"{name} through usb.npz") as received:
+        return RawBatch(received["packets"], received["ns"])

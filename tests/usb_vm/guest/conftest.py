@@ -17,7 +17,7 @@ def flight():
     """Packets without loss on the radio: every frame of the bus is full."""
     from emulated_bridge import OUT
 
-    return OUT / "flight.npz"
+    return OUT / "sound_flight.npz"
 
 
 @pytest.fixture

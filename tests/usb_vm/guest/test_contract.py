@@ -35,9 +35,9 @@ class TestUsb(LinkContract):
         make_link(name, speed=1.0, stand_in={}, usb=options)
 
 
-@pytest.mark.parametrize("name", ["copies", "no copies"])
+@pytest.mark.parametrize("name", ["copies", "no copies", "flight", "bench"])
 def test_a_flight_arrives_whole_and_is_left_for_the_host_to_compare(name):
-    """A bridge that forwards copies, and one that removes them."""
+    """Bridges that forward copies, and ones that remove them; short flights, and long ones."""
     path = OUT / f"{name}.npz"
     with np.load(path) as file:
         sent = file["packets"]
