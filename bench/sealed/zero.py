@@ -79,16 +79,17 @@ def table(lines: list[dict[str, Any]]) -> str:
         "|---" * (1 + len(GROUPS)) + "|",
     ]
     sizes: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    every: dict[str, list[float]] = defaultdict(list)
     for line in lines:
         for key, size in line["estimates"].items():
-            sizes[key][line["group"]].append(size)
-            sizes["all of them"][line["group"]].append(size)
-    for key, some in sizes.items():
+            sizes[f"`{key}`"][line["group"]].append(size)
+            every[line["group"]].append(size)
+    for key, some in [*sorted(sizes.items()), ("all of them", every)]:
         cells = []
         for group in GROUPS.values():
             here = np.array(some[group])
             inside = int((np.abs(here) <= INTERVAL).sum())
             spread = math.sqrt(float(np.mean(here**2))) if len(here) else 0.0
             cells.append(f"{inside}/{len(here)}, {spread:.2f}")
-        rows.append(f"| `{key}` | {' | '.join(cells)} |")
+        rows.append(f"| {key} | {' | '.join(cells)} |")
     return "\n".join(rows)
