@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.attitude_rows import AttitudeRows, Gaps, attitude_rows
 from groundstation.discrepancy.recordings import without_gaps
+from groundstation.dynamics.effects.height import heights_of, rise_of
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 from groundstation.spans import spans
-from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -23,15 +23,13 @@ TURNING = 0.1
 """Duty from which a motor turns."""
 SETTLE_S = 0.5
 """A flight that is recorded from the air on loses this: the motors forget their unknown start."""
-CLEAR_M = 0.02
-"""Height from which the ground carries nothing any more."""
+CLEAR_M, LANDING_CLEAR_M = 0.02, 0.05
+"""Height from which the ground carries nothing any more; at a landing it is less well known."""
 CONTACT_S = 1.0
 """Left out at the start where height cannot be told; the ground may carry part of the torque."""
 REST_S = 0.2
 TOUCH_DOWN_S = 0.6
 """From when the motors stop until the craft lies still: it may fall the last bit."""
-LOW_S = 6.0
-"""How long height can be had from integrating the accelerometer."""
 LEAST_AIR_S = 4.0
 FOLLOW_S = 40.0
 """How slowly the attitude that the gyro carries follows the one reported."""
@@ -110,7 +108,11 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)
         height = np.full(len(run), np.inf)
         if has_accelerometer:
-            _low_height(run, start, stop, rests, height)
+            level = run.attitude if has_attitude else np.zeros((len(run), 3))
+            rise = rise_of(level, run.accelerometer)
+            driven = run.rotor_rev_s if measured else run.duty
+            still = np.asarray((driven <= 0.0).all(axis=1))
+            height[start:stop] = heights_of(rise, still, start, stop, period)
         first, last = _airborne(run, start, stop, rests, height)
         if (last - first) * period < least_s:
             continue
@@ -161,46 +163,25 @@ def _carried(run: Run, rows: AttitudeRows, start: int) -> Array:
     return out
 
 
-def _low_height(run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array) -> None:
-    """Height for some seconds after take-off and before landing, from the accelerometer.
-
-    Its offset is what it shows at rest more than 1 g, so that only the motion is integrated.
-    """
-    from groundstation.discrepancy.kernels import height_of
-
-    rows = round(LOW_S / run.period_s)
-    least = round(REST_S / run.period_s)
-    attitude = run.attitude if np.isfinite(run.attitude).all() else np.zeros((len(run), 3))
-    matrix = rotation_matrix(attitude)
-    vertical = np.einsum("ni,ni->n", matrix[:, 2], run.accelerometer) - STANDARD_GRAVITY
-    scratch = np.full(len(run), np.inf)
-    if rests[0]:
-        calm = vertical[max(0, start - 10 * least) : start]
-        height_of(vertical - calm.mean(), run.period_s, start, min(start + rows, stop), scratch)
-        part = slice(start, min(start + rows, stop))
-        height[part] = np.minimum(height[part], scratch[part])
-    if rests[1]:
-        calm = vertical[stop + least // 2 : stop + 10 * least]
-        begin = max(stop - rows, start)
-        scratch[:] = np.inf
-        height_of(vertical - calm.mean(), run.period_s, stop + least // 2, begin, scratch)
-        part = slice(begin + 1, stop)
-        height[part] = np.minimum(height[part], scratch[part])
-
-
 def _airborne(
     run: Run, start: int, stop: int, rests: tuple[bool, bool], height: Array
 ) -> tuple[int, int]:
-    """From where the ground carries nothing to where it begins to."""
+    """From where the ground carries nothing to where it begins to.
+
+    What is low after the take-off may be a low hover; it ends no flight.
+    """
     period = run.period_s
     first, last = start, stop
     if not rests[0]:
         first += round(SETTLE_S / period)
     else:
-        low = np.flatnonzero(height[start:stop] > CLEAR_M)
-        first += int(low[0]) if len(low) and np.isfinite(height[start]) else round(1.5 / period)
+        clear = np.flatnonzero(height[start:stop] > CLEAR_M)
+        known = np.isfinite(height[start])
+        first += int(clear[0]) if len(clear) and known else round(1.5 / period)
     if rests[1]:
-        near = np.flatnonzero(height[first:stop] < CLEAR_M)
-        later = near[near > round(2 * CONTACT_S / period)]
-        last = first + int(later[0]) if len(later) else stop - round(CONTACT_S / period)
+        clear = np.flatnonzero(height[first:stop] > LANDING_CLEAR_M)
+        known = np.isfinite(height[stop - 1])
+        last = first + int(clear[-1]) + 1 if len(clear) and known else stop
+        if not known:
+            last -= round(CONTACT_S / period)
     return first, last

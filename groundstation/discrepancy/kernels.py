@@ -245,19 +245,6 @@ def low_pass_mean(values: Any, time_constant: float, period: float, first: int, 
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def height_of(vertical: Any, period: float, first: int, last: int, out: Any) -> None:
-    """Height (m) by integrating vertical acceleration (n,) twice from rest at row ``first``."""
-    speed, height = 0.0, 0.0
-    step = 1 if last >= first else -1
-    k = first
-    while k != last:
-        speed += vertical[k] * period
-        height += speed * period
-        out[k] = height
-        k += step
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def mix_squares(end: Any, square: Any, strength: Any, mixer: Any, mean: Any, last: Any) -> None:
     """u' and the sum of squares, (n, 4) each: as means over periods and at the rows.
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.dynamics.craft import Crafts, craft_of_model
+from groundstation.dynamics.effects.height import heights_of, rise_of
 from groundstation.dynamics.effects.observer import ENDS, Gains, Noise, gains_of, mount_of
 from groundstation.dynamics.effects.sensors import reading_lag_s, sensors_of_model, supply_behind
 from groundstation.dynamics.model import Model
@@ -22,7 +23,6 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.dynamics.state import QUATERNION
 from groundstation.errors import BadInputError
 from groundstation.spans import spans
-from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -377,36 +377,14 @@ def fresh_rows(attitude: Array) -> Mask:
 
 
 def height_of(run: Flown, flying: Mask) -> Array:
-    """Height above ground (n,) in m, where a recording can tell it.
-
-    The accelerometer, less what it shows beyond 1 g at rest there, is integrated twice: from the
-    motors' start until ``CLIMB_S`` after the take-off, and back from a landing; by then it is wrong
-    by some centimetres. Elsewhere the height is not known and taken as infinite.
-    """
+    """Height above ground (n,) in m; infinite in flight where a recording cannot tell it."""
     height = np.where(flying, np.inf, 0.0)
-    roll, pitch = run.attitude[:, 0], run.attitude[:, 1]
-    x, y, z = run.accelerometer.T
-    up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
-    rise = np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0) * run.period_s
+    rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
-    rows, rest, settled = (round(s / run.period_s) for s in (CLIMB_S, REST_S, TOUCH_DOWN_S))
-    for first, last in spans(flying):
-        if first > 0:
-            standing = np.flatnonzero(~_turning(run)[:first])
-            start = standing[-1] + 1 if len(standing) else 0
-            part = slice(start, min(first + rows, last))
-            gained = rise[part] - _at_rest(rise[:start][still[:start]][-rest:])
-            height[part] = np.maximum(np.cumsum(np.cumsum(gained)) * run.period_s, 0.0)
-        if last < len(flying):
-            part = slice(max(last - rows, first), last)
-            lost = rise[part] - _at_rest(rise[last:][still[last:]][settled:rest])
-            back = np.cumsum(np.cumsum(lost[::-1])) * run.period_s
-            height[part] = np.minimum(height[part], np.maximum(back[::-1], 0.0))
+    for start, stop in spans(_turning(run)):
+        known = np.maximum(heights_of(rise, still, start, stop, run.period_s), 0.0)
+        height[start:stop] = np.where(flying[start:stop], known, 0.0)
     return height
-
-
-def _at_rest(rise: Array) -> float:
-    return float(rise.mean()) if len(rise) else 0.0
 
 
 def _flying(run: Flown, drive: Drive) -> Mask:
