@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 Line = dict[str, Any]
 NOTHING = "nothing"
-COLOURS = "Blues"
+COLOURS = "RdBu"
+"""Right is blue, wrong is red."""
 
 
 def draw(lines: list[Line], folder: Path) -> list[Path]:
@@ -91,6 +92,8 @@ def _confusion(lines: list[Line]) -> Any:
     drawn, (ax,) = figure(10.5, 8.0)
     share = counts / np.array([[max(tried[name], 1)] for name in rows])
     text = [[f"{c:.0f}" if c else "" for c in row] for row in counts]
+    wrong = [[column != (row if row in LISTED else NOTHING) for column in columns] for row in rows]
+    share = np.where(wrong, -share, share)
     _table(ax, share, text, columns, [f"{name} ({tried[name]})" for name in rows])
     ax.tick_params(axis="x", rotation=90)
     ax.set_xlabel("named in the report")
@@ -105,14 +108,18 @@ def _table(
     columns: Any,
     rows: Any,
 ) -> None:
-    ax.imshow(share, cmap=COLOURS, vmin=0.0, vmax=1.0, aspect="auto")
+    ax.imshow(share, cmap=COLOURS, vmin=-1.0, vmax=1.0, aspect="auto")
     ax.set_xticks(range(len(columns)), columns)
     ax.set_yticks(range(len(rows)), rows)
     ax.grid(visible=False)
+    ax.set_xticks(np.arange(0.5, len(columns)), minor=True)
+    ax.set_yticks(np.arange(0.5, len(rows)), minor=True)
+    ax.grid(visible=True, which="minor")
+    ax.tick_params(which="minor", length=0)
     ax.tick_params(labelsize=8)
     for row, cells in enumerate(text):
         for column, cell in enumerate(cells):
-            dark = share[row, column] > 0.6
+            dark = abs(share[row, column]) > 0.6
             ax.text(
                 column,
                 row,
