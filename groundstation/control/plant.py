@@ -44,23 +44,6 @@ PLANT = np.dtype(
     ]
 )
 
-ROTATIONAL = (
-    "dead_time",
-    "gyro_low_pass",
-    "rotor_gyroscopic_torque",
-    "inertia_coupling",
-    "rotor_acceleration_torque",
-    "rate_damping",
-    "quadratic_rate_damping",
-    "yaw_damping",
-    "centre_of_gravity_offset",
-    "rotor_mismatch",
-    "motor_dead_voltage",
-    "motor_braking_asymmetry",
-    "attitude_filter_lean",
-)
-"""Effects that the loops simulate. The lean is the firmware's own filter and always there."""
-
 
 @dataclass(frozen=True, slots=True)
 class Plant:

@@ -27,7 +27,7 @@ COMPLETED, CANCELLED, STALLED, NO_DEVICE, OVERRUN = 0, 3, 4, 5, 6
 """``enum libusb_transfer_status``; a frame's 1 is any other error."""
 _ERROR_NO_DEVICE = -4
 _DESCRIPTOR_BYTES = 12
-_POLLIN, _POLLOUT = 1, 4
+_POLLOUT = 4
 _GOOD = b"".join(
     value.to_bytes(4, "little") for _ in range(FRAMES) for value in (FRAME_BYTES, FRAME_BYTES, 0)
 )

@@ -18,7 +18,6 @@ from groundstation.telemetry.packet import (
     TICK_S,
     Packets,
     decode,
-    encode,
     motor_counts,
 )
 
@@ -177,16 +176,6 @@ def packet_counts(samples: SampleBatch) -> dict[str, NDArray[np.int64]]:
         "angles": angles,
         "debug": samples.debug.astype(np.int64),
     }
-
-
-def packets_from_samples(samples: SampleBatch) -> Packets:
-    """Encode samples back into (n, 32) packets; values beyond a field's range are clipped."""
-    counts = packet_counts(samples)
-    for name in ("gyro", "accelerometer", "angles"):
-        counts[name] = np.clip(counts[name], -32768, 32767)
-    counts["battery"] = np.clip(counts["battery"], 0, 65535)
-    counts["motors"] = np.clip(counts["motors"], 0, 4095)
-    return encode(**counts)
 
 
 def _counts(values: NDArray[np.float32], unit: float) -> NDArray[np.int64]:

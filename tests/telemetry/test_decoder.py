@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from radio_adversary import EPOCH_NS, PERIOD_NS, Flight, Reception, fly, receive
 
 from groundstation.telemetry.decoder import COMPILE_FROM, Decoder, decode_all
-from groundstation.telemetry.samples import RawBatch, SampleBatch, packets_from_samples
+from groundstation.telemetry.packet import Packets, encode
+from groundstation.telemetry.samples import RawBatch, SampleBatch, packet_counts
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -24,12 +25,16 @@ def decode_in_batches(raw: RawBatch, size: int, **options: int) -> tuple[SampleB
     return SampleBatch.concatenate(parts), decoder
 
 
+def packets_of(samples: SampleBatch) -> Packets:
+    return encode(**packet_counts(samples))
+
+
 def assert_every_arrived_sample_once(
     samples: SampleBatch, flight: Flight, reception: Reception
 ) -> None:
     """Each sample of which a sound copy arrived is there once, with its content and time."""
     arrived = np.unique(reception.sample[reception.sample >= 0])
-    assert np.array_equal(packets_from_samples(samples), flight.packets[arrived])
+    assert np.array_equal(packets_of(samples), flight.packets[arrived])
     for boot in np.unique(flight.boot[arrived]):
         mine = flight.boot[arrived] == boot
         offset = samples.ticks[mine] - flight.ticks[arrived][mine]
@@ -172,7 +177,7 @@ def test_a_restart_after_a_second_of_silence_is_found_at_the_stated_odds() -> No
         reception = receive(rng, flight, loss=0.2)
         samples, decoder = decode_in_batches(reception.batch, 16)
         arrived = np.unique(reception.sample)
-        assert np.array_equal(packets_from_samples(samples), flight.packets[arrived])
+        assert np.array_equal(packets_of(samples), flight.packets[arrived])
         restarts = decoder.counts().restarts
         assert restarts <= 1
         found += restarts
@@ -209,7 +214,7 @@ def test_copies_that_disagree_are_outvoted(seed: int, damage: float, loss: float
     samples, decoder = decode_in_batches(reception.batch, 16)
     # three sound copies outvote the fourth whatever is wrong with it
     votes = np.bincount(reception.sample[reception.sample >= 0], minlength=len(flight.ticks))
-    given_out = {bytes(packet) for packet in packets_from_samples(samples)}
+    given_out = {bytes(packet) for packet in packets_of(samples)}
     assert all(bytes(flight.packets[row]) in given_out for row in np.flatnonzero(votes >= 3))
     assert (np.diff(samples.ticks) > 1972 / 2).all(), "a sample is there twice"
     sent = {bytes(packet) for packet in flight.packets}
@@ -269,7 +274,7 @@ def test_compiled_and_interpreted_kernels_give_identical_samples(
     live, decoder = decode_in_batches(raw, 64)
     assert counts == decoder.counts()
     assert np.array_equal(bulk.ticks, live.ticks)
-    assert np.array_equal(packets_from_samples(bulk), packets_from_samples(live))
+    assert np.array_equal(packets_of(bulk), packets_of(live))
 
 
 def test_a_known_start_keeps_absolute_device_time() -> None:
@@ -285,7 +290,7 @@ def test_a_stream_of_one_or_two_samples_gives_them(rows: int) -> None:
     rng = np.random.default_rng(4)
     flight = fly(rng, [(rows, 0.0, False)])
     samples, _ = decode_in_batches(receive(rng, flight).batch, 4)
-    assert np.array_equal(packets_from_samples(samples), flight.packets)
+    assert np.array_equal(packets_of(samples), flight.packets)
 
 
 def test_a_quiet_link_gives_out_its_last_samples_without_waiting_for_more() -> None:
