@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -96,6 +97,15 @@ class Identified:
     model: Model
     account: dict[str, Any]
     evidence: Evidence
+
+    def documented(self, **provenance: Any) -> Model:
+        """The model with the account under ``fit``, as later fits and designs need it.
+
+        provenance: ``recordings``, ``held_out`` or whatever else belongs into the account.
+        """
+        account = {**self.account, **provenance}
+        fit = {**self.model.fit, account["what"]: account}
+        return msgspec.structs.replace(self.model, fit=fit)
 
 
 def residual_test(

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 PROGRAMS = {
     *("groundstation", "make", "python", "pip", "source", "curl", "sudo", "modprobe", "usbip"),
-    *("ssh", "pytest"),
+    *("ssh", "sh", "pytest"),
 }
 """What the first word of a command in a block can be."""
 DATA = {"python", "toml", "json", "csv", "c", "text"}

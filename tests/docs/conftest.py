@@ -1,0 +1,52 @@
+"""Where the commands and examples of the pages are run."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from installed import Daemon, free_port
+from larder import Larder
+from pages import ROOT
+
+
+@pytest.fixture(scope="session")
+def larder(tmp_path_factory):
+    return Larder(tmp_path_factory.mktemp("larder"))
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory):
+    """A running daemon with the software craft and a command link; its folder."""
+    folder = tmp_path_factory.mktemp("station")
+    socket = folder / "groundstation" / "control.sock"
+    socket.parent.mkdir()
+    command = f"udp://127.0.0.1:{free_port()}"
+    (folder / "waiting.toml").write_text("[stand_in]\nprogram = 'wait'\n")
+    arguments = ("--link", "stand-in", "--command", command, "--config", folder / "waiting.toml")
+    with Daemon(folder, *arguments, socket_path=socket) as daemon:
+        daemon.status_when(
+            lambda status: status["command"]["state"] == "connected", "the command link"
+        )
+        daemon.recording()
+        yield daemon
+        assert daemon.stop() == 0, daemon.stderr
+
+
+@pytest.fixture
+def with_station(station, monkeypatch):
+    """Commands find the daemon."""
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(station.socket))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(station.folder))
+    return station
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where a command is run: the repository's recordings are there, as after a clone."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    return tmp_path

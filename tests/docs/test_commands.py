@@ -1,0 +1,313 @@
+"""Every command printed in the pages is executed, and the story of getting_started told in order.
+
+Each one runs in a folder of its own that holds the recordings of a clone and whatever files the
+command names (``tests/helpers/larder.py``). What differs from what is printed:
+
+- a command that goes on until Ctrl-C gets its Ctrl-C when it is up (``LIVE``); ``--for`` is 1 s
+- ports are replaced by free ones, and paths under /tmp by ones in the folder
+- ``SHORTER`` are options added to what would take minutes
+- what needs root, another machine or an hour is listed in ``ELSEWHERE``, with the file that runs it
+
+A command that fits nowhere fails here: add what it needs.
+"""
+
+import os
+import pty
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from itertools import pairwise, starmap
+
+import pytest
+from installed import COMMAND, PATIENCE_S, Daemon, free_port, until
+from pages import PAGES, ROOT, blocks_of
+from typer.testing import CliRunner
+
+from firmware_sim import __main__ as stand_in
+from groundstation.cli.app import app
+from groundstation.cli.usb_devices import usb_devices
+from groundstation.errors import GroundStationError
+from groundstation.service.config import UsbConfig
+
+USB = "tests/usb_vm/guest/test_usbip.py"
+SEALED = "tests/discrepancy/test_sealed.py"
+ELSEWHERE = {
+    # begins with: (why not here, where, what is to be found there)
+    "make test-usb": ("a virtual machine of ten minutes", ".ci/run", "make test-usb"),
+    "make test": ("these tests are part of it", ".ci/run", "make test"),
+    "make bench-discrepancy": ("hours", SEALED, "bench.sealed"),
+    "python -m bench.sealed run": ("some searches; a slice of them", SEALED, "bench.sealed"),
+    "python -m bench.sealed make": ("clean flights and their fit, too", SEALED, "bench.sealed"),
+    "python -m bench.sealed table": ("needs the searches before it", SEALED, "bench.sealed"),
+    "make bench": ("minutes; each part by itself", "bench/__main__.py", "rows()"),
+    "make soak": ("a quarter of an hour", "bench/soak.py", "--hours"),
+    "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
+    "make demo": ("three minutes", ".ci/run", "make demo"),
+    "groundstation demo": ("three minutes", ".ci/run", "make demo"),
+    "sh demo-1/commands.sh": ("after the demo", "tests/system/test_demo.py", ""),
+    "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio]"),
+    "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
+    "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
+    "sudo usbip attach": ("root and a kernel of one's own", USB, '"attach"'),
+    "sudo usbip detach": ("root and a kernel of one's own", USB, '"detach"'),
+    "usbip list": ("a kernel of one's own", USB, '"list"'),
+    "python -m firmware_sim --usb": ("a kernel of one's own", USB, "--usb"),
+    "sudo udevadm control --reload": ("changes the machine", "tests/links/test_usb_rule.py", ""),
+    "ssh ": ("another machine", "tests/viewer/test_viewer.py", "serve"),
+}
+SHORTER = {
+    "groundstation pid design": ["--axis", "yaw", "--draws", "50"],
+    "groundstation pid fly": ["--dry-run"],  # flown by tests/system/test_pid_fly.py
+}
+LIVE = ("groundstation run", "groundstation status --watch")
+CLIENTS = (
+    *("groundstation status", "groundstation events", "groundstation record", "curl "),
+    *("groundstation link", "groundstation config --reload", "groundstation pid fly"),
+)
+STORY = ROOT / "docs" / "getting_started.md"
+
+
+def printed():
+    """Each command once, with the pages that print it; those of the story are told below."""
+    found = {}
+    for page in PAGES:
+        for block in blocks_of(page):
+            if block.holds_commands and page != STORY:
+                for command in block.commands():
+                    found.setdefault(command, []).append(block.where)
+    return found
+
+
+COMMANDS = printed()
+
+
+def elsewhere(command):
+    return next((told for start, told in ELSEWHERE.items() if command.startswith(start)), None)
+
+
+HERE = [command for command in COMMANDS if elsewhere(command) is None]
+
+
+@pytest.mark.parametrize("command", HERE)
+def test_what_is_printed_works(command, folder, larder, request):
+    for name in inputs_of(shlex.split(command)):
+        larder.give(name, folder)
+    if command.startswith(CLIENTS):
+        request.getfixturevalue("with_station")
+    carry_out(command, folder)
+
+
+@pytest.mark.parametrize("command", [c for c in COMMANDS if elsewhere(c) is not None])
+def test_what_is_not_run_here_is_run_elsewhere(command):
+    _, path, sign = elsewhere(command)
+    place = ROOT / path
+    assert place.exists(), path
+    files = [place] if place.is_file() else sorted(place.glob("*.py"))
+    assert any(sign in file.read_text() for file in files)
+    if command.startswith("make "):
+        assert_target(command)
+
+
+def test_the_story_of_getting_started_goes_as_printed(folder, larder, request):
+    """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
+    said = ""
+    for block in blocks_of(STORY):
+        if block.language == "toml":
+            (folder / "flight.toml").write_text(block.text)
+        elif block.language == "text":
+            require_said(block, said)
+            said = ""
+        elif block.holds_commands:
+            for command in block.commands():
+                if command.startswith(CLIENTS):
+                    request.getfixturevalue("with_station")
+                elif command == "groundstation recordings sessions":
+                    assert ".mcap" in carry_out(command, folder)
+                    continue
+                said += carry_out(command, folder) or ""
+
+
+def require_said(block, said):
+    """Each line of the block is one that was said, in that order, numbers within 5 %."""
+    lines = iter(said.splitlines())
+    for expected in block.text.splitlines():
+        assert any(alike(expected, line) for line in lines), f"{block.where}: {expected}\n{said}"
+
+
+def alike(expected, line):
+    """The words are the same as far as the expected line goes, and so are the numbers, nearly."""
+    pairs = list(zip(expected.split(), line.split(), strict=False))
+    return len(pairs) == len(expected.split()) and all(starmap(same, pairs))
+
+
+def same(expected, word):
+    expected, word = expected.rstrip(","), word.rstrip(",")
+    if word == expected:
+        return True
+    try:
+        one, other = float(expected), float(word)
+    except ValueError:
+        return False
+    return abs(one - other) <= max(0.05 * abs(one), 0.02)
+
+
+def assert_target(command):
+    shown = subprocess.run(
+        ["make", "-n", *shlex.split(command)[1:]], cwd=ROOT, capture_output=True, text=True
+    )
+    assert shown.returncode == 0, shown.stderr
+
+
+def carry_out(command, folder):
+    """Run one command as the rules above say; what it printed."""
+    command = command.replace("/tmp/", f"{folder}/").partition(" | sudo ")[0]
+    for port in re.findall(r"127\.0\.0\.1:(\d+)", command):
+        command = command.replace(port, str(free_port()))
+    words = shlex.split(command)
+    for start, more in SHORTER.items():
+        if command.startswith(start):
+            words += [] if "--axis" in words and more[0] == "--axis" else more
+    if command.startswith("make run"):
+        return make_run(folder)
+    if command.startswith(LIVE):
+        return live(words, folder)
+    if command == "groundstation link usb":
+        return another_link(words)
+    if words[0] == "groundstation":
+        return in_process(words[1:])
+    if words[:3] == ["python", "-m", "firmware_sim"]:
+        return fly(words[3:], folder)
+    return in_shell(command)
+
+
+def outputs_of(words):
+    """What a command is to write: it must not be there before."""
+    written = [after for word, after in pairwise(words) if word in OUTPUTS]
+    if "--dry-run" in words:
+        return []
+    if words[:2] == ["groundstation", "convert"]:
+        written.append([word for word in words[2:] if not word.startswith("-")][1])
+    if words[:2] == ["groundstation", "discrepancy"] and "--json" in words:
+        written.append(words[words.index("--json") + 1])
+    return written
+
+
+OUTPUTS = ("-o", "--output", "--html", "--rerun")
+
+
+def inputs_of(words):
+    return [word.removeprefix("replay:") for word in words if word not in outputs_of(words)]
+
+
+def in_process(words):
+    """A command to its end, with the interpreter that is running: starting one takes a second."""
+    result = CliRunner().invoke(app, words)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    for path in outputs_of(["groundstation", *words]):
+        assert os.path.getsize(path), path
+    return result.stdout
+
+
+def another_link(words):
+    """To USB and back where a bridge is plugged in; else the refusal says that none is."""
+    if any(row["usable"] for row in usb_devices(UsbConfig().device)[0]):
+        return in_process(words[1:]) + in_process(["link", "stand-in"])
+    with pytest.raises(GroundStationError, match="is plugged in"):
+        in_process(words[1:])
+    return ""
+
+
+def in_shell(command):
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def fly(words, folder):
+    """``python -m firmware_sim``: in fast time to its end, else until Ctrl-C."""
+    if "--fast" in words:
+        assert stand_in.main(words) == 0
+        assert os.path.getsize(outputs_of(words)[0])
+        return ""
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-m", "firmware_sim", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    with process:
+        said = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        said += process.stdout.read()
+    assert process.returncode in (0, 130), said
+    return said
+
+
+def live(words, folder):
+    """``run`` until its link streams, or waits for what is not plugged in; then Ctrl-C."""
+    if words[1] == "status":
+        return watch(words)
+    if "serve" in words:
+        words += ["--viewer-port", str(free_port()), "--web-port", str(free_port())]
+    ends = "--for" in words
+    if ends:
+        words[words.index("--for") + 1] = "1"
+    hardware = any(word.startswith(("usb", "serial:")) for word in words)
+    with Daemon(folder, *words[2:], socket_path=folder / "control.sock") as daemon:
+        if ends:
+            assert daemon.wait() == 0, daemon.stderr
+        else:
+            state = "opening" if hardware else "streaming"
+            daemon.status_when(lambda status: status["link"]["state"] == state, state)
+            if not hardware:
+                daemon.recording()
+            assert daemon.stop() == 0, daemon.stderr
+        assert hardware or daemon.files()
+        return daemon.stdout + daemon.stderr
+
+
+def watch(words):
+    """On a terminal, as ``--watch`` is meant for, until it shows something."""
+    outer, inner = pty.openpty()
+    with subprocess.Popen([COMMAND, *words[1:]], stdout=inner, stderr=subprocess.PIPE) as process:
+        os.close(inner)
+        said = b""
+        while b"link" not in said:
+            said += os.read(outer, 4096)
+        process.send_signal(signal.SIGINT)
+        error = process.stderr.read()
+    os.close(outer)
+    assert process.returncode in (0, 130), error
+    return said.decode()
+
+
+def make_run(folder):
+    """``make run`` from the Makefile, as it is; nothing is installed again."""
+    environment = os.path.dirname(os.path.dirname(sys.executable))
+    ports = f"--viewer-port {free_port()} --web-port {free_port()}"
+    process = subprocess.Popen(
+        [
+            *("make", f"VENV={environment}", "-o", f"{environment}/.ready", "run"),
+            f"ARGS=--for 1 --recordings {folder / 'sessions'} {ports}",
+        ],
+        cwd=ROOT,
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    said, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    (recording,) = (folder / "sessions").glob("*.mcap")
+    until(lambda: recording.stat().st_size, "a recording")
+    return said

@@ -1,0 +1,50 @@
+"""Every Python example of the pages runs, those of a page in order; public names are listed."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from larder import FLOWN
+from pages import PAGES, ROOT, blocks_of
+
+import groundstation
+
+WITH_PYTHON = [
+    page for page in PAGES if any(block.language == "python" for block in blocks_of(page))
+]
+MODELS = ("body.json", "motor.json")
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
+def test_the_examples_of_a_page_run_in_order(page, folder, larder, request):
+    names = {}
+    for block in blocks_of(page):
+        if block.language == "python":
+            for name in (*FLOWN, *MODELS):
+                if f'"{name}"' in block.text:
+                    larder.give(name, folder)
+            if "socket_path" in block.text:
+                request.getfixturevalue("with_station")
+            code = compile("\n" * (block.line - 1) + block.text, str(page), "exec")
+            exec(code, names)
+
+
+def test_the_public_names_are_there_and_are_those_that_the_page_lists():
+    text = (ROOT / "docs" / "python_api.md").read_text()
+    table = text[text.index("| for | names |") : text.index("In memory")]
+    assert set(re.findall(r"`(\w+)`", table)) == set(groundstation.__all__)
+    for name in groundstation.__all__:
+        assert getattr(groundstation, name).__doc__, name
+    assert set(groundstation.__all__) <= set(dir(groundstation))
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        groundstation.nonsense  # noqa: B018
+
+
+def test_importing_the_package_loads_nothing_else():
+    program = "import sys, groundstation; print(len([m for m in sys.modules if 'numpy' in m]))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "0\n", done.stderr
