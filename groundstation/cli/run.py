@@ -44,6 +44,9 @@ def run(
     viewer: ViewerMode | None = typer.Option(
         None, help="Live view: off, serve (browser) or spawn (window)."
     ),
+    twin: Path | None = typer.Option(
+        None, metavar="MODEL", help="Fly this model beside the craft and tell where they disagree."
+    ),
     viewer_port: int | None = typer.Option(None, min=1, max=65535, help="rerun's own TCP port."),
     web_port: int | None = typer.Option(None, min=1, max=65535, help="TCP port for the browser."),
     speed: str | None = typer.Option(
@@ -65,6 +68,7 @@ def run(
         "recording.folder": None if recordings is None else str(recordings),
         "recording.enabled": record,
         "viewer.mode": viewer and viewer.value,
+        "twin.model": None if twin is None else str(twin),
         "viewer.port": viewer_port,
         "viewer.web_port": web_port,
         "command": command,
@@ -134,6 +138,8 @@ def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None
     folder = config.recording.folder if config.recording.enabled else "off"
     lines.append(("recordings", folder))
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
+    if config.twin.model:
+        lines.append(("twin", config.twin.model))
     lines.append(("control", str(socket)))
     if port is not None:
         lines.append(("", f"http://127.0.0.1:{port.port}, token in {port.token_path}"))

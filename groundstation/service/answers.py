@@ -50,6 +50,36 @@ class ViewerStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     urls: list[str]
 
 
+class Disagreement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where craft and model part beyond chance. statistic: in standard deviations, limit: from
+    which it is told. Times: of the device, s; end_s: None while it lasts."""
+
+    channel: str
+    regime: str
+    statistic: float
+    limit: float
+    segment: int
+    begin_s: float
+    noticed_s: float
+    end_s: float | None
+    why: str
+
+
+class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The live twin. gap: prediction error over noise in the last half second, by channel; None
+    where it was not judged. disagreements: those that last. events: told so far. waiting, dropped:
+    samples that wait for it, and that it was too slow for. text: why it has failed."""
+
+    state: Literal["learning", "watching", "failed"]
+    model: str
+    gap: dict[str, float | None]
+    disagreements: list[Disagreement]
+    events: int
+    waiting: int
+    dropped: int
+    text: str
+
+
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The command link. client: who commands. interventions: of the dead man."""
 
@@ -91,12 +121,13 @@ class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What the daemon is doing. faults: of the program, survived. turned_away: requests beyond the
-    limits. statistics: of the link, None in the first second."""
+    limits. statistics: of the link, None in the first second. twin: None without a model."""
 
     link: LinkStatus
     recording: RecordingStatus
     viewer: ViewerStatus
     command: CommandStatus | None
+    twin: TwinStatus | None
     stream: StreamStatus
     tasks: dict[str, TaskStatus]
     health: HealthStatus

@@ -72,6 +72,12 @@ class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     web_port: Annotated[int, _key("the browser's TCP port, on loopback", ge=1, le=65535)] = 9090
 
 
+class TwinConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The model that flies beside the craft."""
+
+    model: Annotated[str, _key("model file the live twin flies; empty: no twin")] = ""
+
+
 class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How other programs reach the daemon."""
 
@@ -114,6 +120,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     usb: UsbConfig = UsbConfig()
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
+    twin: TwinConfig = TwinConfig()
     control: ControlConfig = ControlConfig()
     log: LogConfig = LogConfig()
     dead_man: DeadManConfig = DeadManConfig()
@@ -124,7 +131,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 RELOADABLE = (
     "recording.folder", "recording.low_space_mb", "recording.rotate_mb",
-    "recording.rotate_minutes", "recording.keep_mb", "dead_man.",
+    "recording.rotate_minutes", "recording.keep_mb", "dead_man.", "twin.",
 )  # fmt: skip
 """Keys (or tables) that a running daemon takes over; a new folder from the next file on."""
 

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -37,11 +37,15 @@ from groundstation.service.requests import Telemetry
 from groundstation.service.sessions import Sessions
 from groundstation.service.stream import Stream
 from groundstation.service.supervisor import Supervisor
+from groundstation.service.twin import BEGAN, SOURCE, TwinService
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.telemetry.statistics import LinkStatistics
 from groundstation.text import printable
 from groundstation.viewer.viewer import Viewer, ViewerMode
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
 
 EVENTS_KEPT = 1000
 STATISTICS_S = 1.0
@@ -105,7 +109,14 @@ class Station:
             ViewerMode(config.viewer.mode),
             port=config.viewer.port,
             web_port=config.viewer.web_port,
+            twin=bool(config.twin.model),
             on_event=lambda kind, text: self.note(kind, text, source="viewer"),
+        )
+        self.twin = TwinService(
+            config.twin.model,
+            tell=self.take_event,
+            note=lambda kind, text: self.note(kind, text, source=SOURCE),
+            show=self._show_twin,
         )
         if command is not None:
             command.on_entry = self.sessions.command
@@ -114,9 +125,9 @@ class Station:
             self,
             on_raw=self._take_raw,
             on_samples=self._take_samples,
-            on_switch=self.sessions.split,
+            on_switch=self._split,
             fast=config.link.speed == "max",
-            busy=lambda: self.sessions.fullness > QUEUE_MOST,
+            busy=lambda: max(self.sessions.fullness, self.twin.fullness) > QUEUE_MOST,
         )
         self.supervisor = Supervisor(lambda text, name: self.fault(text, source=name))
         self.health = Health()
@@ -163,6 +174,7 @@ class Station:
             await self.viewer.start()
             announce()
             closing.push_async_callback(self.recordings.close)
+            closing.push_async_callback(self.twin.close)
             closing.callback(self._close_window)
             closing.push_async_callback(self.receiver.close)
             closing.push_async_callback(self.commander.close)
@@ -173,6 +185,7 @@ class Station:
                 ("statistics", self._close_windows),
                 ("recordings", self.recordings.keep),
                 ("health", self.health.watch),
+                ("twin", self.twin.run),
             ):
                 self.supervisor.start(name, work)
             receiving = asyncio.create_task(
@@ -183,6 +196,9 @@ class Station:
             for task in (receiving, stopping):
                 task.cancel()
             await asyncio.gather(receiving, stopping, return_exceptions=True)
+            if not self._stopping.is_set():
+                self.receiver.drain()
+                await self.twin.drain()
             if not receiving.cancelled():
                 receiving.result()
 
@@ -229,6 +245,8 @@ class Station:
         fresh = self._source.load()
         config = with_reloaded(self.config, fresh)
         applied = changed_keys(self.config, config)
+        if "twin.model" in applied:
+            self.twin.configure(config.twin.model)
         self.config = config
         self.recordings.configure(config.recording)
         self.commander.limits = config.dead_man
@@ -250,6 +268,7 @@ class Station:
             "recording": self.recordings.status(),
             "viewer": self.viewer.status(),
             "command": self.commander.status(),
+            "twin": self.twin.status(),
             "stream": {"clients": len(self.stream), "dropped": self.stream.dropped},
             "tasks": self.supervisor.status(),
             "health": self.health.status(self),
@@ -330,6 +349,7 @@ class Station:
         if self.viewer.mode is ViewerMode.OFF:
             return
         self.receiver.drain()
+        await self.twin.drain()
         self._close_window()
         self._recording_ended = self.sessions.status()["state"] == "recording"
         await self.recordings.close()
@@ -344,8 +364,17 @@ class Station:
     def _take_raw(self, batch: RawBatch) -> None:
         self.sessions.raw(batch)
 
+    def _split(self) -> None:
+        self.sessions.split()
+        self.twin.split()
+
+    def _show_twin(self, shown: Shown) -> None:
+        self.viewer.show_twin(shown)
+        self.stream.twin(shown)
+
     def _take_samples(self, samples: SampleBatch) -> None:
         self._newest = samples
+        self.twin.samples(samples)
         self.sessions.samples(samples)
         self.viewer.show_samples(samples)
         self.stream.samples(samples)
@@ -382,7 +411,18 @@ class Station:
 
 
 _WARNINGS = frozenset(
-    {"fault", "lost", "loss", "silent", "waiting", "restart", "damage", "dead man", "deleted"}
+    {
+        "fault",
+        "lost",
+        "loss",
+        "silent",
+        "waiting",
+        "restart",
+        "damage",
+        "dead man",
+        "deleted",
+        BEGAN,
+    }
 )
 
 

@@ -6,15 +6,19 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from groundstation.discrepancy.findings import CHANNELS
 from groundstation.errors import TakenError
 from groundstation.links.base import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
 from groundstation.telemetry.samples import SampleBatch
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
 
 CLIENTS_MOST = 8
 ROWS_MOST = 2000
@@ -119,6 +123,18 @@ class Stream:
     def event(self, event: LinkEvent) -> None:
         for subscriber in self._subscribers:
             subscriber.put_note("event", asdict(event))
+
+    def twin(self, shown: Shown) -> None:
+        """The gap of half a second of flight."""
+        gap = [None if np.isnan(each) else round(float(each), 3) for each in shown.gap]
+        entry = {
+            "segment": shown.segment,
+            "begin_s": float(shown.time_s[0]),
+            "end_s": float(shown.time_s[-1]),
+            "gap": dict(zip(CHANNELS, gap, strict=True)),
+        }
+        for subscriber in self._subscribers:
+            subscriber.put_note("twin", entry)
 
     def statistics(self, entry: dict[str, Any]) -> None:
         for subscriber in self._subscribers:

@@ -14,10 +14,11 @@ LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""
 
 
-def pilot_blueprint(*, window_s: float | None) -> rrb.Blueprint:
+def pilot_blueprint(*, window_s: float | None, twin: bool = False) -> rrb.Blueprint:
     """The views over device time, following the newest data.
 
-    window_s: length of the plots; None shows all there is, for a finished recording.
+    window_s: length of the plots; None shows all there is, for a finished recording. twin: with
+    a tab, in front, of what the live twin predicts.
     """
     bounds = rr.TimeRangeBoundary
     window = rr.VisibleTimeRange(
@@ -72,7 +73,17 @@ def pilot_blueprint(*, window_s: float | None) -> rrb.Blueprint:
         plot("Rates (deg/s)", "/telemetry/rates"),
         plot("Accelerometer (g)", "/telemetry/accelerometer"),
         plot("Motors (% duty)", "/telemetry/motors", low=0.0, high=100.0),
+        name="Telemetry",
     )
+    if twin:
+        beside = rrb.Vertical(
+            plot("Rates: measured, and predicted 50 ms before (deg/s)", "/twin/rates/**"),
+            plot("Attitude (deg)", "/twin/attitude/**"),
+            plot("Accelerometer up (g)", "/twin/accelerometer/**"),
+            plot("Gap: prediction error over noise (1: the model is right)", "/twin/gap"),
+            name="Twin",
+        )
+        right = rrb.Tabs(beside, right, active_tab=0)
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[4, 5]),
         rrb.TopPanel(state="collapsed"),

@@ -33,6 +33,7 @@ class LiveClock:
 
     def __init__(self) -> None:
         self._offset_ns = 0
+        self._segment: int | None = None
         self._last: tuple[int, int] | None = None
 
     def advance(self, batch: SampleBatch) -> NDArray[np.int64]:
@@ -48,7 +49,15 @@ class LiveClock:
                     self._offset_ns = last_ns + silence_ns - int(times[rows.start])
             times[rows] += self._offset_ns
             self._last = int(times[rows.stop - 1]), int(batch.host_time_ns[rows.stop - 1])
+        if len(batch):
+            self._segment = int(batch.segment[-1])
         return times
+
+    def at_device(self, segment: int, time_s: NDArray[np.float64]) -> NDArray[np.int64] | None:
+        """Of device times (n,) in a segment; None where it is not the one of the newest sample."""
+        if segment != self._segment:
+            return None
+        return np.rint(time_s * 1e9).astype(np.int64) + self._offset_ns
 
     def at_host(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         if self._last is None:

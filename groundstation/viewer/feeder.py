@@ -1,4 +1,4 @@
-"""``python -m groundstation.viewer.feeder FD PORT RECORDING``: the only process that loads rerun.
+"""``python -m groundstation.viewer.feeder FD PORT RECORDING twin|plain``: what alone loads rerun.
 
 Reads messages from the SOCK_SEQPACKET socket FD and logs them to the rerun server on PORT. It
 may block or die at any time: the daemon drops, notices and starts another one. All feeders of
@@ -27,9 +27,11 @@ from groundstation.viewer.messages import (
     EventMessage,
     SamplesMessage,
     StatisticsMessage,
+    TwinMessage,
     decode_message,
     encode_message,
 )
+from groundstation.viewer.twin_log import TwinLog
 
 SERVER_SILENT = 3
 """Exit status: the server does not answer. Starting another feeder would not help."""
@@ -46,30 +48,36 @@ _HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 
 
 
 def main(arguments: list[str]) -> NoReturn:
-    descriptor, port, recording = arguments
+    descriptor, port, recording, layout = arguments
     channel = socket.socket(fileno=int(descriptor))
     stream = rr.RecordingStream(APPLICATION, recording_id=recording)
-    status = _run(channel, stream, int(port), recording)
+    status = _run(channel, stream, int(port), recording, layout == "twin")
     # At once: a stream that is released, or a normal exit, waits for ever for a server that does
     # not take the data.
     sys.stderr.flush()
     os._exit(status)
 
 
-def _run(channel: socket.socket, stream: rr.RecordingStream, port: int, recording: str) -> int:
+def _run(
+    channel: socket.socket, stream: rr.RecordingStream, port: int, recording: str, twin: bool
+) -> int:
     if not _server_starts(port):
         return SERVER_SILENT
     stream.connect_grpc(
         f"rerun+http://127.0.0.1:{port}/proxy",
-        default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S),
+        default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S, twin=twin),
     )
     stream.send_recording_name(recording)
-    log = ViewerLog(stream, LiveClock())
+    clock = LiveClock()
+    log = ViewerLog(stream, clock)
+    beside = TwinLog(stream, clock)
     try:
         log.craft()
+        if twin:
+            beside.names()
         stream.flush(timeout_sec=ANSWER_S)
         channel.send(encode_message(Acknowledgement(0)))
-        return _feed(channel, stream, log, port)
+        return _feed(channel, stream, log, beside, port)
     except (RuntimeError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return FEED_FAILED if _server_answers(port) else SERVER_SILENT
@@ -96,7 +104,13 @@ def _server_starts(port: int) -> bool:
     return False
 
 
-def _feed(channel: socket.socket, stream: rr.RecordingStream, log: ViewerLog, port: int) -> int:
+def _feed(
+    channel: socket.socket,
+    stream: rr.RecordingStream,
+    log: ViewerLog,
+    beside: TwinLog,
+    port: int,
+) -> int:
     """Log messages until the daemon closes the socket."""
     taken = 0
     next_check = time.monotonic() + CHECK_S
@@ -116,6 +130,9 @@ def _feed(channel: socket.socket, stream: rr.RecordingStream, log: ViewerLog, po
                     taken += 1
                 case StatisticsMessage(entry):
                     log.statistics([entry])
+                    taken += 1
+                case TwinMessage() as message:
+                    beside.show(message.segment, *message.arrays())
                     taken += 1
         if time.monotonic() >= next_check:
             # flush() alone finds a stopped server only when megabytes have piled up

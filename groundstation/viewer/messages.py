@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
+
+Array = NDArray[np.float64]
 
 MAX_ROWS = 1000
 """Samples per message: about 100 kB, well below the smallest usual socket buffer."""
@@ -44,7 +47,37 @@ class StatisticsMessage(msgspec.Struct, tag="statistics", array_like=True):
     entry: dict[str, Any]
 
 
-Message = SamplesMessage | EventMessage | StatisticsMessage
+class TwinMessage(msgspec.Struct, tag="twin", array_like=True):
+    """Measured and predicted (m, 9) SI at device times (m,), and the gap (9,): float64, native
+    byte order."""
+
+    segment: int
+    rows: int
+    time_s: bytes
+    measured: bytes
+    predicted: bytes
+    gap: bytes
+
+    @classmethod
+    def of(cls, segment: int, time_s: Array, measured: Array, predicted: Array, gap: Array) -> Self:
+        parts = (
+            np.ascontiguousarray(each, np.float64).tobytes()
+            for each in (time_s, measured, predicted, gap)
+        )
+        return cls(segment, len(time_s), *parts)
+
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Times, measured, predicted and gap, without copying."""
+        return (
+            np.frombuffer(self.time_s),
+            np.frombuffer(self.measured).reshape(self.rows, -1),
+            np.frombuffer(self.predicted).reshape(self.rows, -1),
+            np.frombuffer(self.gap),
+        )
+
+
+Note = EventMessage | StatisticsMessage | TwinMessage
+Message = SamplesMessage | Note
 
 
 class Acknowledgement(msgspec.Struct, array_like=True):

@@ -9,15 +9,14 @@ from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.messages import (
     MAX_BYTES,
     MAX_ROWS,
-    EventMessage,
+    Note,
     SamplesMessage,
-    StatisticsMessage,
     encode_message,
 )
 
 
 class Outbox:
-    """Samples, and events or statistics ("notes"), until a socket takes them.
+    """Samples, and events, statistics or predictions ("notes"), until a socket takes them.
 
     sent, dropped: counts of samples plus notes. What was sent, but not taken by the reader before
     it died, was dropped.
@@ -30,7 +29,7 @@ class Outbox:
         self._batches: deque[tuple[int, SampleBatch]] = deque()
         self._rows = 0
         self._next_seq = 0
-        self._notes: deque[EventMessage | StatisticsMessage] = deque()
+        self._notes: deque[Note] = deque()
         self._max_notes = max_notes
         self._untaken = 0
         self._taken = 0
@@ -52,7 +51,7 @@ class Outbox:
                 self._rows -= len(oldest)
                 self.dropped += len(oldest)
 
-    def put_note(self, note: EventMessage | StatisticsMessage) -> None:
+    def put_note(self, note: Note) -> None:
         self._notes.append(note)
         if len(self._notes) > self._max_notes:
             self._notes.popleft()

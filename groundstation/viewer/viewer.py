@@ -18,7 +18,7 @@ import uuid
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
@@ -28,10 +28,14 @@ from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
     EventMessage,
     StatisticsMessage,
+    TwinMessage,
     decode_acknowledgement,
 )
 from groundstation.viewer.mode import ViewerMode
 from groundstation.viewer.outbox import Outbox
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
 
 SEND_PERIOD_S = 0.08
 """Each message costs rerun about 15 kB whatever it holds: 12 a second look smooth."""
@@ -52,6 +56,7 @@ class Viewer:
     """Shows samples, events and statistics; lossy by design.
 
     port, web_port: TCP ports on the loopback interface: rerun's own, and the web viewer's.
+    twin: whether there will be predictions to show.
     on_event: told (kind, text) about the viewer itself; kinds are ``viewer`` and ``fault``.
     """
 
@@ -61,11 +66,13 @@ class Viewer:
         *,
         port: int = 9876,
         web_port: int = 9090,
+        twin: bool = False,
         on_event: Callable[[str, str], None] | None = None,
     ) -> None:
         self.mode = mode
         self.port = port
         self.web_port = web_port
+        self._twin = twin
         self._on_event = on_event or (lambda kind, text: None)
         self._recording = f"live-{uuid.uuid4().hex[:12]}"
         self._outbox = Outbox()
@@ -112,6 +119,14 @@ class Viewer:
         """Add a line to the event log; never blocks."""
         if self._task is not None:
             self._outbox.put_note(EventMessage(asdict(event)))
+
+    def show_twin(self, shown: Shown) -> None:
+        """Plot predictions beside what was measured, and the gap; never blocks."""
+        if self._task is not None:
+            note = TwinMessage.of(
+                shown.segment, shown.time_s, shown.measured, shown.predicted, shown.gap
+            )
+            self._outbox.put_note(note)
 
     def show_statistics(self, values: dict[str, float], time_ns: int) -> None:
         """Plot link statistics valid at Unix time ``time_ns``; never blocks.
@@ -203,9 +218,10 @@ class Viewer:
             self._channel = ours
             feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
             self._feeder = Child(
-                [*feeder, str(theirs.fileno()), str(self.port), self._recording],
+                [*feeder, str(theirs.fileno()), str(self.port), self._recording,
+                 "twin" if self._twin else "plain"],
                 pass_fds=[theirs.fileno()],
-            )
+            )  # fmt: skip
         self._heard_at, self._ready_at = now, None
 
     def _listen(self, now: float) -> None:

@@ -186,13 +186,14 @@ def noise_of(model: Model, run: Flown) -> Noise:
     pairs = (used[1:] & used[:-1]).sum()
     sensor = np.clip(-np.sum(steps[1:] * steps[:-1], axis=0) / pairs, 0.02 * variance, variance / 2)
     push = np.sqrt(np.maximum(variance - 2.0 * sensor, 0.02 * variance)) / run.period_s
+    shaken = np.sqrt(sensor)  # yaw by far less than roll and pitch
     usual = Noise()
     felt = run.accelerometer[flying][:, :2]
     felt = felt[np.isfinite(felt).all(axis=1)]
     return Noise(
         torque=(float(push[0]), float(push[1]), float(push[2])),
         force=usual.force,
-        gyro=float(np.sqrt(sensor[:2].mean())),
+        gyro=(float(shaken[0]), float(shaken[1]), float(shaken[2])),
         accelerometer=float(felt.std()) if len(felt) else usual.accelerometer,
         attitude=usual.attitude,
         speed=usual.speed,

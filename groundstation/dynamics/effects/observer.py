@@ -33,14 +33,14 @@ NUDGE = 1e-4
 class Noise:
     """Standard deviations of what no model explains; defaults are a Crazyflie's in still air.
 
-    torque: (3,) rad/s^2 and force: m/s^2, white at ``period_s``. gyro: rad/s, accelerometer:
+    torque: (3,) rad/s^2 and force: m/s^2, white at ``period_s``. gyro: (3,) rad/s, accelerometer:
     m/s^2, attitude: rad, per sample. speed: m/s, how fast the craft usually flies: what the
     velocity is pulled back to where nothing measures it.
     """
 
     torque: tuple[float, float, float] = (2.0, 2.0, 0.5)
     force: float = 0.1
-    gyro: float = 1.75e-3
+    gyro: tuple[float, float, float] = (1.75e-3, 1.75e-3, 1.75e-3)
     accelerometer: float = 0.1
     attitude: float = 3.6e-4
     speed: float = 0.7
@@ -48,10 +48,11 @@ class Noise:
     def scaled(self, torque: float, sensor: float) -> Noise:
         """The same with more of either."""
         x, y, z = (torque * one for one in self.torque)
+        p, q, r = (sensor * one for one in self.gyro)
         return Noise(
             (x, y, z),
             torque * self.force,
-            sensor * self.gyro,
+            (p, q, r),
             sensor * self.accelerometer,
             sensor * self.attitude,
             self.speed,
@@ -107,7 +108,7 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
     attitude = 0.5 if lean else noise.attitude
     sensors = np.concatenate(
         [
-            np.full(3, noise.gyro**2),
+            np.square(noise.gyro),
             np.full(3, felt),
             np.full(3, attitude**2),
             np.full(3, noise.speed**2),

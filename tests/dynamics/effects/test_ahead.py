@@ -219,7 +219,7 @@ def test_the_noise_of_a_flight_is_found_from_it(clean):
     rough, _ = flown(20.0, 2, torque_noise=6.0, sensor_noise=2.0)
     found = noise_of(BASE, rough)
     assert found.torque == pytest.approx(Noise().scaled(6.0, 2.0).torque, rel=0.2)
-    assert found.gyro == pytest.approx(2.0 * Noise().gyro, rel=0.2)
+    assert found.gyro == pytest.approx(Noise().scaled(6.0, 2.0).gyro, rel=0.2)
 
 
 def test_gains_that_know_the_vibration_predict_the_attitude_of_a_real_craft_better():

@@ -1,0 +1,228 @@
+"""The live twin in the daemon: fed from the stream, computed beside it, told as events."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from groundstation.background import in_background
+from groundstation.dynamics.model import Model, load_model
+from groundstation.errors import BadInputError
+from groundstation.links.base import LinkEvent
+from groundstation.telemetry.samples import SampleBatch
+
+if TYPE_CHECKING:
+    from groundstation.twin.judge import Episode
+    from groundstation.twin.twin import Shown, Twin
+
+PERIOD_S = 0.25
+"""How often the twin looks at what has come."""
+ROWS_MOST = 30_000
+"""A minute of telemetry waits while the twin is compiled; beyond that the oldest is dropped."""
+PIECE_ROWS = 5000
+ANNOUNCE_S = 2.0
+CLOSE_S = 2.0
+SOURCE = "twin"
+BEGAN, ENDED = "gap", "gap ended"
+"""Kinds of events."""
+
+
+class TwinService:
+    """Feeds samples to a twin in a thread of its own; without a model it does nothing.
+
+    tell: takes events. show: takes what is to be seen, twice a second of flight.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        *,
+        tell: Callable[[LinkEvent], None],
+        note: Callable[[str, str], None],
+        show: Callable[[Shown], None],
+    ) -> None:
+        self.events = self.dropped = 0
+        self._tell, self._note, self._show = tell, note, show
+        self._waiting: deque[SampleBatch] = deque()
+        self._rows = 0
+        self._something = asyncio.Event()
+        self._busy = asyncio.Lock()
+        self._gap: list[float | None] | None = None
+        self._text = ""
+        self._name = ""
+        self._model: Model | None = None
+        self._twin: Twin | None = None
+        self._warm = False
+        self._generation = 0
+        if model:
+            self._load(model)
+
+    def configure(self, model: str) -> None:
+        """Fly another model, or none, from the next sample on. Raises BadInputError, the present
+        one flying on, where it cannot be flown."""
+        if model:
+            self._load(model)
+        else:
+            self._model, self._name = None, ""
+        self.split()
+
+    def split(self) -> None:
+        """What follows comes from another craft."""
+        self._generation += 1
+        self._waiting.clear()
+        self._rows = 0
+        self._twin, self._gap, self._text = None, None, ""
+
+    def samples(self, batch: SampleBatch) -> None:
+        """Queue samples; never waits."""
+        if self._model is None or self._text:
+            return
+        self._waiting.append(batch)
+        self._rows += len(batch)
+        while self._rows > ROWS_MOST and len(self._waiting) > 1:
+            oldest = self._waiting.popleft()
+            self._rows -= len(oldest)
+            self.dropped += len(oldest)
+        self._something.set()
+
+    @property
+    def fullness(self) -> float:
+        """How full the queue is, 0..1."""
+        return self._rows / ROWS_MOST
+
+    async def run(self) -> None:
+        """For as long as the daemon runs."""
+        while True:
+            await self._something.wait()
+            self._something.clear()
+            # what a thread has begun goes on: the state of the twin is in its hands
+            await asyncio.shield(asyncio.create_task(self.drain(), name="twin drain"))
+            await asyncio.sleep(PERIOD_S if self.fullness < 0.1 else 0.0)
+
+    async def drain(self) -> None:
+        """Compute all that waits."""
+        async with self._busy:
+            while self._waiting and self._model is not None:
+                if not self._warm:
+                    await self._warm_up(self._model)
+                    continue
+                await self._step(self._model)
+
+    async def close(self) -> None:
+        """Tell what there is to tell of what has come, within a moment."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_S):
+                await asyncio.shield(asyncio.create_task(self.drain(), name="twin drain"))
+        self._model = None
+
+    def status(self) -> dict[str, Any] | None:
+        """None without a model; see ``answers.TwinStatus``."""
+        if self._model is None:
+            return None
+        twin = self._twin
+        learnt = twin is not None and twin.learnt
+        state = "failed" if self._text else "watching" if learnt else "learning"
+        lasting = [] if twin is None else [_details(each) for each in twin.episodes]
+        return {
+            "state": state,
+            "model": self._name,
+            "gap": self._gap_by_channel(),
+            "disagreements": lasting,
+            "events": self.events,
+            "waiting": self._rows,
+            "dropped": self.dropped,
+            "text": self._text,
+        }
+
+    def _load(self, path: str) -> None:
+        from groundstation.discrepancy.refusals import require_body
+        from groundstation.dynamics.craft import craft_of_model
+
+        model = load_model(path)
+        require_body(model)
+        craft_of_model(model)
+        self._model, self._name, self._warm = model, path, False
+
+    async def _warm_up(self, model: Model) -> None:
+        from groundstation.twin.twin import warm_up
+
+        announcement = asyncio.get_running_loop().call_later(
+            ANNOUNCE_S, self._note, "preparing", "preparing the twin: compiled once per machine"
+        )
+        try:
+            await in_background(lambda: warm_up(model))
+        finally:
+            announcement.cancel()
+        self._warm = True
+
+    async def _step(self, model: Model) -> None:
+        from groundstation.twin.twin import Twin
+
+        pieces: list[SampleBatch] = []
+        rows = 0
+        while self._waiting and (
+            not pieces
+            or (
+                rows + len(self._waiting[0]) <= PIECE_ROWS
+                and self._waiting[0].tick_s == pieces[0].tick_s
+            )
+        ):
+            pieces.append(self._waiting.popleft())
+            rows += len(pieces[-1])
+        self._rows -= rows
+        batch = SampleBatch.concatenate(pieces)
+        generation, twin = self._generation, self._twin
+
+        def work() -> tuple[Twin, list[tuple[Shown, list[Episode]]]]:
+            beside = Twin(model) if twin is None else twin
+            return beside, list(beside.feed(batch))
+
+        try:
+            beside, made = await in_background(work)
+        except BadInputError as error:
+            if generation == self._generation:
+                self._text = str(error)
+                self._note("waiting", self._text)
+            return
+        if generation != self._generation:
+            return  # of a craft that is gone
+        self._twin = beside
+        for shown, told in made:
+            self._gap = [None if np.isnan(each) else round(float(each), 3) for each in shown.gap]
+            self._show(shown)
+            for episode in told:
+                self._tell_of(episode)
+
+    def _tell_of(self, episode: Episode) -> None:
+        from groundstation.twin.twin import in_words
+
+        kind = BEGAN if episode.end_s is None else ENDED
+        self.events += kind == BEGAN
+        details = {**_details(episode), "model": self._name}
+        self._tell(LinkEvent(episode.host_ns, SOURCE, kind, in_words(episode), details))
+
+    def _gap_by_channel(self) -> dict[str, float | None]:
+        from groundstation.discrepancy.findings import CHANNELS
+
+        return {} if self._gap is None else dict(zip(CHANNELS, self._gap, strict=True))
+
+
+def _details(episode: Episode) -> dict[str, Any]:
+    from groundstation.twin.judge import LIMIT
+
+    return {
+        "channel": episode.place.channel,
+        "regime": episode.place.regime,
+        "statistic": round(episode.statistic, 2),
+        "limit": LIMIT,
+        "segment": episode.segment,
+        "begin_s": round(episode.begin_s, 4),
+        "noticed_s": round(episode.noticed_s, 4),
+        "end_s": None if episode.end_s is None else round(episode.end_s, 4),
+        "why": episode.why,
+    }

@@ -1,0 +1,250 @@
+"""What a craft might do that its model does not: one signal for each regime and axis.
+
+A signal is what drives a kind of disturbance (the rate that would be damped, the acceleration
+of the rotors, the velocity through the air), and where it would act: as a torque, as a force
+that the accelerometer feels, as an error of the gyro or of the reported angles. None of them
+knows the size of anything; the regimes are those of ``discrepancy.regimes``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.findings import CHANNELS
+from groundstation.dynamics.effects.ahead import Observed
+from groundstation.dynamics.effects.observer import ERRORS
+from groundstation.dynamics.mixer import MIXERS, Configuration
+from groundstation.dynamics.model import Model
+from groundstation.dynamics.motor import REVOLUTION
+from groundstation.dynamics.rotations import matrix_of_quaternion
+from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
+from groundstation.identification.body_terms import SPIN
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+BRAKING_S = 0.05
+"""A small motor with its propeller settles within about this time."""
+NEAR_M = 0.1
+"""Height over which the ground's influence fades."""
+WHOLE = "whole flight"
+TILTING, YAWING = "roll or pitch torque", "after yaw commands"
+TURNING, SPINNING = "high roll or pitch rate", "high yaw rate"
+SEVERAL = "turning about several axes"
+ROTORS, BRAKING = "rotor acceleration", "rotors slowing down"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a disturbance shows: a channel (``CHANNELS``) in a regime."""
+
+    channel: str
+    regime: str
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One signal. acts: ``torque`` (rad/s^2), ``force`` (m/s^2, felt by the accelerometer),
+    ``gyro`` (rad/s) or ``angle`` (rad/s, of the report). axis: 0, 1, 2. drive: the column of
+    ``drives`` behind it."""
+
+    place: Place
+    acts: str
+    axis: int
+    drive: str
+
+
+def _kinds() -> tuple[Kind, ...]:
+    kinds = []
+
+    def add(acts: str, axis: int, *pairs: tuple[str, str]) -> None:
+        first = {"torque": 0, "force": 3, "gyro": 0, "angle": 6}[acts]
+        for regime, drive in pairs:
+            kinds.append(Kind(Place(CHANNELS[first + axis], regime), acts, axis, drive))
+
+    for axis, (own, other) in enumerate((("roll", "pitch"), ("pitch", "roll"))):
+        rate, crossed, along = (("p", "qr", "v"), ("q", "pr", "u"))[axis]
+        add(
+            *("torque", axis, (WHOLE, "thrust"), (TILTING, f"{own} torque")),
+            *((TILTING, f"{own} change"), (TILTING, f"{other} torque"), (YAWING, "yaw torque")),
+            *((TURNING, rate), (SEVERAL, crossed), ("translation", along)),
+            *((YAWING, f"{other} momentum"), (BRAKING, f"{own} braking")),
+        )
+    add(
+        *("torque", 2, (WHOLE, "thrust"), (YAWING, "yaw torque"), (TILTING, "roll torque")),
+        *((TILTING, "pitch torque"), (SPINNING, "r"), (SEVERAL, "pq")),
+        *((ROTORS, "spin change"), (ROTORS, "yaw change"), (BRAKING, "yaw braking")),
+    )
+    for axis, (along, lever) in enumerate((("u", "pitch torque"), ("v", "roll torque"))):
+        add(
+            *("force", axis, (WHOLE, "one"), ("translation", along), (TILTING, lever)),
+            *((YAWING, "yaw torque"), ("high thrust", "more thrust"), (SPINNING, "rr")),
+        )
+    add(
+        *("force", 2, (WHOLE, "one"), ("high thrust", "more thrust"), ("climb", "w")),
+        *(("thrust change", "thrust change"), (BRAKING, "braking"), ("near ground", "near")),
+        *((TILTING, "roll torque"), (TILTING, "pitch torque"), (TURNING, "pp+qq")),
+    )
+    for axis, own in enumerate(("roll", "pitch", "yaw")):
+        add("gyro", axis, (YAWING if axis == 2 else TILTING, f"{own} torque"))
+    for axis, tilt in enumerate(("tilt x", "tilt y")):
+        add("angle", axis, (WHOLE, "one"), ("tilted", tilt))
+    add("angle", 2, (WHOLE, "one"))
+    return tuple(kinds)
+
+
+KINDS = _kinds()
+"""Every signal that is looked for."""
+
+PHASE = 1.0 / np.sqrt(12.0)
+"""Standard deviation, in rows, of a sensor's clock that runs beside the control loop's."""
+UNTIMED_ROWS = 0.1
+GAIN = 0.003
+"""What a fit leaves of the doubt about a torque's or the thrust's gain, by share."""
+GYRO_STEP = math.radians(1 / 16.384)
+ACCELEROMETER_STEP = STANDARD_GRAVITY / 4096
+"""A register's step: a constant within it is no disagreement."""
+SHARED = tuple(
+    number
+    for number, kind in enumerate(KINDS)
+    if (kind.drive.endswith("change") and kind.drive != "spin change")
+    or kind.drive == "one"
+    or (kind.acts, kind.drive) == ("force", "more thrust")
+    or (kind.acts == "torque" and kind.drive == f"{('roll', 'pitch', 'yaw')[kind.axis]} torque")
+)
+"""Signals of which a good model may still show a little, and that others must not borrow from."""
+
+
+def allowances(model: Model, period_s: float) -> Array:
+    """Standard deviation (len(SHARED),) of what a good model leaves of each shared signal.
+
+    A model with a dead time knows its mean only: a sensor's clock that runs beside the loop's
+    makes it up to half a row more or less, anew at each start.
+    """
+    timed = any(term.name == "dead_time" for term in model.effects)
+    delay_s = (PHASE if timed else UNTIMED_ROWS) * period_s
+    found = []
+    for number in SHARED:
+        kind = KINDS[number]
+        if kind.drive == "one":
+            found.append(ACCELEROMETER_STEP if kind.acts == "force" else GYRO_STEP)
+        else:
+            found.append(delay_s if kind.drive.endswith("change") else GAIN)
+    return np.array(found)
+
+
+@dataclass
+class Drives:
+    """What drives the signals, on the rows of a stretch; all but the first row count.
+
+    since_lift_s: (n,) time since a take-off. memory: what is carried from part to part.
+    """
+
+    seen: Observed
+    configuration: Configuration
+    since_lift_s: Array
+    memory: Memory
+
+    def columns(self) -> Array:
+        """(n - 1, len(KINDS)): row k acts from row k to k + 1 of the stretch."""
+        made = self._made
+        return np.column_stack([made[kind.drive] for kind in KINDS])
+
+    @cached_property
+    def _made(self) -> dict[str, Array]:
+        seen = self.seen
+        n, period = len(seen.states), seen.drive.period_s
+        one = seen.drive.craft[0]
+        middle = seen.drive.torques[1 : 2 * n - 2 : 2]
+        torque = middle[:, 1:4] / one["inertia"]
+        thrust = middle[:, 0] / one["mass"]
+        ends = seen.drive.torques[0 : 2 * n - 1 : 2]
+        change = np.diff(ends[:, 1:4], axis=0) / one["inertia"] / period
+        speed = seen.drive.speed[0 : 2 * n - 1 : 2]
+        slope = np.diff(speed, axis=0) / period
+        slowed = self.memory.leak(np.minimum(slope, 0.0), period) * speed[1:]
+        mixed = slowed @ MIXERS[self.configuration].T
+        p, q, r = seen.states[:-1, RATE].T
+        turn = matrix_of_quaternion(seen.states[:-1, QUATERNION])
+        u, v, w = np.einsum("nij,ni->nj", turn, seen.states[:-1, VELOCITY]).T
+        climb = seen.states[:-1, VELOCITY][:, 2]
+        height = self.memory.climb(climb, self.since_lift_s[:-1], period)
+        spin = REVOLUTION * speed[:-1] @ SPIN
+        near = np.where(
+            np.isfinite(height), thrust * np.exp(-np.maximum(height, 0.0) / NEAR_M), 0.0
+        )
+        return {
+            "one": np.ones(n - 1),
+            "thrust": thrust,
+            "more thrust": thrust - STANDARD_GRAVITY,
+            "thrust change": np.diff(ends[:, 0]) / one["mass"] / period,
+            **{f"{a} torque": torque[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
+            **{f"{a} change": change[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
+            **{f"{a} braking": mixed[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
+            "braking": slowed.sum(axis=1),
+            "p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q, "rr": r * r,
+            "pp+qq": p * p + q * q,
+            "u": u, "v": v, "w": w,
+            "pitch momentum": q * spin, "roll momentum": p * spin,
+            "spin change": np.diff(speed @ SPIN) * REVOLUTION / period,
+            "tilt x": turn[:, 2, 1], "tilt y": -turn[:, 2, 0],
+            "near": near,
+        }  # fmt: skip
+
+
+class Memory:
+    """What drives of one part need of the part before."""
+
+    def __init__(self) -> None:
+        self._leaked = np.zeros((1, 4))
+        self._height = 0.0
+
+    def leak(self, values: Array, period_s: float) -> Array:
+        """Leaky integral of (n, 4)."""
+        from scipy.signal import lfilter
+
+        keep = float(np.exp(-period_s / BRAKING_S))
+        out, self._leaked = lfilter([period_s], [1.0, -keep], values, axis=0, zi=self._leaked)
+        return np.asarray(out)
+
+    def climb(self, speed: Array, since_lift_s: Array, period_s: float) -> Array:
+        """Height (n,) for some seconds after a take-off, infinite elsewhere."""
+        known = since_lift_s < LOW_S
+        gained = np.where(known, speed, 0.0) * period_s
+        start = np.flatnonzero(np.diff(since_lift_s, prepend=since_lift_s[0]) < 0)
+        if len(start):
+            self._height = -float(gained[: start[-1]].sum())
+        height = self._height + np.cumsum(gained)
+        self._height = float(height[-1])
+        return np.where(known, height, np.inf)
+
+
+LOW_S = 4.0
+"""Height is reckoned for so long after a take-off."""
+
+
+def entries(period_s: float, lean: bool) -> tuple[Array, Array]:
+    """(what one unit of each signal adds to the observer's error over a row (12, s), and to what
+    is measured at its end (9, s)).
+
+    lean: the model has the firmware's attitude filter, which goes by the gyro alone.
+    """
+    enters, seen = np.zeros((ERRORS, len(KINDS))), np.zeros((9, len(KINDS)))
+    for s, kind in enumerate(KINDS):
+        if kind.acts == "torque":
+            enters[3 + kind.axis, s] = period_s
+            enters[kind.axis, s] = 0.5 * period_s**2
+        elif kind.acts == "force":
+            seen[3 + kind.axis, s] = 1.0
+        elif kind.acts == "gyro":
+            seen[kind.axis, s] = 1.0
+        elif lean:
+            seen[6 + kind.axis, s] = 2.0 * period_s
+        else:
+            enters[kind.axis, s] = period_s
+    return enters, seen
