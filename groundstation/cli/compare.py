@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for
+from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for, require_apart
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
 
@@ -43,6 +43,7 @@ def compare(
 
     if html is not None:
         require_new(html)
+    require_apart(recordings, [])
     loaded = model_for(model, vehicle)
     with shown("reading") as progress:
         flights = [run for part in flights_from(recordings, loaded, vehicle) for run in part]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.compare import RECORDINGS, say_gap, say_where
-from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for
+from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for, require_apart
 from groundstation.cli.model_files import require_new
 from groundstation.cli.progress import shown
 
@@ -69,6 +69,7 @@ def discrepancy(
 
     files = _Outputs(output, json, html, rerun)
     files.require_new()
+    require_apart(recordings, validate or [])
     loaded = model_for(model, vehicle)
     with shown("reading") as progress:
         flights = flights_from(recordings, loaded, vehicle)
@@ -164,6 +165,8 @@ def _improved(model: Model, report: DiscrepancyReport) -> Model:
 
 def _say(report: DiscrepancyReport) -> None:
     """The outcome in plain words."""
+    from groundstation.discrepancy.report_json import why_lost
+
     count = len(report.effects)
     verdict = {
         "effects_found": f"{count} effect{'s' if count != 1 else ''} found",
@@ -190,12 +193,12 @@ def _say(report: DiscrepancyReport) -> None:
     say_gap(report.gap)
     say_where(report.where)
     if report.not_shown:
-        names = ", ".join(sorted({one.name for one in report.not_shown}))
-        typer.echo(f"these recordings cannot show: {names}")
-        for manoeuvre in sorted({one.manoeuvre for one in report.not_shown if one.manoeuvre}):
-            typer.echo(f"     fly {manoeuvre}")
+        typer.echo("these recordings cannot show (and would, if you fly):")
+        for manoeuvre in dict.fromkeys(one.manoeuvre for one in report.not_shown):
+            names = [one.name for one in report.not_shown if one.manoeuvre == manoeuvre]
+            typer.echo(f"     {', '.join(dict.fromkeys(names))}: {manoeuvre}")
     for reason in dict.fromkeys(report.lost.values()):
-        names = ", ".join(name for name, why in report.lost.items() if why == reason)
-        typer.echo(f"not looked for ({reason}): {names}")
+        lost = ", ".join(name for name, why in report.lost.items() if why == reason)
+        typer.echo(f"not looked for ({why_lost(reason)}): {lost}")
     for line in report.warnings:
         typer.echo(f"warning: {line}")

@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
     VEHICLE,
     effect_names,
     model_before,
+    open_one,
     require_new,
-    runs_from,
+    runs_in,
+    vehicle_of,
 )
 from groundstation.cli.progress import shown
 from groundstation.errors import BadInputError
@@ -65,7 +68,7 @@ def fit_motor(
     recordings: list[Path] = RECORDINGS,
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
-    vehicle: str = VEHICLE,
+    vehicle: str | None = VEHICLE,
     model: str | None = MODEL,
     effects: str = WITH,
     motor: int = typer.Option(1, min=1, max=4, help="Motor that carries the speed sensor."),
@@ -101,7 +104,7 @@ def fit_body(
     recordings: list[Path] = RECORDINGS,
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
-    vehicle: str = VEHICLE,
+    vehicle: str | None = VEHICLE,
     model: str | None = MODEL,
     effects: str = WITH,
     tie: bool = typer.Option(False, "--tie-roll-pitch", help="One constant for both: c1 = c0."),
@@ -141,7 +144,7 @@ def fit_arx(
     recordings: list[Path] = RECORDINGS,
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
-    vehicle: str = VEHICLE,
+    vehicle: str | None = VEHICLE,
     model: str | None = MODEL,
     criterion: str = typer.Option(
         None, help="What chooses: free_run (default for angles) or prediction (for rates)."
@@ -202,7 +205,7 @@ class _Task:
 def _carry_out(
     identify: Callable[[_Task, Progress], Identified],
     files: _Files,
-    vehicle: str,
+    vehicle: str | None,
     model: str | None,
     select: str,
     segment: list[str] | None,
@@ -213,14 +216,16 @@ def _carry_out(
     require_new(files.output)
     if files.html is not None:
         require_new(files.html)
+    require_apart(files.recordings, files.validate)
     selection = parse_selection(select, tuple(segment or ()))
-    before = model_before(model, vehicle)
     with shown("reading") as progress:
+        fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
+        craft = vehicle_of([*fit_on, *held], vehicle)
         task = _Task(
-            runs_from(files.recordings),
-            runs_from(files.validate),
-            before,
-            load_vehicle(vehicle),
+            runs_in(fit_on),
+            runs_in(held),
+            model_before(model, craft),
+            load_vehicle(craft),
             selection,
         )
         found = identify(task, progress)
@@ -233,16 +238,12 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     from groundstation import __version__
     from groundstation.dynamics.model import save_model
 
-    account = {
-        **found.account,
-        "recordings": [_fingerprint(path) for path in files.recordings],
-        "held_out": [_fingerprint(path) for path in files.validate] or "last third",
-    }
-    whole = msgspec.structs.replace(
-        found.model,
-        fit={**found.model.fit, account["what"]: account},
-        created_by=f"groundstation {__version__}",
+    documented = found.documented(
+        recordings=[_fingerprint(path) for path in files.recordings],
+        held_out=[_fingerprint(path) for path in files.validate] or "last third",
     )
+    account = documented.fit[found.account["what"]]
+    whole = msgspec.structs.replace(documented, created_by=f"groundstation {__version__}")
     save_model(whole, files.output)
     if files.html is not None:
         from groundstation.identification.report import report

@@ -58,6 +58,28 @@ def flights_from(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
     return found
 
 
+def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:
+    """Raises BadInputError where one flight is given twice, under whatever name.
+
+    Fitted twice it would count as two that agree; held out as well it would prove nothing.
+    """
+    import hashlib
+
+    seen: dict[str, Path] = {}
+    for path in (*recordings, *validate):
+        try:
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError:
+            continue  # whoever opens it says why it cannot be read
+        if content in seen:
+            what = "given twice" if path == seen[content] else f"the same as {seen[content]}"
+            raise BadInputError(
+                f"{path}: {what}; give each recording once, and to --validate only those that are"
+                " not fitted"
+            )
+        seen[content] = path
+
+
 def _other_vehicle(what: str, recorded: str, model: Model) -> BadInputError:
     return BadInputError(
         f"{what}: the vehicle is {recorded!r}, the model is for {model.vehicle!r}; fit a model to"

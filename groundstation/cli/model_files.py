@@ -16,7 +16,12 @@ if TYPE_CHECKING:
     from groundstation.recording.session import Recording
 
 AS_JSON = typer.Option(False, "--json", help="Print JSON for programs.")
-VEHICLE = typer.Option("crazyflie1", help="Vehicle profile: built in, or a TOML file.")
+VEHICLE = typer.Option(
+    None,
+    "--vehicle",
+    help="Vehicle profile: built in, or a TOML file (default: what the recordings say, else"
+    " crazyflie1).",
+)
 
 
 def open_one(path: Path) -> Recording:
@@ -26,9 +31,31 @@ def open_one(path: Path) -> Recording:
 
 
 def runs_from(paths: Sequence[Path]) -> list[Run]:
+    return runs_in([open_one(path) for path in paths])
+
+
+def runs_in(recordings: Sequence[Recording]) -> list[Run]:
     from groundstation.identification.runs import runs_of
 
-    return [run for path in paths for run in runs_of(open_one(path).samples, path.name)]
+    return [run for one in recordings for run in runs_of(one.samples, one.path.name)]
+
+
+def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str:
+    """The profile that the user gave, or the one that the recordings name.
+
+    Raises BadInputError where they name several.
+    """
+    if given is not None:
+        return given
+    said = {one.path.name: one.metadata.get("vehicle", {}).get("profile") for one in recordings}
+    labels = {label for label in said.values() if label is not None}
+    if len(labels) > 1:
+        listed = ", ".join(f"{name} of {label!r}" for name, label in said.items() if label)
+        raise BadInputError(
+            f"recordings of several vehicles ({listed}); fit one at a time, or, if a label is"
+            " wrong, say --vehicle"
+        )
+    return labels.pop() if labels else "crazyflie1"
 
 
 def effect_names(effects: str) -> tuple[str, ...]:

@@ -8,14 +8,12 @@ a run.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError
-from groundstation.identification.runs import CHANNELS, FASTEST_HZ, SLOWEST_HZ, Run
+from groundstation.identification.runs import CHANNELS, Run, uninterrupted
 from groundstation.telemetry.samples import SampleBatch
 
 LONGEST_GAP_S = 0.1
@@ -26,53 +24,38 @@ LEAST_S = 5.0
 def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
     """The runs of a recording that last at least ``least_s``, rows lost in between being NaN.
 
+    A row whose gyro does not read counts as lost.
+
     Raises BadInputError where no run is long enough or the rate is not one of inertial
     telemetry.
     """
     label = name or "recording"
-    if len(samples) < 3:
-        raise BadInputError(f"{label}: {len(samples)} samples are too few; record a flight")
-    time = samples.time_s
-    steps = np.diff(time)
-    usual = float(np.median(steps))
-    if not 1 / FASTEST_HZ <= usual <= 1 / SLOWEST_HZ:
-        raise BadInputError(
-            f"{label}: a sample every {usual * 1e3:.3g} ms; the search needs"
-            f" {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} samples a second"
-        )
-    broken = (steps > LONGEST_GAP_S) | (steps < 0) | (np.diff(samples.segment) != 0)
-    edges = np.concatenate([[0], np.flatnonzero(broken) + 1, [len(samples)]])
-    found, longest = [], 0.0
-    for first, last in pairwise(edges):
-        seconds = float(time[last - 1] - time[first])
-        longest = max(longest, seconds)
-        if seconds >= least_s:
-            found.append(_on_grid(samples[first:last], usual, label))
-    if not found:
-        raise BadInputError(
-            f"{label}: the longest uninterrupted stretch lasts {longest:.1f} s, at least"
-            f" {least_s:.0f} s are needed; record longer or improve the link"
-        )
-    return found
+    read: NDArray[np.bool_] = np.asarray(np.isfinite(samples.gyro).all(axis=1))
+    whole = samples[read] if read.any() else samples
+    return [
+        _on_grid(whole[rows], label, float(samples.time_s[0]))
+        for rows in uninterrupted(whole, label, least_s, _silent)
+    ]
 
 
-def _on_grid(samples: SampleBatch, usual_s: float, label: str) -> Run:
+def _silent(steps: NDArray[np.float64], usual_s: float) -> NDArray[np.bool_]:
+    return np.asarray((steps > LONGEST_GAP_S) | (steps < 0))
+
+
+def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
     """Rows on a grid whose period is the mean over steps without a gap."""
     time = samples.time_s
     steps = np.diff(time)
-    whole = np.rint(steps / usual_s)
+    whole = np.rint(steps / float(np.median(steps)))
     place = np.concatenate([[0], np.cumsum(np.maximum(whole, 1.0))]).astype(np.int64)
     period = float((time[-1] - time[0]) / place[-1])
     count = int(place[-1]) + 1
 
     def grid(values: NDArray[np.floating]) -> NDArray[np.float64]:
         out = np.full((count, *values.shape[1:]), np.nan)
-        out[place] = values
+        out[place] = np.where(np.isfinite(values), values, np.nan)
         return out
 
-    attitude = samples.attitude.astype(np.float64)
-    if np.isfinite(attitude).all():
-        attitude = np.unwrap(attitude, axis=0)
     return Run(
         name=label,
         start_s=float(time[0]),
@@ -81,10 +64,19 @@ def _on_grid(samples: SampleBatch, usual_s: float, label: str) -> Run:
         supply_v=grid(samples.battery_v),
         gyro=grid(samples.gyro),
         accelerometer=grid(samples.accelerometer),
-        attitude=grid(attitude),
+        attitude=grid(_unwrapped(samples.attitude.astype(np.float64))),
         rotor_rev_s=grid(samples.rotor_rev_s),
         debug_s=grid(samples.debug * samples.tick_s),
+        recording_start_s=recording_start_s,
     )
+
+
+def _unwrapped(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (n, 3) without jumps of a turn, across rows that do not read as well."""
+    out = attitude.copy()
+    known = np.isfinite(attitude).all(axis=1)
+    out[known] = np.unwrap(attitude[known], axis=0)
+    return out
 
 
 def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,7 +15,13 @@ from groundstation.discrepancy.report_figures import (
     where_map,
     worst_overlay,
 )
-from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, Gap, WhereRow
+from groundstation.discrepancy.report_json import (
+    CompareReport,
+    DiscrepancyReport,
+    Gap,
+    WhereRow,
+    why_lost,
+)
 from groundstation.discrepancy.where import spectrum_of, worst_stretch
 from groundstation.report.page import Page
 
@@ -223,7 +229,7 @@ def _limits(page: Page, report: DiscrepancyReport) -> None:
                 for n in report.not_shown
             ],
         )
-    page.bullets(f"{name}: not looked for ({why})" for name, why in report.lost.items())
+    page.bullets(f"{name}: not looked for, {why_lost(why)}" for name, why in report.lost.items())
 
 
 def _worst(rows: list[WhereRow]) -> WhereRow | None:

@@ -274,6 +274,11 @@ def findings_report(
     )
 
 
+def why_lost(reason: str) -> str:
+    """A value of ``lost`` in words: a channel that is missing, or why it is not needed."""
+    return f"{reason} is not recorded" if reason in ("accelerometer", "attitude") else reason
+
+
 def _worse(gap: Gap) -> list[str]:
     """Channels on which the improved model is no improvement."""
     return [

@@ -44,6 +44,9 @@ HINTS = (
 """Effects that every craft has: a word where they show and were not fitted along."""
 CROSS_TALK = 0.3
 """Share of an axis's own torque constant that another axis's torque may seem to have."""
+TURNED, TURNED_ERRORS = 0.4, 10.0
+"""The same where both axes do and the signs are those of a turn, and how many standard errors make
+it certain: rotors 45 degrees away give 1."""
 WELL_KNOWN, UNKNOWN = 0.05, 0.5
 """Standard errors over the value from which a constant is worth a warning, or a refusal."""
 MOST_MOVES = 4
@@ -347,8 +350,13 @@ def _separation(one: str, other: str) -> str:
 
 
 def _cross_talk(problem: BodyProblem, theta: Array, noise: Sequence[NoiseModel]) -> list[str]:
-    """Axes whose rate answers to another axis's torque as well: rotors in other places."""
+    """Axes whose rate answers to another axis's torque as well: rotors in other places.
+
+    Raises BadInputError where roll and pitch answer to each other's torque in opposite senses, as
+    they do when the rotors sit a part of a turn away from the profile's.
+    """
     lines = []
+    share, clear = np.zeros((3, 3)), np.zeros((3, 3), np.bool_)
     model = BodyTerms(problem.vehicle, problem.model.thrust_n / problem.vehicle.mass_kg)
     values = problem.values(theta)
     unit = dict.fromkeys(("c0", "c1", "c2"), 1.0)
@@ -365,6 +373,7 @@ def _cross_talk(problem: BodyProblem, theta: Array, noise: Sequence[NoiseModel])
         covariance = inverse(normal)
         gain, error = covariance @ gradient, np.sqrt(np.diag(covariance))
         own = values[f"c{axis}"] + gain[axis]
+        share[axis], clear[axis] = gain / own, np.abs(gain) > TURNED_ERRORS * error
         lines += [
             f"{name} turns with the torque about {AXES[other]} as well"
             f" ({gain[other] / own:+.0%}): is the profile's configuration"
@@ -372,6 +381,14 @@ def _cross_talk(problem: BodyProblem, theta: Array, noise: Sequence[NoiseModel])
             for other in {0, 1, 2} - {axis}
             if abs(gain[other]) > max(CROSS_TALK * abs(own), 5 * error[other])
         ]
+    crossed = share[0, 1] * share[1, 0] < 0 and min(abs(share[0, 1]), abs(share[1, 0])) > TURNED
+    if crossed and clear[0, 1] and clear[1, 0]:
+        names = ", ".join(sorted({one.run.name for one in problem.stretches}))
+        raise BadInputError(
+            f"{names}: not flown by a {problem.vehicle.name!r}: roll answers to pitch torque"
+            f" ({share[0, 1]:+.0%}) and pitch to roll torque ({share[1, 0]:+.0%}); its rotors do"
+            f" not sit in configuration '{problem.vehicle.configuration}': give the right --vehicle"
+        )
     return lines
 
 

@@ -6,9 +6,8 @@ as motion. A run may be cut further: by hand, or into what is fitted and what is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from groundstation.spans import spans
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 STEP_TOLERANCE = 0.5
 """A step that differs from the usual one by more than this share of it ends a run."""
@@ -78,6 +78,37 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     Raises BadInputError where none does, or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
+    found = []
+    for rows in uninterrupted(samples, label, least_s, _uneven):
+        part = samples[rows]
+        time = part.time_s
+        columns: dict[str, NDArray[np.floating]] = {
+            "duty": part.duty,
+            "supply_v": part.battery_v,
+            "gyro": part.gyro,
+            "accelerometer": part.accelerometer,
+            "attitude": np.unwrap(part.attitude.astype(np.float64), axis=0),
+            "rotor_rev_s": part.rotor_rev_s,
+            "debug_s": part.debug * part.tick_s,
+        }
+        period = float((time[-1] - time[0]) / (len(part) - 1))
+        parts = {key: np.asarray(values, np.float64) for key, values in columns.items()}
+        start = float(samples.time_s[0])
+        found.append(Run(label, float(time[0]), period, **parts, recording_start_s=start))
+    return found
+
+
+def uninterrupted(
+    samples: SampleBatch, label: str, least_s: float, breaks: Callable[[Array, float], Mask]
+) -> list[slice]:
+    """Rows of the stretches of a recording that last at least ``least_s``.
+
+    A restart ends a stretch, and so does what ``breaks`` says of (steps (n - 1,) s, the usual
+    one).
+
+    Raises BadInputError where no stretch is long enough, or where the rate is not one of inertial
+    telemetry.
+    """
     if len(samples) < 3:
         raise BadInputError(f"{label}: {len(samples)} samples are too few; record a flight")
     time = samples.time_s
@@ -85,36 +116,24 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     usual = float(np.median(steps))
     if not 1 / FASTEST_HZ <= usual <= 1 / SLOWEST_HZ:
         raise BadInputError(
-            f"{label}: a sample every {usual * 1e3:.3g} ms; identification needs"
-            f" {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} samples a second"
+            f"{label}: a sample every {usual * 1e3:.3g} ms; {SLOWEST_HZ:.0f} to"
+            f" {FASTEST_HZ:.0f} samples a second are needed"
         )
-    broken = np.abs(steps - usual) > STEP_TOLERANCE * usual
-    broken |= np.diff(samples.segment) != 0
-    edges = np.concatenate([[0], np.flatnonzero(broken) + 1, [len(samples)]])
-    longest = int(np.diff(edges).max())
-    columns: dict[str, NDArray[np.floating]] = {
-        "duty": samples.duty,
-        "supply_v": samples.battery_v,
-        "gyro": samples.gyro,
-        "accelerometer": samples.accelerometer,
-        "attitude": np.unwrap(samples.attitude.astype(np.float64), axis=0),
-        "rotor_rev_s": samples.rotor_rev_s,
-        "debug_s": samples.debug * samples.tick_s,
-    }
-    runs = []
-    for first, last in pairwise(edges):
-        if (last - first) * usual < least_s:
-            continue
-        period = float((time[last - 1] - time[first]) / (last - first - 1))
-        parts = {key: np.asarray(values[first:last], np.float64) for key, values in columns.items()}
-        start = float(time[first])
-        runs.append(Run(label, start, period, **parts, recording_start_s=float(time[0])))
-    if not runs:
+    ends = np.flatnonzero(breaks(steps, usual) | (np.diff(samples.segment) != 0)) + 1
+    edges = np.concatenate([[0], ends, [len(samples)]])
+    # By count as well: rounding must not shorten a stretch of exactly so long.
+    seconds = np.maximum(time[edges[1:] - 1] - time[edges[:-1]] + usual, np.diff(edges) * usual)
+    if seconds.max() < least_s:
         raise BadInputError(
-            f"{label}: the longest uninterrupted stretch lasts {longest * usual:.2f} s, at least"
-            f" {least_s:.1f} s are needed; record longer or improve the link"
+            f"{label}: the longest uninterrupted stretch lasts {seconds.max():.2f} s, at least"
+            f" {least_s:g} s are needed; record longer or improve the link"
         )
-    return runs
+    long = np.flatnonzero(seconds >= least_s)
+    return [slice(int(edges[k]), int(edges[k + 1])) for k in long]
+
+
+def _uneven(steps: Array, usual_s: float) -> Mask:
+    return np.asarray(np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s)
 
 
 def hold_out(runs: Sequence[Run], share: float = 1 / 3) -> tuple[list[Run], list[Run]]:

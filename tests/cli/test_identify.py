@@ -15,6 +15,8 @@ from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.recording_file import RecordingFile
 from groundstation.recording.session import Recording
 
 RECORDED = {
@@ -91,10 +93,39 @@ def test_a_motor_a_body_and_a_simulation_follow_from_recordings(files, tmp_path)
 
 def test_held_out_recordings_can_be_named(files, tmp_path):
     model = tmp_path / "body.json"
-    run("fit", "body", files["reduced"], "--validate", files["reduced"], "-o", model)
+    run("fit", "body", files["reduced"], "--validate", files["faithful"], "-o", model)
     account = load_model(model).fit["body"]
-    assert account["held_out"][0]["file"] == "reduced.csv"
-    assert account["identification"] == account["validation"]
+    assert account["held_out"][0]["file"] == "faithful.csv"
+    # The faithful craft has what the model lacks.
+    name = "gyro_yaw_rms_20ms"
+    assert account["validation"][name] > 2 * account["identification"][name]
+
+
+def test_a_recording_given_twice_is_refused_whatever_its_name(files, tmp_path):
+    copy = tmp_path / "copy.csv"
+    copy.write_bytes(files["reduced"].read_bytes())
+    for more in ([copy], ["--validate", copy]):
+        with pytest.raises(BadInputError, match=r"copy\.csv: the same as .*reduced\.csv"):
+            run("fit", "body", files["reduced"], *more, "-o", tmp_path / "body.json")
+    assert not (tmp_path / "body.json").exists()
+
+
+def test_the_vehicle_is_the_one_that_recordings_name_unless_the_user_does(files, tmp_path):
+    labelled, other = tmp_path / "labelled.mcap", tmp_path / "other.mcap"
+    samples = open_recording(files["reduced"]).samples
+    for path, profile, rows in (
+        (labelled, "crazyflie21", slice(0, None)),
+        (other, "crazyflie1", slice(1, None)),
+    ):
+        file = RecordingFile(path, {"vehicle": {"profile": profile}})
+        file.samples(samples[rows])
+        file.finish()
+    with pytest.raises(BadInputError, match="not flown by a 'crazyflie21'"):
+        run("fit", "body", labelled, "-o", tmp_path / "body.json")
+    with pytest.raises(BadInputError, match="recordings of several vehicles"):
+        run("fit", "body", labelled, other, "-o", tmp_path / "body.json")
+    run("fit", "body", labelled, "--vehicle", "crazyflie1", "-o", tmp_path / "body.json")
+    assert load_model(tmp_path / "body.json").vehicle == "crazyflie1"
 
 
 def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):

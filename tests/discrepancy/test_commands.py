@@ -224,3 +224,12 @@ def test_a_model_of_another_configuration_is_refused_by_how_the_craft_answers(re
 def test_a_model_that_is_not_for_the_given_vehicle_is_refused(refused):
     said = refused(flight(12.0), "discrepancy", "base.json", "--vehicle", "crazyflie21")
     assert "the model is for 'crazyflie1'" in said
+
+
+def test_a_recording_both_fitted_and_held_out_is_refused(folder, tmp_path):
+    copy = tmp_path / "copy.mcap"
+    copy.write_bytes((folder / "clean.mcap").read_bytes())
+    model = ("--model", folder / "base.json")
+    said = said_no("discrepancy", folder / "clean.mcap", *model, "--validate", copy)
+    assert "copy.mcap: the same as" in said
+    assert "given twice" in said_no("compare", copy, copy, *model)
