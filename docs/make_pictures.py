@@ -1,6 +1,8 @@
-"""``python docs/make_pictures.py RECORDING [--at SECONDS]``: the README's picture of the viewer.
+"""``python docs/make_pictures.py [viewer] [where]``: the pictures of README and docs, made anew.
 
-Needs no display; without a GPU, Debian's mesa-vulkan-drivers and libvulkan1 draw it.
+viewer: a stand-in flight in the viewer; needs no display; without a GPU, Debian's
+mesa-vulkan-drivers and libvulkan1 draw it. where: the map of where a model and a craft with hidden
+effects disagree, and how the gap shrinks as the search names them. Any other name is an error.
 """
 
 from __future__ import annotations
@@ -9,26 +11,85 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from groundstation.recording.open_recording import open_recording
+import msgspec
+import numpy as np
+
+from firmware_sim.craft import StandIn
+from firmware_sim.settings import StandInSettings
+from groundstation import (
+    RawBatch,
+    Run,
+    compare,
+    decode_all,
+    find_effects,
+    flights_of,
+    load_vehicle,
+    open_recording,
+    prove,
+    vehicle_model,
+)
+from groundstation.discrepancy.comparison import Judged
+from groundstation.discrepancy.report_figures import waterfall, where_map
+from groundstation.report.figure import png
 from groundstation.viewer.rrd import write_rrd
 from groundstation.viewer.screenshot import hidden_viewer
 
 IMAGES = Path(__file__).parent / "images"
+RECORDING = Path(__file__).parents[1] / "recordings" / "stand_in_flight.mcap"
+AT_S = 24.0
+HIDDEN = {
+    "centre_of_gravity_offset": {"x_m": 0.0001},
+    "velocity_moment": {"moment": 10.0},
+    "rotor_acceleration_torque": {"rotor_inertia_kg_m2": 2e-8},
+}
+FLIGHT_S = 40.0
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recording", type=Path, help="any recording that groundstation reads")
-    parser.add_argument("--at", type=float, help="device time in seconds (default: the end)")
-    options = parser.parse_args()
-    recording = open_recording(options.recording)
+    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "where"])
+    chosen = parser.parse_args().pictures or ["viewer", "where"]
+    if "viewer" in chosen:
+        save("viewer.png", viewer_picture(RECORDING, AT_S))
+    if "where" in chosen:
+        where, gap = search_pictures()
+        save("where.png", where)
+        save("gap.png", gap)
+
+
+def save(name: str, picture: bytes) -> None:
+    (IMAGES / name).write_bytes(picture)
+    print(IMAGES / name)
+
+
+def viewer_picture(recording: Path, at_s: float) -> bytes:
+    """The recording in the viewer, the cursor at a device time."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.rrd"
-        write_rrd(recording, path)
+        write_rrd(open_recording(recording), path)
         with hidden_viewer(path, (1600, 900)) as viewer:
-            picture = viewer.picture(options.at)
-    IMAGES.mkdir(exist_ok=True)
-    (IMAGES / "viewer.png").write_bytes(picture)
+            return viewer.picture(at_s)
+
+
+def search_pictures() -> tuple[bytes, bytes]:
+    """(where a model errs on a craft with hidden effects, the gap as they are named)."""
+    model = vehicle_model(load_vehicle("crazyflie1"))
+    fit_on, held = [*flown(3), *flown(4)], flown(5)
+    findings = find_effects(fit_on, model, held)
+    judged = [Judged(run, 0, len(run)) for run in held]
+    proof = prove(findings, compare(fit_on, model), judged)
+    print(", ".join(effect.name for effect in findings.effects), [s[1] for s in proof.steps])
+    return (
+        png(where_map([("the model given: error over noise", proof.before.places)])),
+        png(waterfall(proof.steps)),
+    )
+
+
+def flown(seed: int) -> list[Run]:
+    settings = {"plant": "reduced", "seed": seed, "effects": HIDDEN}
+    packets, heard_s = StandIn(msgspec.convert(settings, StandInSettings)).advance(FLIGHT_S)
+    samples, _ = decode_all(RawBatch(packets, np.rint(heard_s * 1e9).astype(np.int64)))
+    return flights_of(samples, f"flight {seed}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,81 @@
+"""Imports point the way docs/architecture.md says."""
+
+import ast
+import re
+
+import pytest
+from pages import ROOT
+
+TEXT = (ROOT / "docs" / "architecture.md").read_text()
+ROWS = re.findall(r"^\| `(\w+)` \| ([^|]*)\| ([^|]*)\|$", TEXT, re.MULTILINE)
+PACKAGES = {name: (what, may) for name, what, may in ROWS}
+SMALL = {path.stem for path in (ROOT / "groundstation").glob("*.py")} - {"__init__"}
+PURE = {name for name, (what, _) in PACKAGES.items() if what.strip().endswith("pure")}
+OUTSIDE = {"asyncio", "http", "socket", "subprocess", "threading", "serial", "usb", "rerun"}
+"""What touches the world: no business of a pure package."""
+
+
+def sources(package):
+    folder = ROOT / package if package == "firmware_sim" else ROOT / "groundstation" / package
+    return sorted(folder.rglob("*.py"))
+
+
+def imported(path):
+    """Every module that a file imports, wherever in it."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: a relative import"
+            yield node.module or ""
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def ours(path):
+    """The packages of ours that a file imports; of the package itself only the version."""
+    for module in imported(path):
+        top, _, rest = module.partition(".")
+        if top == "groundstation" and rest:
+            yield rest.partition(".")[0]
+        elif top == "firmware_sim":
+            yield top
+
+
+def allowed(package):
+    may = PACKAGES[package][1]
+    if "everything" in may:
+        return set(PACKAGES)
+    names = set(re.findall(r"\w+", re.sub(r"\([^)]*\)", "", may))) & set(PACKAGES)
+    return names | (PURE if "all pure packages" in may else set())
+
+
+def test_the_table_has_every_package():
+    folders = {path.parent.name for path in (ROOT / "groundstation").glob("*/__init__.py")}
+    assert folders | {"firmware_sim"} == set(PACKAGES)
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_a_package_imports_what_its_row_says(package):
+    for path in sources(package):
+        strange = set(ours(path)) - allowed(package) - SMALL - {package}
+        assert not strange, f"{path.relative_to(ROOT)} imports {sorted(strange)}"
+
+
+@pytest.mark.parametrize("package", sorted(PURE))
+def test_a_pure_package_does_not_touch_the_world(package):
+    for path in sources(package):
+        touched = OUTSIDE & {module.partition(".")[0] for module in imported(path)}
+        assert not touched, f"{path.relative_to(ROOT)} imports {sorted(touched)}"
+
+
+def test_small_modules_import_nothing_of_ours_but_each_other():
+    for name in SMALL:
+        assert set(ours(ROOT / "groundstation" / f"{name}.py")) <= SMALL, name
+
+
+def test_only_one_link_knows_the_software_craft():
+    knowing = [
+        path.relative_to(ROOT / "groundstation").as_posix()
+        for path in sources("")
+        if "firmware_sim" in set(ours(path))
+    ]
+    assert knowing == ["links/stand_in.py"]
