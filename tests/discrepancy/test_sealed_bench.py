@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import asdict
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -14,7 +15,7 @@ from stand_in_bench import plant, slopes
 from bench.sealed.bound import significances
 from bench.sealed.cases import GROUPS, POWER_SIGMAS, Case, matrix, named
 from bench.sealed.figures import draw as draw_figures
-from bench.sealed.flights import CARRY, PROGRAMME, Sealed, flown, record
+from bench.sealed.flights import CARRY, PROGRAMME, Sealed, constants_alone, flown, record
 from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
 from bench.sealed.run import judged_again, search_arguments
@@ -28,7 +29,7 @@ from firmware_sim.effects.present import present_effects
 from firmware_sim.layout import TRUTH
 from firmware_sim.settings import StandInSettings
 from groundstation.discrepancy.regimes import motion_of, regimes_of
-from groundstation.dynamics.model import THESIS, save_model
+from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, save_model
 from groundstation.identification.runs import Run
 
 RANGES = {
@@ -449,3 +450,11 @@ def test_for_power_curves_the_search_behind_the_command_is_asked_for_names_alone
     names_alone(search_arguments(tmp_path))
     said = json.loads((tmp_path / "report.json").read_text())
     assert "velocity_moment" in [effect["name"] for effect in said["effects"]]
+
+
+def test_what_a_bench_fitted_along_is_not_told_to_the_search(tmp_path):
+    lag = EffectTerm("battery_reading_lag", {"time_constant_s": Estimate(0.15, 0.01, "s")})
+    path = tmp_path / "motor.json"
+    save_model(msgspec.structs.replace(THESIS, effects=(lag,)), path)
+    constants_alone(path)
+    assert load_model(path) == THESIS
