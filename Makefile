@@ -5,10 +5,14 @@ BIN := $(VENV)/bin
 ARGS ?=
 GROUNDSTATION_LOCAL_DATA ?= local-data
 
-.PHONY: run test test-usb check-local lint bench bench-discrepancy soak clean
+.PHONY: run demo test test-usb check-local lint bench bench-discrepancy soak clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
+
+# The whole story on the software craft, and a report: `make demo ARGS="--seed 3"` for another.
+demo: $(VENV)/.ready-dev
+	$(BIN)/groundstation demo $(ARGS)
 
 test: $(VENV)/.ready-dev lint
 	$(BIN)/pytest -n auto $(ARGS)

@@ -28,7 +28,6 @@ HIDEABLE = (
     "supply_sag",
     "gyro_low_pass",
     "accelerometer_bias",
-    "gyro_bias",
     "yaw_damping",
 )
 """Effects that any ordinary flight shows at every size drawn; neighbours are unlike each other,

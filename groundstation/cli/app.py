@@ -9,6 +9,7 @@ from groundstation.cli import (
     attitude,
     compare,
     control,
+    demo,
     devices,
     discrepancy,
     export,
@@ -60,6 +61,7 @@ for module in (
     discrepancy,
     pid,
     attitude,
+    demo,
     install,
 ):
     module.add_commands(app)

@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.control.flown import Flown
 from groundstation.control.flown_recording import analyse_recording
-from groundstation.demo.outcome import Distance, channels, flight, flights_apart
+from groundstation.demo.outcome import Distance, channels, flight, flights_apart, watched
 from groundstation.discrepancy.findings import CHANNELS, Candidate
 from groundstation.discrepancy.gap import UNITS
 from groundstation.discrepancy.report_figures import label
@@ -19,13 +19,17 @@ from groundstation.identification.evidence import liveliest
 from groundstation.identification.motor import bench_run, simulate_run
 from groundstation.identification.runs import hold_out
 from groundstation.recording.open_recording import open_recording
-from groundstation.report.figure import IMPROVED, MEASURED, MODELLED, NEUTRAL, figure
+from groundstation.report.figure import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.twin.twin import Twin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SHOWN_S = 4.0
+GAP_TICKS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+COLOURED = 3
+"""Channels that stand out in the twin's picture."""
 RATES = (("gyro_x", "roll rate"), ("gyro_y", "pitch rate"), ("gyro_z", "yaw rate"))
 
 
@@ -75,6 +79,40 @@ def flown_steps(folder: Path, report: dict[str, Any]) -> Flown:
     recording = open_recording(Path(report["recording"]))
     model = load_model(str(folder / "body.json"))
     return analyse_recording(recording, model, report["gains"], "pid fly")
+
+
+def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
+    """The watched flight: gap by channel over time, and what the twin said when."""
+    recording = open_recording(watched(folder))
+    samples = recording.samples
+    twin = Twin(load_model(str(folder / "body.json")))
+    shown = [one for one, _ in twin.feed(samples) if len(one.time_s)]
+    start_s = float(samples.time_s[0])
+    time = np.array([one.time_s[-1] for one in shown]) - start_s
+    gap = np.array([one.gap for one in shown])
+    worst = np.argsort(-np.nan_to_num(np.nanmax(gap, axis=0)))
+    made, (axis,) = figure(9.6, 3.8)
+    for channel in worst[::-1]:
+        told = int(np.flatnonzero(worst == channel)[0])
+        color = SERIES[told] if told < COLOURED else "#c9ced6"
+        axis.plot(time, gap[:, channel], color=color, linewidth=1.8 if told < COLOURED else 1.0,
+                  label=label(CHANNELS[channel]) if told < COLOURED else None)  # fmt: skip
+    axis.axhline(1.0, color=MEASURED, linestyle="--", linewidth=1.0, label="noise alone")
+    axis.set_yscale("log")
+    highest = 2.2 * max(3.0, float(np.nanmax(gap)))
+    axis.set_yticks([tick for tick in GAP_TICKS if tick < highest])
+    axis.set_yticks([], minor=True)
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.set_ylim(0.4, highest)
+    axis.set_xlim(0.0, float(samples.time_s[-1]) - start_s)
+    if noticed:
+        heard_s = float(noticed[0]["details"]["noticed_s"]) - start_s
+        axis.axvline(heard_s, color=BAD, linewidth=1.6)
+        axis.annotate(" the twin is sure", (heard_s, 0.44), color=BAD, fontsize=9, va="bottom")
+    axis.set_ylabel("prediction error over noise")
+    axis.set_xlabel("time in the flight, s")
+    axis.legend(loc="upper right", ncols=4, frameon=False)
+    return made
 
 
 def candidates_of(found: DiscrepancyReport) -> list[Candidate]:

@@ -150,10 +150,16 @@ def channels(run: Run) -> Array:
     return np.hstack([run.gyro, run.accelerometer, run.attitude]) * PER_SI
 
 
-def twin_events(folder: Path) -> list[dict[str, Any]]:
-    """What the twin said while it watched, in order."""
+def watched(folder: Path) -> Path:
+    """The recording of the flight that the twin watched."""
     (path,) = folder.glob("watched/*.mcap")
-    return [one for one in open_recording(path).events if one.get("kind") == "disagrees"]
+    return path
+
+
+def twin_events(folder: Path) -> list[dict[str, Any]]:
+    """What the twin said while it watched, in order: disagreements that began."""
+    events = open_recording(watched(folder)).events
+    return [one for one in events if one.get("link") == "twin" and one.get("kind") == "gap"]
 
 
 def described(name: str, parameters: dict[str, float], errors: dict[str, float | None]) -> str:

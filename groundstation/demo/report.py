@@ -15,8 +15,9 @@ from groundstation.demo.figures import (
     flown_steps,
     gap_steps,
     motor_figure,
+    twin_figure,
 )
-from groundstation.demo.outcome import Outcome, said_found, said_hidden
+from groundstation.demo.outcome import Outcome, said_found, said_hidden, watched
 from groundstation.demo.shell import LOG, SCRIPT
 from groundstation.demo.story import CRAFT_FILE, FLIGHT, SEALED
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
@@ -164,6 +165,22 @@ def _controller_flies(page: Page, outcome: Outcome) -> None:
 
 def _watched(page: Page, outcome: Outcome) -> None:
     page.heading("Something is wrong, and the twin notices")
+    (claim,) = (one for one in outcome.claims if one.name == "noticed")
+    page.verdict(_sentence(claim.text), "good" if claim.true else "bad")
+    page.text(
+        "Now the craft has something that the model has not. It flies in real time while the twin"
+        " predicts, from each moment, what it will do in the next 50 ms, and compares. The twin"
+        " speaks up when a disagreement is more than chance allows, and says in which channel and"
+        " in what kind of flight."
+    )
+    page.figure(
+        twin_figure(outcome.folder, outcome.noticed),
+        "Prediction error of every half second over what noise leaves; the three channels that"
+        " disagree most in colour. The twin learns the noise first, in the air.",
+    )
+    page.table(["what the twin said"], [[str(one["text"])] for one in outcome.noticed])
+    page.links([("recording", str(watched(outcome.folder).relative_to(outcome.folder))),
+                ("for the rerun viewer", "watched.rrd")])  # fmt: skip
 
 
 def _named(page: Page, outcome: Outcome) -> None:

@@ -29,6 +29,11 @@ seed = {seed}
 "pid_attitude.roll_ki" = 3.0
 "pid_attitude.pitch_ki" = 3.0
 """
+ATTITUDE_FILTER = """
+# Where the controller flies, the angles come from the firmware's own filter, as the design assumes.
+[stand_in.effects.attitude_filter_lean]
+strength = 1.0
+"""
 CRAFT_FILE, WAITING, FLIGHT, SEALED = "craft.toml", "waiting.toml", "flight.toml", "sealed.toml"
 BENCH_S, FLIGHT_S = 40, 40
 PID_FLIGHTS = ("pid_flight", "pid_flight_again")
@@ -65,7 +70,7 @@ def inputs(seed: int) -> dict[str, str]:
     """The files that the story begins with."""
     return {
         CRAFT_FILE: CRAFT.format(program=FLIGHT, seed=100 * seed),
-        WAITING: CRAFT.format(program="wait", seed=100 * seed + 9),
+        WAITING: CRAFT.format(program="wait", seed=100 * seed + 9) + ATTITUDE_FILTER,
         FLIGHT: (files("groundstation.demo") / FLIGHT).read_text(encoding="utf-8"),
     }
 
@@ -159,7 +164,7 @@ def _watched(shell: Shell, seed: int) -> None:
         *("--seed", str(seed), "-o", SEALED),
     )
     shell.run(
-        *("groundstation", "run", "--config", SEALED),
+        *("groundstation", "run", "--config", SEALED, "--twin", "body.json"),
         *("--for", str(FLIGHT_S + 1), "--recordings", "watched"),
     )
     shell.run("groundstation", "convert", "watched/*.mcap", "watched.rrd")
