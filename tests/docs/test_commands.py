@@ -47,6 +47,9 @@ ELSEWHERE = {
     "make demo": ("three minutes", ".ci/run", "make demo"),
     "groundstation demo": ("three minutes", ".ci/run", "make demo"),
     "sh demo-1/commands.sh": ("after the demo", "tests/system/test_demo.py", ""),
+    # one axis and one search are in the story
+    "groundstation pid design": ("three axes: 20 s", "tests/cli/test_pid.py", '"design"'),
+    "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", '"discrepancy"'),
     "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio]"),
     "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
@@ -58,7 +61,7 @@ ELSEWHERE = {
     "ssh ": ("another machine", "tests/viewer/test_viewer.py", "serve"),
 }
 SHORTER = {
-    "groundstation pid design": ["--axis", "yaw", "--draws", "50"],
+    "groundstation pid design": ["--draws", "50"],
     "groundstation pid fly": ["--dry-run"],  # flown by tests/system/test_pid_fly.py
 }
 LIVE = ("groundstation run", "groundstation status --watch")
@@ -168,7 +171,7 @@ def carry_out(command, folder):
     words = shlex.split(command)
     for start, more in SHORTER.items():
         if command.startswith(start):
-            words += [] if "--axis" in words and more[0] == "--axis" else more
+            words += more
     if command.startswith("make run"):
         return make_run(folder)
     if command.startswith(LIVE):

@@ -44,6 +44,8 @@ class Larder:
         target = folder / name
         if target.exists():
             return True
+        if name == "sessions":
+            return self.give("sessions/torn.mcap", folder)
         source = self._source(name)
         if source is None:
             return False
