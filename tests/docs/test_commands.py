@@ -48,8 +48,8 @@ ELSEWHERE = {
     "groundstation demo": ("three minutes", ".ci/run", "make demo"),
     "sh demo-1/commands.sh": ("after the demo", "tests/system/test_demo.py", ""),
     # one axis and one search are in the story
-    "groundstation pid design": ("three axes: 20 s", "tests/cli/test_pid.py", '"design"'),
-    "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", '"discrepancy"'),
+    "groundstation pid design": ("20 s", "docs/getting_started.md", "pid design"),
+    "groundstation discrepancy": ("10 s", "docs/getting_started.md", "groundstation discrepancy"),
     "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio]"),
     "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),

@@ -13,7 +13,8 @@ PROGRAMS = {
 }
 """What the first word of a command in a block can be."""
 DATA = {"python", "toml", "json", "csv", "c", "text", "console"}
-"""Languages of blocks that hold no commands; ``text`` behind commands is what they print, ``console`` the same where no test repeats it."""
+"""Languages of blocks that hold no commands; ``text`` behind commands is what they
+print, ``console`` the same where no test repeats it."""
 
 
 @dataclass(frozen=True)
