@@ -21,6 +21,7 @@ from groundstation.demo.outcome import Outcome, said_found, said_hidden, watched
 from groundstation.demo.shell import LOG, SCRIPT
 from groundstation.demo.story import CRAFT_FILE, FLIGHT, SEALED
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
+from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.report.page import Page
 
 REPORT = "report.html"
@@ -188,6 +189,9 @@ def _named(page: Page, outcome: Outcome) -> None:
     page.heading("What is it?")
     (claim,) = (one for one in outcome.claims if one.name == "named")
     page.verdict(_sentence(claim.text), "good" if claim.true else "bad")
+    page.bullets(
+        f"{effect.name} in words: {EFFECTS[effect.name].signature}" for effect in found.effects
+    )
     page.text(
         "The watched flight and one more are searched for every effect in the list; a third flight"
         " is held out as a judge. Many effects explain a little of what another does; only what"
