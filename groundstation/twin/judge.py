@@ -110,7 +110,7 @@ class Judge:
         self.sums = np.zeros(len(KINDS))
         """The largest sum (s,) over the windows, signed, after the last block."""
         self.statistics = np.zeros(len(KINDS))
-        """The same with every block at its full weight."""
+        """The same with every block at its full weight and nothing taken off."""
 
     def take(self, block: Block) -> list[Episode]:
         """Episodes that this block begins (``end_s`` None) or ends."""
@@ -177,7 +177,8 @@ class Judge:
         return told
 
     def _sums(self) -> tuple[Array, Array, NDArray[np.int64]]:
-        """(largest sum (s,), the same with blocks at their full weight, blocks it is over (s,)).
+        """(largest sum (s,), the same with blocks at their full weight and nothing taken off,
+        blocks it is over (s,)).
 
         What the shared signals may hold is marginalised: a signal's sum is taken of what they,
         within their allowances, cannot explain.
@@ -197,21 +198,22 @@ class Judge:
             meant = np.sum([part.meant for part in parts], axis=0)
             mixed = np.sum([part.mixed for part in parts], axis=0)
             known = energy[-count:].sum(axis=0)
-            total = np.stack([clipped[-count:].sum(axis=0), pull[-count:].sum(axis=0)])
+            total, plain = clipped[-count:].sum(axis=0), pull[-count:].sum(axis=0)
             # c (m, s): so much of each shared signal's own sum is taken off a signal's.
             own = meant[:, shared] + self._doubt
             c = np.linalg.solve(own.T, meant)
             c[:, shared] = np.where(np.eye(len(shared)) > 0, 0.0, c[:, shared])
-            value = total - total[:, shared] @ c
+            value = total - total[shared] @ c
             left = meant - meant[:, shared] @ c
             noise = known - 2.0 * np.sum(c * mixed, axis=0)
             noise += np.einsum("ms,mn,ns->s", c, mixed[:, shared], c)
             size = spread * noise + np.square(left).T @ self._allowed
             clear = noise > CLEAR * known
             value = np.where(clear, value / np.sqrt(np.where(clear, size, 1.0)), 0.0)
-            larger = np.abs(value[0]) > np.abs(best)
-            best[larger], over[larger] = value[0, larger], count
-            whole[larger] = value[1, larger]
+            larger = np.abs(value) > np.abs(best)
+            best[larger], over[larger] = value[larger], count
+            own_size = np.sqrt(spread * np.where(known > 0.0, known, 1.0))
+            whole[larger] = (plain / own_size)[larger]
         return best, whole, over
 
     def _follow(

@@ -46,13 +46,13 @@ AFTER_S = 0.6
 have been a landing."""
 STRIDE_S = 0.01
 MOSTLY = 0.7
-"""Share of a block's rows that were received, in settled flight, where the noise is learnt."""
+"""Share of a block in settled flight where the noise is learnt."""
 LEARN_S = 3.0
 """Settled flight from which the noise is learnt, once; nothing is judged before."""
 LIFT_OFF_S = 0.3
 """Left out after a take-off."""
 LOST_S = 0.05
-"""Left out after two lost rows or more: the motors' inputs were not known."""
+"""Left out after lost rows: what drove the motors meanwhile was not known."""
 STILL_S, STILL_RATE = 0.2, 0.012
 """A craft whose rates (rad/s) stay below this for so long lies on something."""
 
@@ -217,7 +217,7 @@ class _Stretch:
         )
         self._begins = False
         self._done = done + count
-        self._tune(judged)
+        self._tune()
         self.rows.forget(self._done - max(self._history, 0 if self._tuned else self._learn))
         return block
 
@@ -261,9 +261,8 @@ class _Stretch:
         square[:9] /= WINDOW_ROWS * share
         return square, scores
 
-    def _tune(self, judged: Mask) -> None:
+    def _tune(self) -> None:
         """Gains that suit the craft's vibration and the air, once seconds of flight can tell."""
-        self._steady = self._steady + len(judged) if judged.mean() > MOSTLY else 0
         if self._tuned or self._steady < self._learn:
             return
         noise = noise_of(self._owner.model, self.rows.piece(self._done - self._learn, self._done))
@@ -294,7 +293,6 @@ class _Stretch:
         now = self._flying
         if now is None:
             now = bool(turning[0] and lift[0] > LANDED)
-        lost = 0
         for row in range(count + 1):
             if not (turning[row] and carried[row]):
                 now = False
@@ -304,18 +302,17 @@ class _Stretch:
                 self._settled_from = self._lifted + round(LIFT_OFF_S / period)
                 self._begins = True
             flying[row] = now
-            lost = 0 if known[row] else lost + 1
-            if lost > 1:
+            if not known[row]:
                 self._known_from = self._done + row + round(LOST_S / period)
-            settled[row] = known[row] and self._done + row >= max(
-                self._settled_from, self._known_from
-            )
+            settled[row] = self._done + row >= self._settled_from
+            known[row] &= self._done + row >= self._known_from
         self._flying = now
         stays = ~_later(~turning, self._after)[: count + 1]
         quick = np.abs(piece.gyro).max(axis=1) > STILL_RATE
         moves = _later(quick, round(STILL_S / period))[: count + 1]
-        judged = flying & settled & stays & moves
-        return flying, np.ascontiguousarray(judged[1:])
+        settled &= flying & stays & moves
+        self._steady = self._steady + count if settled[1:].mean() > MOSTLY else 0
+        return flying, np.ascontiguousarray((settled & known[: count + 1])[1:])
 
 
 def _later(mask: Mask, rows: int) -> Mask:

@@ -104,8 +104,9 @@ KINDS = _kinds()
 PHASE = 1.0 / np.sqrt(12.0)
 """Standard deviation, in rows, of a sensor's clock that runs beside the control loop's."""
 UNTIMED_ROWS = 0.1
-GAIN = 0.003
-"""What a fit leaves of the doubt about a torque's or the thrust's gain, by share."""
+LAG_S, GAIN = 1e-4, 0.005
+"""Doubt that stays about a gyro's lag and a torque's or the thrust's gain: what a fit leaves, and
+what an observer that is not tuned to the last per cent makes of feedback."""
 GYRO_STEP = math.radians(1 / 16.384)
 ACCELEROMETER_STEP = STANDARD_GRAVITY / 4096
 """A register's step: a constant within it is no disagreement."""
@@ -114,6 +115,7 @@ SHARED = tuple(
     for number, kind in enumerate(KINDS)
     if (kind.drive.endswith("change") and kind.drive != "spin change")
     or kind.drive == "one"
+    or kind.acts == "gyro"
     or (kind.acts, kind.drive) == ("force", "more thrust")
     or (kind.acts == "torque" and kind.drive == f"{('roll', 'pitch', 'yaw')[kind.axis]} torque")
 )
@@ -133,6 +135,8 @@ def allowances(model: Model, period_s: float) -> Array:
         kind = KINDS[number]
         if kind.drive == "one":
             found.append(ACCELEROMETER_STEP if kind.acts == "force" else GYRO_STEP)
+        elif kind.acts == "gyro":
+            found.append(LAG_S)
         else:
             found.append(delay_s if kind.drive.endswith("change") else GAIN)
     return np.array(found)

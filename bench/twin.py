@@ -1,0 +1,190 @@
+"""The live twin: what it costs, how often it errs, how soon it sees (docs/twin.md).
+
+``python -m bench twin`` measures an hour of flight; ``python -m bench.twin clean HOURS`` and
+``python -m bench.twin effects`` make the long tables.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from bench.sealed.cases import named
+from bench.sealed.flights import CARRY, PROGRAMME, Generator, command, vehicle_of
+from firmware_sim.craft import StandIn, StandInSettings
+from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
+from groundstation.service.client import Client
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.twin.judge import Episode
+from groundstation.twin.twin import Twin, in_words
+
+Row = tuple[str, float, float, str]
+
+PLANTS = ("reduced", "faithful")
+KNOWN = (
+    "dead_time,inertia_coupling,rotor_gyroscopic_torque,rotor_acceleration_torque,"
+    "battery_reading_lag,supply_sag"
+)
+START_NS = 1_700_000_000_000_000_000
+PIECE_ROWS = 250
+FLIGHTS: tuple[tuple[float, dict[str, Any]], ...] = (
+    (600.0, {"program": "excite"}),
+    (60.0, {"program": PROGRAMME}),
+    (60.0, {"program": PROGRAMME, "loss": {"good_loss": 0.02}}),
+    (300.0, {"program": "hover"}),
+    (600.0, {"program": "excite", "charge": 0.3, "recharge_s": 5.0}),
+    (60.0, {"program": PROGRAMME, "loss": {"to_bad": 0.0005, "to_good": 0.01}}),
+    (120.0, {"program": "excite", "gains": {}}),
+)
+"""Seconds and settings of what is flown without an effect, again and again: excitation, hover,
+take-offs and landings, empty batteries and restarts, lost rows alone and in bursts, stock gains."""
+SETTLE_S, MEASURED_S = 20.0, 60.0
+
+
+def rows() -> Iterator[Row]:
+    """Cost in fast time and in the daemon; false events in half an hour of each plant."""
+    with tempfile.TemporaryDirectory(prefix="bench-") as name:
+        models = fitted(Path(name))
+        for plant in PLANTS:
+            done = clean(plant, models[plant], 0.5)
+            yield (
+                f"twin, {plant}, clean flight: false events an hour (ref: the limit)",
+                *(len(done.events) / done.hours, 1.0, "1/h"),
+            )
+        yield "twin, processor per flown second (ref: the limit)", done.share, 0.05, "core"
+        path = Path(name) / "twin.json"
+        without, beside = (_daemon(Path(name), each) for each in (None, path))
+        yield "daemon with a twin, processor (ref: without)", beside, without, "core"
+        yield "the same, difference (ref: the limit)", beside - without, 0.05, "core"
+
+
+def fitted(folder: Path) -> dict[str, Model]:
+    """A model for each plant, fitted by the installed command on flights without an effect."""
+    generator = Generator(folder)
+    models = {}
+    for plant, group in zip(PLANTS, ("quiet", "faithful"), strict=True):
+        family = generator.family(named(f"{group}:nothing:0:clean"))
+        model = load_model(family / "base.json")
+        if plant == "faithful":
+            out = folder / "faithful.json"
+            if not out.exists():
+                flights = (family / "clean0.mcap", family / "clean1.mcap")
+                command(
+                    *("fit", "body", *flights, "--model", family / "motor.json", "-o", out),
+                    *("--with", KNOWN, "--vehicle", vehicle_of(family)),
+                )
+            # the firmware's filter is known, and no body fit can see it
+            lean = EffectTerm("attitude_filter_lean", {"strength": Estimate(1.0)})
+            model = load_model(out)
+            model = msgspec.structs.replace(model, effects=(*model.effects, lean))
+        else:
+            (folder / "twin.json").write_bytes((family / "base.json").read_bytes())
+        models[plant] = model
+    return models
+
+
+@dataclass
+class Clean:
+    """Flights without an effect. hours: flown; share: of a core, per flown second."""
+
+    hours: float = 0.0
+    share: float = 0.0
+    flights: int = 0
+    events: list[tuple[int, Episode]] = field(default_factory=list)
+
+
+def clean(plant: str, model: Model, hours: float, seed: int = 0, tell: bool = False) -> Clean:
+    """Fly until so many hours have been in the air."""
+    done, taken_s = Clean(), 0.0
+    while done.hours < hours:
+        seconds, settings = FLIGHTS[done.flights % len(FLIGHTS)]
+        number = 10_000 * (seed + 1) + done.flights
+        samples = flown({"plant": plant, "seed": number, **settings}, seconds)
+        began_s = time.process_time()
+        told = [each for _, each in watched(model, samples) if each.end_s is None]
+        taken_s += time.process_time() - began_s
+        done.events += [(number, each) for each in told]
+        done.hours += float((samples.duty > 0.1).all(axis=1).sum()) * 0.002 / 3600.0
+        done.flights += 1
+        if tell:
+            for each in told:
+                print(f"  {plant} {settings} seed {number}: {in_words(each)}", flush=True)
+    done.share = taken_s / (done.hours * 3600.0)
+    return done
+
+
+def watched(model: Model, samples: SampleBatch) -> Iterator[tuple[float, Episode]]:
+    """(device time at which it was told, episode), as the daemon would feed the twin."""
+    twin = Twin(model)
+    for first in range(0, len(samples), PIECE_ROWS):
+        piece = samples[first : first + PIECE_ROWS]
+        for _, told in twin.feed(piece):
+            for episode in told:
+                yield float(piece.time_s[-1]), episode
+
+
+def flown(settings: dict[str, Any], seconds: float) -> SampleBatch:
+    """A stand-in's flight as a ground station decodes it."""
+    usual = {"gains": CARRY, "copies": 1, "loss": {"good_loss": 0.0}}
+    craft = StandIn(msgspec.convert({**usual, **settings}, StandInSettings))
+    packets, heard_s = craft.advance(seconds)
+    samples, _ = decode_all(RawBatch(packets, START_NS + np.rint(heard_s * 1e9).astype(np.int64)))
+    return samples
+
+
+def _daemon(folder: Path, model: Path | None) -> float:
+    """Processor share of the daemon's own process on the stand-in in a process beside it."""
+    port = folder / f"craft{model is not None}"
+    socket = folder / f"control{model is not None}.sock"
+    craft = subprocess.Popen(
+        [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{port}", "--plant", "reduced"],
+        stdout=subprocess.DEVNULL,
+    )
+    daemon = subprocess.Popen(
+        [Path(sys.executable).with_name("groundstation"), "run", "--link", f"serial:{port}",
+         "--recordings", folder / f"sessions{model is not None}",
+         *([] if model is None else ["--twin", str(model)])],
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(socket)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        time.sleep(SETTLE_S)
+        with Client(socket) as client:
+            before, began_s = client.ask("GET", "/status"), time.monotonic()
+            time.sleep(MEASURED_S)
+            after, lasted_s = client.ask("GET", "/status"), time.monotonic() - began_s
+    finally:
+        for process in (daemon, craft):
+            process.terminate()
+            process.wait(30)
+    return float(after["health"]["cpu_s"] - before["health"]["cpu_s"]) / lasted_s
+
+
+def main(arguments: list[str]) -> int:
+    what, folder = arguments[0], Path(arguments[1])
+    models = fitted(folder)
+    if what == "clean":
+        for plant in PLANTS:
+            done = clean(plant, models[plant], float(arguments[2]), tell=True)
+            print(
+                f"{plant}: {done.hours:.2f} h in the air, {done.flights} flights,"
+                f" {len(done.events)} false events, {len(done.events) / done.hours:.2f} an hour,"
+                f" {100 * done.share:.2f} % of a core",
+                flush=True,
+            )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
