@@ -23,6 +23,9 @@ VALIDATE = typer.Option(
     None, "--validate", help="Recordings that no fit sees (default: the last third of each REC)."
 )
 OUTPUT = typer.Option(None, "-o", "--output", help="Write the improved model to this new file.")
+EFFECTS = typer.Option(
+    None, "--effects", help="A Python file with effects of your own, as further candidates."
+)
 JSON = typer.Option(None, "--json", help="Write the report for programs to this new file.")
 RERUN = typer.Option(
     None, "--rerun", help="Write measured beside simulated, before and after, to this new .rrd."
@@ -51,6 +54,7 @@ def discrepancy(
     model: str = MODEL,
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
+    effects: Path | None = EFFECTS,
     seed: int = typer.Option(0, min=0, help="Of whatever the search draws."),
     output: Path | None = OUTPUT,
     json: Path | None = JSON,
@@ -64,6 +68,7 @@ def discrepancy(
     """
     from groundstation.discrepancy.comparison import compare
     from groundstation.discrepancy.engine import find_effects
+    from groundstation.discrepancy.own_candidates import own_effects
     from groundstation.discrepancy.proof import divide, prove
     from groundstation.discrepancy.refusals import require_channels
 
@@ -71,6 +76,7 @@ def discrepancy(
     files.require_new()
     require_apart(recordings, validate or [])
     loaded = model_for(model, vehicle)
+    own = own_effects(effects) if effects is not None else []
     with shown("reading") as progress:
         flights = flights_from(recordings, loaded, vehicle)
         held = flights_from(validate or [], loaded, vehicle)
@@ -82,6 +88,7 @@ def discrepancy(
             fit_on,
             loaded,
             held_out,
+            own=own,
             seed=seed,
             progress=lambda what, share: progress(0.1 + 0.7 * max(share, 0.0), what),
         )

@@ -21,18 +21,19 @@ from groundstation.discrepancy.findings import (
 from groundstation.discrepancy.flight import Flight, prepare
 from groundstation.discrepancy.judge import negligible
 from groundstation.discrepancy.leftover import leftover
+from groundstation.discrepancy.own_candidates import OwnEffect, joined, own_terms
 from groundstation.discrepancy.physics import spin_rotors
 from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem, bounded
 from groundstation.discrepancy.search import Accepted, Outcome, Scored, search
 from groundstation.discrepancy.unknowns import (
-    ABSENT,
     BODY_KEYS,
-    EFFECT_KEYS,
     LOW_PASS,
     VARIANTS,
     Variant,
+    absent,
+    estimates_of,
     model_of,
-    parameters_of,
+    own_variant,
     point_of,
 )
 from groundstation.dynamics.effects.catalogue import EFFECTS
@@ -96,14 +97,15 @@ def find_effects(
     model: Model,
     validation: Sequence[Run] | None = None,
     *,
+    own: Sequence[OwnEffect] = (),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Findings:
     """Find, name and fit the effects that ``model`` is missing in ``flights``.
 
     flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
-    validation: rows that no fit sees; None: the last third of the flights. seed: kept for what
-    is drawn; nothing in the search is.
+    validation: rows that no fit sees; None: the last third of the flights. own: effects of the
+    user's own as further candidates. seed: kept for what is drawn; nothing in the search is.
 
     Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
     craft.
@@ -114,11 +116,16 @@ def find_effects(
     report("preparing the flights", 0.0)
     fit_on, held = prepare(flights), prepare(validation)
     start = point_of(model)
-    problem = Problem(fit_on, model, start)
+    theirs, _ = own_terms(model)
+    every_own = joined(theirs, own)
+    problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
     lost = _lost([*fit_on, *held])
-    known = [v for v in VARIANTS if any(start.get(k, ABSENT[k]) != ABSENT[k] for k in v.keys)]
-    candidates = [v for v in VARIANTS if v.effect not in lost]
+    known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
+    known += [own_variant(one) for one in theirs]
+    there = {v.effect for v in known}
+    candidates = [*VARIANTS, *map(own_variant, every_own)]
+    candidates = [v for v in candidates if v.effect not in lost and v.effect not in there]
     outcome = search(problem, held, known, candidates, report)
     warnings = _require_told(outcome, problem)
     report("judging what is left", 0.95)
@@ -219,7 +226,7 @@ def _findings(
     for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
         if not negligible(one.variant, final.point):
-            effects.append(_effect(one, len(effects) + 1, final, keys, model))
+            effects.append(_effect(one, len(effects) + 1, final, keys, model, problem.frame.own))
     if not problem.known_motor:
         warnings.append(
             "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
@@ -234,7 +241,7 @@ def _findings(
         verdict=verdict,
         effects=tuple(effects),
         base=model,
-        model=model_of(final.point, errors, keys, model),
+        model=model_of(final.point, errors, keys, model, problem.frame.own),
         candidates=_candidates(outcome, {effect.name for effect in effects}),
         not_shown=tuple(_not_shown(outcome.first)),
         lost=lost,
@@ -245,13 +252,18 @@ def _findings(
 
 
 def _effect(
-    one: Accepted, order: int, final: Fit, keys: tuple[str, ...], model: Model
+    one: Accepted,
+    order: int,
+    final: Fit,
+    keys: tuple[str, ...],
+    model: Model,
+    own: Sequence[OwnEffect],
 ) -> FoundEffect:
     name, evidence = one.variant.effect, one.evidence
     return FoundEffect(
         name=name,
         order=order,
-        parameters=parameters_of(name, final.point, final.stderr(), one.variant.keys),
+        parameters=estimates_of(one.variant, final.point, final.stderr()),
         evidence={
             "likelihood_ratio": evidence.drop,
             "t": evidence.t,
@@ -261,22 +273,24 @@ def _effect(
             "recordings": evidence.spread(0)[0],
         },
         alternatives=tuple(
-            Alternative(other, margin, _manoeuvre(name, other)) for other, margin in one.rivals
+            Alternative(other, margin, _manoeuvre(name, other, own)) for other, margin in one.rivals
         ),
         gap_before=one.gap[0],
         gap_after=one.gap[1],
         channels=tuple(CHANNELS[c] for c in evidence.channels),
-        model=model_of(one.fit.point, one.fit.stderr(), keys, model),
+        adds=one.variant.definition.adds,
+        model=model_of(one.fit.point, one.fit.stderr(), keys, model, own),
     )
 
 
-def _manoeuvre(name: str, other: str) -> str:
+def _manoeuvre(name: str, other: str, own: Sequence[OwnEffect]) -> str:
     """What separates two effects, from the catalogue, whichever of the two knows it."""
+    effects = {**EFFECTS, **{one.effect.name: one.effect for one in own}}
     for one, two in ((name, other), (other, name)):
-        for confusion in EFFECTS[one].confused_with:
+        for confusion in effects[one].confused_with:
             if confusion.other == two:
                 return confusion.manoeuvre
-    return EFFECTS[other].excited_by
+    return effects[other].excited_by
 
 
 def _candidates(outcome: Outcome, named: set[str]) -> tuple[Candidate, ...]:
@@ -286,7 +300,7 @@ def _candidates(outcome: Outcome, named: set[str]) -> tuple[Candidate, ...]:
     for one in outcome.first:
         label = one.variant.label
         parameters = {
-            key.partition(".")[2]: Estimate(float(size + ABSENT[key]), float(error), "")
+            key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
             for key, size, error in zip(one.variant.keys, one.values, one.errors, strict=False)
         }
         reason = "" if label in accepted else outcome.reasons.get(label, "")
@@ -310,7 +324,7 @@ def _not_shown(scores: Sequence[Scored]) -> list[NotShown]:
     """Effects whose usual size would be lost in the noise of these recordings."""
     found = []
     for one in scores:
-        effect = EFFECTS[one.variant.effect]
+        effect = one.variant.definition
         for key, error in zip(one.variant.keys, one.errors.tolist(), strict=False):
             name = key.partition(".")[2]
             usual = USUAL.get(key)
@@ -345,7 +359,7 @@ def _channels(
 def _saturated(problem: Problem, outcome: Outcome, rows: Sequence[Flight]) -> dict[int, float]:
     """Whitened power of each channel with every effect at once, as fitted to the fitted rows."""
     change = inverse(outcome.quadratic.normal) @ outcome.quadratic.gradient
-    linear = problem.linear(outcome.linear.point, (*BASE_KEYS, *EFFECT_KEYS), rows)
+    linear = problem.linear(outcome.linear.point, problem.every_key, rows)
     power: dict[int, float] = {}
     for s in linear.spectra:
         left = s.residual - change[s.place] @ s.columns

@@ -60,7 +60,7 @@ class FoundEffect:
     rows), ``axes`` and ``recordings`` (standard deviations by which parts disagree).
     gap_before, gap_after: RMS of the whitened one-step residual on held-out rows over the
     channels the effect touches, 1.0 being noise, before and after it joined. model: as it was
-    when this effect had joined.
+    when this effect had joined. adds: its law in words.
     """
 
     name: str
@@ -72,6 +72,7 @@ class FoundEffect:
     gap_after: float
     channels: tuple[str, ...]
     model: Model
+    adds: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from groundstation.discrepancy.flight import Flight
 from groundstation.discrepancy.problem import Fit, Problem
 from groundstation.discrepancy.spectra import Spectrum
-from groundstation.discrepancy.unknowns import ABSENT, Variant, parameters_of
-from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.discrepancy.unknowns import Variant, absent, estimates_of
 from groundstation.identification.estimate import inverse
 
 Array = NDArray[np.float64]
@@ -93,7 +92,7 @@ def refusal(variant: Variant, fit: Fit, evidence: Evidence) -> str:
     if not plausible(variant, fit.point):
         values = ", ".join(
             f"{name} {estimate.value:.3g} {estimate.unit}".strip()
-            for name, estimate in parameters_of(variant.effect, fit.point, {}, variant.keys).items()
+            for name, estimate in estimates_of(variant, fit.point, {}).items()
         )
         return f"not plausible: {values}"
     if evidence.drop < least or evidence.t < LEAST_T:
@@ -129,8 +128,8 @@ def negligible(variant: Variant, point: Mapping[str, float]) -> bool:
 
 def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
     """Whether the values are ones that a small craft can have."""
-    values = parameters_of(variant.effect, point, {}, variant.keys)
-    return EFFECTS[variant.effect].plausible({k: e.value for k, e in values.items()})
+    values = estimates_of(variant, point, {})
+    return variant.definition.plausible({k: e.value for k, e in values.items()})
 
 
 def _channels(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
@@ -160,7 +159,7 @@ def by_parts(
     total = problem.with_prior(linear)
     own = linear.place(variant.keys)
     rest = [i for i in range(len(linear.keys)) if i not in own]
-    sizes = np.array([linear.point[key] - ABSENT[key] for key in variant.keys])
+    sizes = np.array([linear.point[key] - absent(key) for key in variant.keys])
     if variant.effect == "ground_effect":
         sizes[1] = 0.0
     weights = np.zeros(len(linear.keys))

@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.attitude_rows import AttitudeRows
 from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.own_candidates import OwnEffect
 from groundstation.discrepancy.unknowns import ABSENT, LOW_PASS, MOTOR_KEYS, TIMING
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.motor import REVOLUTION
-from groundstation.dynamics.rotations import rotation_matrix
+from groundstation.dynamics.rotations import quaternion_of_attitude, rotation_matrix
+from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STATES, VELOCITY
 from groundstation.dynamics.vehicle import MotorConstants, Vehicle, lever_arm_m
 from groundstation.identification.torque import rotor_squares
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -35,6 +37,8 @@ Columns = dict[int, Array]
 GYRO, ACCELEROMETER, ATTITUDE = 0, 3, 6
 SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
 SUBSTEPS = 2
+FAR_M = 10.0
+"""Height that a user's law sees where it is not known: far from the ground."""
 LEAK_S, LEANING_LEAK_S = 16.0, 4.0
 """Velocity is known over times shorter than this; an attitude that leans and is carried by the
 gyro instead leaves less."""
@@ -58,10 +62,12 @@ STEPS = {
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """What stays fixed in a search: the craft's configuration and scale, and filter gains."""
+    """What stays fixed in a search: the craft's configuration and scale, filter gains, and the
+    user's own effects."""
 
     vehicle: Vehicle
     rate_gain: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    own: tuple[OwnEffect, ...] = ()
 
 
 @dataclass(slots=True)
@@ -209,7 +215,8 @@ class _Evaluation:
         self.rates[1:] = self.gyro[:-1]
         self.gyro_model, self.force_model = self.body(self.rotors)
         self.rate_error = self.find_rates(frame.rate_gain)
-        if any(value(point, key) for key in RATE_KEYS):
+        theirs = any(one.present(point) for one in frame.own)
+        if theirs or any(value(point, key) for key in RATE_KEYS):
             self.gyro_model, _ = self.body(self.rotors)
             self.find_rates(frame.rate_gain)
             self.gyro_model, self.force_model = self.body(self.rotors)
@@ -337,6 +344,9 @@ class _Evaluation:
         self.alpha = plain + self.c * last
         self.alpha[:, 0] = plain[:, 0] + self.c[0] * ground * (last[:, 0] - left * last_sum)
         self.alpha[:, 1] = plain[:, 1] + self.c[1] * ground * (last[:, 1] + forward * last_sum)
+        for one in self.frame.own:
+            if one.present(point):
+                force += one.acceleration(point, *self.states(self.rotors))[:, 3:]
         for axis, name in enumerate(AXES):
             arm = value(point, f"imu_lever_arm.{name}_m")
             if arm:
@@ -370,7 +380,27 @@ class _Evaluation:
             size = value(self.point, key)
             if size:
                 total += size * self.body_column(key, rotors)
+        for one in self.frame.own:
+            if one.present(self.point):
+                total += one.acceleration(self.point, *self.states(rotors))[:, :3]
         return total
+
+    def states(self, rotors: Rotors) -> tuple[Array, Array]:
+        """States (n, 17) as a user's law wants them, and rotor slopes (n, 4), in the middle of the
+        period before each row. Of the position only a height near the ground is known; elsewhere
+        it is ``FAR_M``."""
+        flight = self.flight
+        rows = len(self.rates)
+        attitude = flight.run.attitude if flight.attitude is not None else np.zeros((rows, 3))
+        ends = self.shift_end(rotors.end)
+        before = np.concatenate([ends[:1], ends[:-1]])
+        height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
+        states = np.zeros((rows, STATES))
+        states[:, POSITION.stop - 1] = np.minimum(height, FAR_M)
+        states[:, VELOCITY] = np.einsum("nij,nj->ni", rotation_matrix(attitude), self.velocity)
+        states[:, QUATERNION] = quaternion_of_attitude(attitude)
+        states[:, RATE], states[:, ROTOR] = self.rates, 0.5 * (ends + before)
+        return states, (ends - before) / self.period
 
     def body_column(self, key: str, rotors: Rotors) -> Array:
         """Angular acceleration (n, 3) per unit of an effect that is linear in it."""
@@ -458,10 +488,11 @@ class _Evaluation:
         rows = self.flight.rows
         up = rotation_matrix(self.flight.run.attitude[rows])[:, 2] @ self.mount.T
         mean = float(np.einsum("ni,ni->n", up, self.force_model[rows]).mean())
+        lifting = {*LIFTING, *(one.effect.name for one in self.frame.own)}
         slopes = {
             key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
             for key, column in columns.items()
-            if key.partition(".")[0] in LIFTING
+            if key.partition(".")[0] in lifting
         }
         return STANDARD_GRAVITY - mean, slopes
 
@@ -480,7 +511,13 @@ class _Evaluation:
     def _column(self, key: str, out: Columns) -> None:
         effect, _, parameter = key.partition(".")
         rows = self.flight.attitude
-        if key in ("c0", "c1", "c2"):
+        theirs = next((one for one in self.frame.own if key in one.keys), None)
+        if theirs is not None:
+            added = theirs.column(key, self.point, *self.states(self.rotors))
+            self._put_gyro(out, self.lagged(added[:, :3]))
+            if self.flight.has_accelerometer:
+                self._put_force(out, added[:, 3:])
+        elif key in ("c0", "c1", "c2"):
             self._constant(int(key[1]), out)
         elif key == "thrust_per_mass":
             if self.flight.has_accelerometer:

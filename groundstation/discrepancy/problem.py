@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.flight import Flight
+from groundstation.discrepancy.own_candidates import OwnEffect
 from groundstation.discrepancy.physics import ATTITUDE, Frame, Series, evaluate, rate_errors, value
 from groundstation.discrepancy.spectra import (
     Noise,
@@ -20,7 +21,14 @@ from groundstation.discrepancy.spectra import (
     transform,
     whiten_by_own,
 )
-from groundstation.discrepancy.unknowns import BODY_KEYS, LOW_PASS, MOTOR_KEYS, TIMING, Point
+from groundstation.discrepancy.unknowns import (
+    BODY_KEYS,
+    EFFECT_KEYS,
+    LOW_PASS,
+    MOTOR_KEYS,
+    TIMING,
+    Point,
+)
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.identification.estimate import inverse
 
@@ -83,9 +91,16 @@ class Fit:
 class Problem:
     """Flights and what was known before them; noise spectra are set by ``learn_noise``."""
 
-    def __init__(self, flights: Sequence[Flight], model: Model, start: Point) -> None:
+    def __init__(
+        self,
+        flights: Sequence[Flight],
+        model: Model,
+        start: Point,
+        own: Sequence[OwnEffect] = (),
+    ) -> None:
         self.flights = list(flights)
-        self.frame = Frame(model_vehicle(model))
+        self.frame = Frame(model_vehicle(model), own=tuple(own))
+        self.every_key = (*BASE_KEYS, *EFFECT_KEYS, *(key for one in own for key in one.keys))
         self.start = start
         self.prior, self.known_motor = _prior(model, start)
         self.noise: dict[int, Noise] = {}

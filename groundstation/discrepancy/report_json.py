@@ -14,7 +14,6 @@ from groundstation.discrepancy.findings import CHANNELS, Findings
 from groundstation.discrepancy.floor import SOURCE
 from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.discrepancy.proof import Proof
-from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.dynamics.model import Estimate
 
 Array = NDArray[np.float64]
@@ -240,7 +239,7 @@ def findings_report(
             EffectFound(
                 found.name,
                 found.order,
-                EFFECTS[found.name].adds if found.name in EFFECTS else "",
+                found.adds,
                 found.parameters,
                 found.evidence,
                 [AlternativeName(a.name, a.margin, a.manoeuvre) for a in found.alternatives],

@@ -23,17 +23,18 @@ from groundstation.discrepancy.judge import (
     plausible,
     refusal,
 )
+from groundstation.discrepancy.own_candidates import OwnEffect
 from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem, bounded
 from groundstation.discrepancy.spectra import Quadratic
 from groundstation.discrepancy.unknowns import (
     ABSENT,
     BODY_KEYS,
-    EFFECT_KEYS,
     LOW_PASS,
     TIMING,
     VARIANTS,
     Point,
     Variant,
+    absent,
 )
 from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.identification.estimate import inverse
@@ -125,7 +126,7 @@ def search(
 ) -> Outcome:
     """Find the effects among ``candidates`` that the flights show. known: effects of the model,
     fitted along and never dropped."""
-    every = (*BASE_KEYS, *EFFECT_KEYS)
+    every = problem.every_key
     base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor place
     # to linearise at. A centre of gravity off its place makes c0 vanish, for one.
@@ -227,14 +228,14 @@ def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]
 
 
 def _away(point: Point, goals: Point, key: str) -> float:
-    return abs(goals[key] - point.get(key, ABSENT[key]))
+    return abs(goals[key] - point.get(key, absent(key)))
 
 
 def _without_effects(
     linear: Linear, total: Quadratic, kept: Sequence[str]
 ) -> tuple[Linear, Quadratic]:
     """The same parabola seen from where every effect but those behind ``kept`` is absent."""
-    gone = {k: ABSENT[k] for k in linear.keys if k in ABSENT and k in linear.point}
+    gone = {k: absent(k) for k in linear.keys if k not in BASE_KEYS and k in linear.point}
     gone = {k: v for k, v in gone.items() if k not in kept}
     if not gone:
         return linear, total
@@ -293,13 +294,13 @@ def _sure(
     best: dict[str, tuple[float, Scored]] = {}
     for variant in candidates:
         linear_keys = [key for key in variant.keys if key != "ground_effect.height_m"]
-        absent = np.array([ABSENT[key] for key in linear_keys])
+        nothing = np.array([absent(key) for key in linear_keys])
         own = linear.place(linear_keys)
-        there = np.array([linear.point.get(key, ABSENT[key]) for key in linear_keys]) - absent
+        there = np.array([linear.point.get(key, absent(key)) for key in linear_keys]) - nothing
         values, block = there + change[own], covariance[np.ix_(own, own)]
         one = Scored(variant, 0.0, values, np.sqrt(np.diag(block)))
         drop = float(values @ inverse(block) @ values) - PENALTY * (len(own) - 1)
-        at = {**origin.point, **dict(zip(linear_keys, (values + absent).tolist(), strict=True))}
+        at = {**origin.point, **dict(zip(linear_keys, (values + nothing).tolist(), strict=True))}
         known = drop > SURE and np.isfinite(one.errors).all() and plausible(variant, at)
         if known and drop > best.get(variant.effect, (0.0,))[0]:
             best[variant.effect] = drop, one
@@ -340,7 +341,7 @@ def _cost(fit: Fit, variant: Variant) -> float:
     """What the others lose without a variant, in -2 log L, by the covariance of their fit."""
     keys = [key for key in variant.keys if key != "ground_effect.height_m"]
     own = [fit.keys.index(key) for key in keys]
-    values = np.array([fit.point[key] - ABSENT[key] for key in keys])
+    values = np.array([fit.point[key] - absent(key) for key in keys])
     return float(values @ inverse(fit.covariance[np.ix_(own, own)]) @ values)
 
 
@@ -421,7 +422,7 @@ def _shortlist(scores: list[Scored], reasons: dict[str, str]) -> list[Scored]:
     if not able:
         return []
     close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
-    rivals = {c.other for one in close[:1] for c in EFFECTS[one.variant.effect].confused_with}
+    rivals = {c.other for one in close[:1] for c in one.variant.definition.confused_with}
     more = [one for one in able if one.variant.effect in rivals and one not in close]
     return close + more[:2]
 
@@ -431,13 +432,15 @@ def _sign_possible(one: Scored) -> bool:
     if len(one.variant.keys) > 1 and one.variant.effect != "ground_effect":
         return True
     key = one.variant.keys[0]
-    low, high = range_of(key)
-    value = one.values[0] + ABSENT[key]
+    low, high = range_of(key, one.variant.own)
+    value = one.values[0] + absent(key)
     return bool(low < 0 or value > 0) and (key != "motor_braking_asymmetry.factor" or high > 0)
 
 
-def range_of(key: str) -> tuple[float, float]:
+def range_of(key: str, own: OwnEffect | None = None) -> tuple[float, float]:
     """Plausible range of an unknown, in the search's own units."""
+    if own is not None:
+        return own.range_of(key)
     effect, _, name = key.partition(".")
     if effect == "rotor_mismatch":
         name = "excess"
@@ -455,8 +458,8 @@ def _started(point: Point, one: Scored) -> Point:
         start.update(zip(variant.keys, variant.start[len(variant.start) // 2], strict=True))
         return start
     for key, size in zip(variant.keys, one.values.tolist(), strict=False):
-        low, high = range_of(key)
-        start[key] = float(np.clip(ABSENT[key] + size, min(low, ABSENT[key]), high))
+        low, high = range_of(key, variant.own)
+        start[key] = float(np.clip(absent(key) + size, min(low, absent(key)), high))
     if variant.effect == "ground_effect":
         start["ground_effect.height_m"] = ABSENT["ground_effect.height_m"]
     return start
@@ -497,7 +500,7 @@ def _needless(
     costs = []
     for one in accepted:
         own = [list(keys).index(key) for key in one.variant.keys if key != "ground_effect.height_m"]
-        values = np.array([linear.point[keys[i]] - ABSENT[keys[i]] for i in own])
+        values = np.array([linear.point[keys[i]] - absent(keys[i]) for i in own])
         costs.append(float(values @ inverse(covariance[np.ix_(own, own)]) @ values))
         if not plausible(one.variant, linear.point):
             costs[-1] = min(costs[-1], 0.0)

@@ -9,10 +9,11 @@ is 0 (the braking factor 1) where its effect is absent.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.discrepancy.own_candidates import OwnEffect, own_terms, term_of
+from groundstation.dynamics.effects.catalogue import EFFECTS, Effect
 from groundstation.dynamics.model import BodyConstants, EffectTerm, Estimate, Model
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
@@ -29,12 +30,19 @@ TIMING = "attitude_timing"
 class Variant:
     """One way in which an effect may be there.
 
-    keys: its unknowns. start: values from which the joint fits start, one tuple each.
+    keys: its unknowns. start: values from which the joint fits start, one tuple each. own: what a
+    user's own effect needs beside.
     """
 
     effect: str
     keys: tuple[str, ...]
     start: tuple[tuple[float, ...], ...]
+    own: OwnEffect | None = None
+
+    @property
+    def definition(self) -> Effect:
+        """Its entry in the catalogue, or in the user's file."""
+        return EFFECTS[self.effect] if self.own is None else self.own.effect
 
     @property
     def label(self) -> str:
@@ -78,6 +86,15 @@ ABSENT["ground_effect.height_m"] = 0.08
 EFFECT_KEYS = tuple(ABSENT)
 
 
+def absent(key: str) -> float:
+    """The value of an unknown at which its effect is not there."""
+    return ABSENT.get(key, 0.0)
+
+
+def own_variant(own: OwnEffect) -> Variant:
+    return Variant(own.effect.name, own.keys, (), own)
+
+
 def effect_of(key: str) -> str:
     """The effect an unknown belongs to."""
     return key.partition(".")[0]
@@ -105,27 +122,46 @@ def point_of(model: Model) -> Point:
             point[f"rotor_mismatch.{round(values['rotor'])}"] = values["excess"]
         else:
             point.update({f"{term.name}.{key}": value for key, value in values.items()})
+    point.update(own_terms(model)[1])
     return point
 
 
 def model_of(
-    point: Mapping[str, float], errors: Mapping[str, float], keys: tuple[str, ...], model: Model
+    point: Mapping[str, float],
+    errors: Mapping[str, float],
+    keys: tuple[str, ...],
+    model: Model,
+    own: Sequence[OwnEffect] = (),
 ) -> Model:
     """The model file of a point: ``model`` with its constants and the effects behind ``keys``.
 
-    errors: standard errors by key. A user's own effects of ``model`` stay as they are.
+    errors: standard errors by key. own: the user's own effects among them.
     """
     import msgspec
 
     names = list(dict.fromkeys(effect_of(key) for key in keys))
-    terms = [EffectTerm(name, parameters_of(name, point, errors, keys)) for name in names]
-    own = [term for term in model.effects if term.name not in EFFECTS]
+    theirs = {one.effect.name: one for one in own}
+    terms = [
+        term_of(theirs[name], point, errors)
+        if name in theirs
+        else EffectTerm(name, parameters_of(name, point, errors, keys))
+        for name in names
+    ]
     return msgspec.structs.replace(
         model,
         motor=MotorConstants(*(point[key] for key in MOTOR_KEYS)),
         body=BodyConstants(*(point[key] for key in BODY_KEYS)),
-        effects=(*own, *terms),
+        effects=tuple(terms),
     )
+
+
+def estimates_of(
+    variant: Variant, point: Mapping[str, float], errors: Mapping[str, float]
+) -> dict[str, Estimate]:
+    """A variant's parameters as the model file has them."""
+    if variant.own is not None:
+        return variant.own.estimates(point, errors)
+    return parameters_of(variant.effect, point, errors, variant.keys)
 
 
 def parameters_of(

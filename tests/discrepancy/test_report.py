@@ -88,7 +88,7 @@ def test_the_page_says_what_is_left_what_cannot_be_shown_and_what_it_could_also_
     assert f"Found: {NAME}." in page
     assert "structure in gyro x at 1.5, 3 Hz, most like tilt, roll" in page
     assert "take off and land" in page
-    assert "attitude_filter_lean: not looked for (attitude)" in page
+    assert "attitude_filter_lean: not looked for, attitude is not recorded" in page
     assert "could also be rate_damping (margin 9.0)" in page
     assert "not &lt;significant&gt;" in page
     assert page.count("<svg") == 8

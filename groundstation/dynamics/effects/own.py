@@ -90,9 +90,23 @@ def own_acceleration(
     rows = np.asarray(states, np.float64)
     slopes = np.asarray(rotor_slopes, np.float64)
     added = np.zeros((len(rows), 6))
-    for state, slope, out in zip(rows, slopes, added, strict=True):
-        effect.law(numbers, state, slope, out)
+    _all_rows(effect.law)(numbers, rows, slopes, added)
     return added
+
+
+@cache
+def _all_rows(law: Law) -> Any:
+    """A law applied to rows of states, compiled."""
+    from numba import njit
+
+    one = njit(law)
+
+    @njit
+    def every(values: Any, states: Any, slopes: Any, added: Any) -> None:
+        for i in range(len(states)):
+            one(values, states[i], slopes[i], added[i])
+
+    return every
 
 
 _KEPT: list[Any] = []
