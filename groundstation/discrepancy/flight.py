@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.attitude_rows import AttitudeRows, Gaps, attitude_rows
 from groundstation.discrepancy.recordings import without_gaps
-from groundstation.dynamics.effects.height import heights_of, rise_of
+from groundstation.dynamics.effects.height import heights_of, low_at_the_end, rise_of
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
@@ -106,14 +106,17 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
         if (stop - start) * period < least_s:
             continue
         rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)
-        height = np.full(len(run), np.inf)
+        height, maybe_low = np.full(len(run), np.inf), 0
         if has_accelerometer:
             level = run.attitude if has_attitude else np.zeros((len(run), 3))
             rise = rise_of(level, run.accelerometer)
             driven = run.rotor_rev_s if measured else run.duty
             still = np.asarray((driven <= 0.0).all(axis=1))
             height[start:stop] = heights_of(rise, still, start, stop, period)
+            maybe_low = low_at_the_end(rise, still, start, stop, period)
         first, last = _airborne(run, start, stop, rests, height)
+        if not rests[1]:
+            last -= maybe_low
         if (last - first) * period < least_s:
             continue
         attitude = attitude_rows(run, known, first, last) if has_attitude else None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.findings import CHANNELS, Leftover
 from groundstation.discrepancy.flight import Flight
-from groundstation.discrepancy.physics import generic_signals
+from groundstation.discrepancy.physics import LEAK_S, LEANING_LEAK_S, generic_signals
 from groundstation.discrepancy.problem import Fit, Linear, Problem
 from groundstation.discrepancy.spectra import Spectrum, transform_channel
 from groundstation.identification.estimate import inverse
@@ -33,6 +33,19 @@ EXCESS, FAR = 1.7, 5.8
 SLOW_HZ = (0.5, 6.0)
 """Below, velocity is not known well enough to explain what it does; above, there is vibration,
 which hides no effect."""
+
+
+VELOCITY_KEYS = (
+    "rotor_drag.drag_n_s_m",
+    "velocity_moment.moment",
+    "climb_inflow.loss_g_per_m_s",
+)
+HEIGHT_KEY = "ground_effect.gain"
+VELOCITY_DOUBT, LEANING_DOUBT, HEIGHT_DOUBT = 0.015, 0.1, 0.15
+"""Shares of the power of what goes with velocity or height that reckoning them costs, beside what
+the leak of a velocity takes; the most that was seen against the stand-in's truth."""
+APART_HZ, APART_SHARE = 1.0, 0.02
+"""Frequencies nearer to each other are one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +67,9 @@ def leftover(
     """
     signals = [s for s in scan(problem, fit, validation) if s.drop > SCAN_DROP]
     signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
-    peaks = rises(problem.linear(fit.point, (), problem.flights))
+    reckoned = [key for key in (*VELOCITY_KEYS, HEIGHT_KEY) if key in fit.keys]
+    linear = problem.linear(fit.point, reckoned, problem.flights)
+    peaks = rises(linear, [excused(s, linear) for s in linear.spectra])
     if not signals and not peaks:
         return Leftover("white"), {}
     by_channel: dict[int, float] = {}
@@ -76,7 +91,7 @@ def leftover(
     found = Leftover(
         "structured",
         CHANNELS[worst],
-        tuple(round(p[1], 2) for p in mine[:5]),
+        tuple(round(hz, 2) for hz in _apart([p[1] for p in mine])[:5]),
         words,
         max((p[2] for p in mine), default=1.0),
     )
@@ -120,22 +135,51 @@ def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signa
     return sorted(found, key=lambda s: -s.drop)
 
 
-def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
+def excused(spectrum: Spectrum, linear: Linear) -> Array:
+    """Power (2 m,) that effects of velocity and height leave when they are exactly right.
+
+    Neither is measured. A leaky integral of velocity lacks (1 + 1/(j w T))^2 - 1 of the true one
+    at low frequency; an attitude that leans costs more than one that does not.
+    """
+    leaning = linear.point.get("attitude_filter_lean.strength", 0.0) > 0.0
+    leak, doubt = (LEANING_LEAK_S, LEANING_DOUBT) if leaning else (LEAK_S, VELOCITY_DOUBT)
+    slow = 2.0 * (2.0 / (leak * 2.0 * np.pi * np.maximum(spectrum.hz, 1e-3))) ** 2
+    parts = {key: np.minimum(slow + doubt, 1.0) for key in VELOCITY_KEYS}
+    parts[HEIGHT_KEY] = np.full(len(spectrum.hz), HEIGHT_DOUBT)
+    power = np.zeros(len(spectrum.hz))
+    for place, column in zip(spectrum.place, spectrum.columns, strict=True):
+        key = linear.keys[place]
+        power += parts[key] * (linear.point[key] * column) ** 2
+    return power
+
+
+def _apart(hz: Sequence[float]) -> list[float]:
+    """Frequencies, strongest first, without those that are near a stronger one."""
+    kept: list[float] = []
+    for one in hz:
+        if all(abs(one - other) > max(APART_HZ, APART_SHARE * other) for other in kept):
+            kept.append(one)
+    return kept
+
+
+def rises(linear: Linear, known: Sequence[Array]) -> list[tuple[int, float, float, float]]:
     """(channel, Hz, power over that of smooth coloured noise, degrees of freedom) of what rises
-    above it."""
+    above it. known: power (2 m,) of each spectrum that is no surprise beside the noise."""
     found = []
     for channel in sorted({s.channel for s in linear.spectra}):
-        own = [s for s in linear.spectra if s.channel == channel]
-        top = max(s.hz.max() for s in own)
+        own = [(s, k) for s, k in zip(linear.spectra, known, strict=True) if s.channel == channel]
+        top = max(s.hz.max() for s, _ in own)
         edges = np.arange(0.0, top + FINE_HZ, FINE_HZ)
-        power, freedom = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
-        for s in own:
+        power, excuse, freedom = np.zeros((3, len(edges) - 1))
+        for s, expected in own:
             band = np.minimum((s.hz / FINE_HZ).astype(np.int64), len(power) - 1)
             power += np.bincount(band, s.weight * s.residual**2, len(power))
+            excuse += np.bincount(band, s.weight * expected, len(power))
             freedom += 0.5 * np.bincount(band, s.weight, len(power))
         middle = edges[:-1] + 0.5 * FINE_HZ
         full = freedom > 0.5 * np.median(freedom)
         middle, level = middle[full], (power / np.maximum(freedom, 1e-9))[full]
+        beside = (excuse / np.maximum(freedom, 1e-9))[full]
         count = float(np.median(freedom))
         # The median of chi-squared and its far quantile, over its mean (Wilson and Hilferty).
         step = 2.0 / (9.0 * count)
@@ -144,7 +188,8 @@ def rises(linear: Linear) -> list[tuple[int, float, float, float]]:
         first = np.searchsorted(middle, middle - reach)
         last = np.searchsorted(middle, middle + reach)
         for i in range(len(level)):
-            ratio = float(level[i] / np.median(level[first[i] : last[i]]) * (1.0 - step) ** 3)
+            smooth = np.median(level[first[i] : last[i]]) / (1.0 - step) ** 3
+            ratio = float(level[i] / (smooth + beside[i]))
             if ratio > limit:
                 found.append((channel, float(middle[i]), ratio, count))
     return found

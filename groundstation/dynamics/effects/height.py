@@ -15,10 +15,14 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-CLIMB_S, LANDING_S = 6.0, 2.0
-"""Height is known for so long after the motors' start and before they stop: to some cm."""
+KNOWN_S = 6.0
+"""Height is known for so long after the motors' start and before they stop: to some cm near either
+end, to a tenth of a metre where the ground does little any more."""
 REST_S, LEAST_REST_S = 3.0, 0.2
 """The accelerometer's offset is judged by so much of the rest before the start."""
+MAYBE_LOW_M, LONGEST_LOW_S = 0.35, 10.0
+"""Where a recording breaks off below this height it may have landed; not if it was so low for
+longer: that is drift."""
 FALL_S, FALLING = 0.6, 0.5
 """How long a craft may fall once its motors have stopped, feeling less than this share of 1 g."""
 
@@ -41,21 +45,42 @@ def heights_of(
     is driven. Nothing is known of a flight that was in the air when the recording began.
     """
     height = np.full(stop - start, np.inf)
-    before = slice(max(0, start - round(REST_S / period_s)), start)
-    rest = rise[before][still[before]]
-    if len(rest) * period_s < LEAST_REST_S:
-        return height
     down = _touch_down(rise, stop, period_s)
-    last = stop if down is None else down
-    climbed = np.cumsum(np.cumsum(rise[start:last] - rest.mean())) * period_s**2
+    climbed = _climbed(rise, still, start, stop if down is None else down, period_s)
+    if climbed is None:
+        return height
     if down is not None:
         climbed -= climbed[-1] * (np.arange(1, len(climbed) + 1) / len(climbed)) ** 2
     climbed = climbed[: stop - start]
-    rows, landing = round(CLIMB_S / period_s), round(LANDING_S / period_s)
+    rows = round(KNOWN_S / period_s)
     height[:rows] = climbed[:rows]
     if down is not None:
-        height[-landing:] = climbed[-landing:]
+        height[-rows:] = climbed[-rows:]
     return height
+
+
+def low_at_the_end(
+    rise: Array, still: NDArray[np.bool_], start: int, stop: int, period_s: float
+) -> int:
+    """Rows before ``stop`` in which a craft may have been in ground effect, or stood, where the
+    recording breaks off: drift leaves half a minute's height good to some 10 cm."""
+    climbed = _climbed(rise, still, start, stop, period_s)
+    if climbed is None:
+        return 0
+    high = np.flatnonzero(climbed > MAYBE_LOW_M)
+    low = len(climbed) - 1 - int(high[-1]) if len(high) else 0
+    return low if low * period_s < LONGEST_LOW_S else 0
+
+
+def _climbed(
+    rise: Array, still: NDArray[np.bool_], start: int, stop: int, period_s: float
+) -> Array | None:
+    """Height (stop - start,) from the rest before ``start`` on, with its drift; None without."""
+    before = slice(max(0, start - round(REST_S / period_s)), start)
+    rest = rise[before][still[before]]
+    if len(rest) * period_s < LEAST_REST_S:
+        return None
+    return np.asarray(np.cumsum(np.cumsum(rise[start:stop] - rest.mean())) * period_s**2)
 
 
 def _touch_down(rise: Array, stop: int, period_s: float) -> int | None:
