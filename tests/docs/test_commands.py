@@ -116,6 +116,7 @@ def test_what_is_not_run_here_is_run_elsewhere(command):
         assert_target(command)
 
 
+@pytest.mark.timeout(900)  # half a minute where nothing else runs
 def test_the_story_of_getting_started_goes_as_printed(folder, larder, request):
     """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
     said = ""

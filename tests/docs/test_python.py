@@ -16,6 +16,7 @@ WITH_PYTHON = [
 MODELS = ("body.json", "motor.json")
 
 
+@pytest.mark.timeout(900)  # a quarter of a minute where nothing else runs
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
 def test_the_examples_of_a_page_run_in_order(page, folder, larder, request):
     names = {}
