@@ -10,7 +10,7 @@ import numpy as np
 from groundstation.control.flown import Flown
 from groundstation.control.flown_recording import analyse_recording
 from groundstation.demo.outcome import Distance, channels, flight, flights_apart, watched
-from groundstation.discrepancy.findings import CHANNELS, Candidate
+from groundstation.discrepancy.findings import CHANNELS
 from groundstation.discrepancy.gap import UNITS
 from groundstation.discrepancy.report_figures import label
 from groundstation.discrepancy.report_json import DiscrepancyReport
@@ -115,19 +115,9 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     return made
 
 
-def candidates_of(found: DiscrepancyReport) -> list[Candidate]:
-    """The report's candidates, for the bars of evidence."""
-    return [
-        Candidate(one.name, {}, one.score, one.t, one.held_out, one.accepted, one.reason)
-        for one in found.candidates
-    ]
-
-
 def gap_steps(found: DiscrepancyReport) -> list[tuple[str, float]]:
-    """The gap of the given model, with its constants fitted again, and after each effect that
-    joined."""
+    """The gap of the given model, and after each effect that joined."""
     steps = [("model", found.gap.validation.before)]
-    steps += [("constants fitted again", effect.gap.before) for effect in found.effects[:1]]
     return steps + [(effect.name, effect.gap.after) for effect in found.effects]
 
 

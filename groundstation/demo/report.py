@@ -10,7 +10,6 @@ from groundstation.control.report import FLIGHT_HEAD, STEPS_TEXT, flight_figure,
 from groundstation.demo.figures import (
     beside_figure,
     body_figure,
-    candidates_of,
     distance_figure,
     flown_steps,
     gap_steps,
@@ -198,7 +197,7 @@ def _named(page: Page, outcome: Outcome) -> None:
         " passes every test is accepted."
     )
     page.figure(
-        evidence_bars(candidates_of(found)),
+        evidence_bars(found.candidates),
         "What each effect alone would explain, before any was added.",
     )
     page.text("With what was named in the model, the gap on the held-out flight closes:")

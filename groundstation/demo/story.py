@@ -138,9 +138,11 @@ def _controller_flies(shell: Shell, seed: int) -> None:
         except GroundStationError as error:
             if "flight aborted" not in str(error):
                 raise
-            aborted = str(error)
+            why = str(error).partition("flight aborted: ")[2].partition(";")[0]
     else:
-        raise SkippedError(f"not flown to the end, twice: {aborted}")
+        raise SkippedError(
+            f"not flown to the end, twice ({why}); try again when the machine is less busy"
+        )
     shell.run("groundstation", "convert", f"{name}/*.mcap", f"{name}.rrd")
 
 

@@ -2,13 +2,11 @@
 
 import os
 import subprocess
-import time
 
 import pytest
 
 from groundstation.demo.shell import LOG, SCRIPT, Shell
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.client import ask
 
 
 def python(text):
@@ -73,18 +71,14 @@ def test_settings_of_the_user_s_daemon_do_not_reach_the_demo_s(tmp_path, monkeyp
         assert (shell.folder / "o").read_text() == "None\n"
 
 
-def test_a_daemon_ends_with_its_block_and_its_recording_is_whole(shell):
+def test_a_daemon_ends_with_its_block_here_and_in_the_script_and_its_recording_is_whole(shell):
     with shell.running("groundstation", "run", "--recordings", "flights") as daemon:
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and daemon.poll() is None:
-            try:
-                if ask(shell.socket, "GET", "/status")["recording"]["samples"] > 0:
-                    break
-            except GroundStationError:
-                time.sleep(0.1)
+        shell.run(*python(_RECORDED))
     assert daemon.returncode == 0
-    (recording,) = shell.files("flights/*.mcap")
-    shell.run("groundstation", "inspect", str(recording.relative_to(shell.folder)))
+    shell.run("groundstation", "inspect", "flights/*.mcap")
+    again = shell.folder.parent / "again"
+    subprocess.run(["sh", shell.folder / SCRIPT, again], check=True, capture_output=True)
+    assert len(list(again.glob("flights/*.mcap"))) == 1
 
 
 def test_an_interrupt_ends_what_runs_before_it_goes_on(shell):
@@ -95,6 +89,21 @@ def test_an_interrupt_ends_what_runs_before_it_goes_on(shell):
         os.kill(daemon.pid, 0)
 
 
+_RECORDED = """
+import time
+from pathlib import Path
+from groundstation.service.client import ask
+from groundstation.service.config import socket_path
+from groundstation.errors import GroundStationError
+deadline = time.monotonic() + 60
+while time.monotonic() < deadline:
+    try:
+        if ask(socket_path(), "GET", "/status")["recording"]["samples"] > 0:
+            break
+    except GroundStationError:
+        pass
+    time.sleep(0.1)
+"""
 _WAIT = """
 import signal, time
 signal.signal(signal.SIGINT, lambda number, frame: exit(0))
