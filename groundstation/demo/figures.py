@@ -87,8 +87,7 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     samples = recording.samples
     twin = Twin(load_model(str(folder / "body.json")))
     shown = [one for one, _ in twin.feed(samples) if len(one.time_s)]
-    start_s = float(samples.time_s[0])
-    time = np.array([one.time_s[-1] for one in shown]) - start_s
+    time = np.array([one.time_s[-1] for one in shown])
     gap = np.array([one.gap for one in shown])
     worst = np.argsort(-np.nan_to_num(np.nanmax(gap, axis=0)))
     made, (axis,) = figure(9.6, 3.8)
@@ -104,13 +103,13 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     axis.set_yticks([], minor=True)
     axis.yaxis.set_major_formatter("{x:g}")
     axis.set_ylim(0.4, highest)
-    axis.set_xlim(0.0, float(samples.time_s[-1]) - start_s)
+    axis.set_xlim(float(samples.time_s[0]), float(samples.time_s[-1]))
     if noticed:
-        heard_s = float(noticed[0]["details"]["noticed_s"]) - start_s
+        heard_s = float(noticed[0]["details"]["noticed_s"])
         axis.axvline(heard_s, color=BAD, linewidth=1.6)
         axis.annotate(" the twin is sure", (heard_s, 0.44), color=BAD, fontsize=9, va="bottom")
     axis.set_ylabel("prediction error over noise")
-    axis.set_xlabel("time in the flight, s")
+    axis.set_xlabel("device time, s")
     axis.legend(loc="upper right", ncols=4, frameon=False)
     return made
 

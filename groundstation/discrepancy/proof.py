@@ -14,8 +14,8 @@ from groundstation.identification.runs import Run, hold_out
 class Proof:
     """The given and the improved model, on the rows they were fitted to and on others.
 
-    steps: (what joined, the gap on held-out rows with it): the given model, its constants
-    fitted again, then each effect in order.
+    steps: (what joined, the gap on held-out rows with it): the given model, then each
+    effect in order.
     """
 
     train_before: Comparison
@@ -59,8 +59,6 @@ def prove(findings: Findings, train: Comparison, judge_on: Sequence[Judged]) -> 
     before = compare(judge_on, train.model, train.black_box)
     after = before.with_model(findings.model)
     steps = [("given model", before.gap)]
-    refitted = before.with_model(findings.base)
-    steps.append(("constants fitted again", refitted.beside(before)))
     for number, found in enumerate(findings.effects, 1):
         last = number == len(findings.effects)
         joined = after if last else before.with_model(found.model)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.comparison import Comparison
-from groundstation.discrepancy.findings import CHANNELS, Candidate
+from groundstation.discrepancy.findings import CHANNELS
 from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.discrepancy.where import Place, Spectrum, Stretch, over_time
 from groundstation.report.figure import (
@@ -24,6 +24,8 @@ from groundstation.report.figure import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from groundstation.discrepancy.report_json import CandidateTried
 
 Array = NDArray[np.float64]
 
@@ -159,7 +161,7 @@ def residual_spectrum(before: Spectrum, after: Spectrum | None = None) -> Figure
     return made
 
 
-def evidence_bars(candidates: Sequence[Candidate]) -> Figure:
+def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
     """How strongly the recordings speak for each effect before any was added."""
     shown = sorted(candidates, key=lambda c: c.score, reverse=True)[:MOST_BARS]
     made, (axis,) = figure(9.6, 0.9 + 0.24 * max(len(shown), 3))
@@ -172,10 +174,13 @@ def evidence_bars(candidates: Sequence[Candidate]) -> Figure:
     for y, one, size in zip(place, shown, score, strict=True):
         note = "accepted" if one.accepted else one.reason
         axis.annotate(
-            note[:60], (size + 0.1, float(y)), xytext=(4, 0), textcoords="offset points",
+            note, (size + 0.1, float(y)), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=7.5, color=GOOD if one.accepted else "#5b6470",
         )  # fmt: skip
-    axis.set_xlim(0.1, max(10.0, float(score.max(initial=1.0))) * 60)
+    # As many decades as leave room for every note.
+    room = [0.98 - NOTE_CHARACTER * len(one.reason or "accepted") for one in shown]
+    decades = np.log10(score / 0.1 + 1.0) / np.maximum(room, 0.2)
+    axis.set_xlim(0.1, 0.1 * 10 ** max(3.0, float(decades.max(initial=3.0))))
     axis.invert_yaxis()
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("evidence by itself: drop of -2 log likelihood")
@@ -196,20 +201,29 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     last = len(steps)
     axis.barh(last, values[-1], color=IMPROVED, height=0.6)
     for k, value in enumerate([*values, values[-1]]):
-        at = max(value, values[k - 1]) if 0 < k < last else value
-        axis.annotate(f"{value:.2f}", (at, k), xytext=(5, 0), textcoords="offset points",
-                      va="center", fontsize=9)  # fmt: skip
+        step = 0 < k < last
+        words = f"{values[k - 1]:.2f} → {value:.2f}" if step else f"{value:.2f}"
+        axis.annotate(
+            *(words, (max(value, values[k - 1]) if step else value, k)),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        )
     names = [name for name, _ in steps]
     axis.set_yticks([*place, last], [names[0], *(f"+ {n}" for n in names[1:]), "improved model"])
     axis.axvline(1.0, color=MEASURED, linestyle="--", linewidth=1.0)
     axis.annotate("noise", (1.0, -0.6), xytext=(3, 0), textcoords="offset points", fontsize=8.5)
-    axis.set_xlim(0.0, float(values.max()) * 1.12)
+    axis.set_xlim(0.0, float(values.max()) * 1.2)
     axis.set_ylim(last + 0.6, -0.9)
     axis.grid(visible=False, axis="y")
     axis.set_xlabel("gap over all channels, held-out rows (1: nothing left to explain)")
     return made
 
 
+NOTE_CHARACTER = 0.0062
+"""Width of a character of a note beside a bar, as a share of the axes."""
 TICKS = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 

@@ -92,18 +92,19 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     _closer(page, proof.before, proof.after, _worst(report.where))
     page.heading("All candidates")
     page.figure(
-        evidence_bars(findings.candidates),
+        evidence_bars(report.candidates),
         "What each effect alone would explain, before any was added; effects that look alike"
         " share evidence, and only what passes every test is accepted.",
     )
     page.table(
         ["effect", "score", "t", "held out", "outcome"],
         [
-            (c.name, c.score, c.t, c.held_out, "accepted" if c.accepted else c.reason)
+            (c.name, c.score, c.t, c.held_out or None, "accepted" if c.accepted else c.reason)
             for c in report.candidates
         ],
         "score and held out: drop of -2 log likelihood on fitted and on held-out rows;"
-        " t: largest parameter over its standard error.",
+        " t: largest parameter over its standard error. Where held out is empty it was refused"
+        " before anything was asked of held-out rows.",
     )
     _limits(page, report)
     page.heading("How it is measured")
@@ -185,7 +186,8 @@ def _channels(page: Page, gap: Gap) -> None:
     page.table(
         ["channel", *ratio, *error, "noise floor", "unit"],
         rows,
-        "Root mean square of errors 20 and 50 ms ahead; the gap is error over noise floor.",
+        "Root mean square of errors 20 and 50 ms ahead; the gap is error over noise floor. Below 1"
+        " a model knows more than the black box that the floor comes from.",
     )
 
 

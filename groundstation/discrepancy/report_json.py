@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.comparison import Comparison
-from groundstation.discrepancy.findings import CHANNELS, Findings
+from groundstation.discrepancy.findings import CHANNELS, Candidate, Findings
 from groundstation.discrepancy.floor import SOURCE
 from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.discrepancy.proof import Proof
+from groundstation.discrepancy.search import NOTHING_LEFT, WORTH
 from groundstation.dynamics.model import Estimate
 
 Array = NDArray[np.float64]
@@ -232,7 +233,7 @@ def findings_report(
     """The whole report on a search. validation: files, or how rows were held out."""
     left = findings.residual
     gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after))
-    gaps = [gap for _, gap in proof.steps[1:]]
+    gaps = [gap for _, gap in proof.steps]
     return DiscrepancyReport(
         verdict=findings.verdict.value,
         effects=[
@@ -256,8 +257,8 @@ def findings_report(
             left.channel, list(left.frequencies_hz), left.signal, left.excess
         ),
         candidates=[
-            CandidateTried(c.name, c.score, c.t, c.held_out, c.accepted, c.reason)
-            for c in findings.candidates
+            CandidateTried(c.name, c.score, c.t, c.held_out, c.accepted, _reason(c, findings))
+            for c in sorted(findings.candidates, key=lambda c: -c.score)
         ],
         not_shown=[
             CannotShow(n.name, n.parameter, n.stderr, n.plausible, n.unit, n.manoeuvre)
@@ -271,6 +272,14 @@ def findings_report(
         seed=seed,
         created_by=created_by,
     )
+
+
+def _reason(candidate: Candidate, findings: Findings) -> str:
+    """Why it was refused. What alone explains much may only have looked like what was found."""
+    taken = ", ".join(effect.name for effect in findings.effects[:2])
+    shared = candidate.reason == NOTHING_LEFT and candidate.score > WORTH and taken
+    more = " and others" if len(findings.effects) > 2 else ""
+    return f"nothing is left for it beside {taken}{more}" if shared else candidate.reason
 
 
 def why_lost(reason: str) -> str:

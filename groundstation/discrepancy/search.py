@@ -73,6 +73,8 @@ RIVAL = 12.0
 ROUGHLY = 0.5
 """Drop of -2 log L at which a joint fit of a candidate ends."""
 MOST_ROUNDS = 16
+NOTHING_LEFT = "no significant improvement"
+"""Said of what the screening finds too weak, beside whatever was accepted before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -414,7 +416,7 @@ def _shortlist(scores: list[Scored], reasons: dict[str, str]) -> list[Scored]:
     able = []
     for one in scores:
         if one.drop < WORTH + PENALTY * (len(one.variant.keys) - 1):
-            reasons.setdefault(one.variant.label, "no significant improvement")
+            reasons.setdefault(one.variant.label, NOTHING_LEFT)
         elif not _sign_possible(one):
             reasons[one.variant.label] = "fits only with a sign that physics does not allow"
         else:

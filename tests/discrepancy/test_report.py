@@ -10,7 +10,7 @@ from compared_flights import flights
 from made_findings import NAME, findings, proof, report
 
 from groundstation.discrepancy.comparison import compare
-from groundstation.discrepancy.findings import CHANNELS, Leftover, Verdict
+from groundstation.discrepancy.findings import CHANNELS, Candidate, Leftover, Verdict
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall, where_map
 from groundstation.discrepancy.report_html import compare_page, discrepancy_page
 from groundstation.discrepancy.report_json import (
@@ -19,6 +19,7 @@ from groundstation.discrepancy.report_json import (
     gap_of,
     where_rows,
 )
+from groundstation.discrepancy.search import NOTHING_LEFT
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +54,8 @@ def test_the_gap_of_a_channel_is_its_error_over_its_floor_in_any_unit(found, pro
 
 def test_each_effect_carries_the_gap_before_and_after_it_joined(found, proven):
     (effect,) = report(found, proven).effects
-    assert effect.gap.before == proven.steps[1][1]
-    assert effect.gap.after == proven.steps[2][1]
+    assert effect.gap.before == proven.steps[0][1]
+    assert effect.gap.after == proven.steps[1][1]
     assert effect.gap.after < 1.1 < effect.gap.before
 
 
@@ -120,12 +121,25 @@ def test_the_map_starts_with_the_whole_flight_and_writes_each_ratio(proven):
     assert f"{place.rms / place.expected_rms:.2f}" in texts
 
 
-def test_bars_are_green_where_accepted_and_say_why_where_not(found):
-    axis = evidence_bars(found.candidates).axes[0]
+def test_bars_are_green_where_accepted_and_say_why_where_not(found, proven):
+    axis = evidence_bars(report(found, proven).candidates).axes[0]
     notes = [text.get_text() for text in axis.texts]
     assert notes == ["accepted", "not <significant>"]
     first, second = (bar.get_facecolor() for bar in axis.patches)
     assert first != second
+
+
+def test_what_only_looked_like_the_effect_that_was_found_is_told_so(found, proven):
+    alike = Candidate("yaw_damping", {}, 4000.0, 60.0, 0.0, False, NOTHING_LEFT)
+    faint = replace(alike, name="dead_time", score=3.0)
+    one = replace(found, candidates=(*found.candidates, faint, alike))
+    said = {c.name: c.reason for c in report(one, proven).candidates}
+    assert said["yaw_damping"] == f"nothing is left for it beside {NAME}"
+    assert said["dead_time"] == NOTHING_LEFT
+    notes = [
+        text.get_text() for text in evidence_bars(report(one, proven).candidates).axes[0].texts
+    ]
+    assert f"nothing is left for it beside {NAME}" in notes
 
 
 def test_the_waterfall_ends_where_the_last_step_ended(proven):

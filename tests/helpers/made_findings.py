@@ -54,7 +54,7 @@ def proof(found):
     """The given model and the found one on a flight with the effect."""
     before = judged(effects=hidden(NAME, MEDIUM[NAME]))
     after = before.with_model(found.model)
-    steps = [("given model", before.gap), ("constants fitted again", before.gap)]
+    steps = [("given model", before.gap)]
     steps += [(one.name, after.beside(before)) for one in found.effects]
     return Proof(before, after, before, after, tuple(steps))
 
