@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 SHOWN_S = 4.0
 GAP_TICKS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+SMOOTH_S = 0.04
+"""Accelerations are averaged over this to be drawn: their noise would hide what differs."""
 COLOURED = 3
 """Channels that stand out in the twin's picture."""
 RATES = (("gyro_x", "roll rate"), ("gyro_y", "pitch rate"), ("gyro_z", "yaw rate"))
@@ -126,6 +128,9 @@ def beside_figure(folder: Path, distance: Distance) -> Figure:
     time, *three = flights_apart(folder)
     true, old, new = (one[:, worst] for one in three)
     period_s = float(time[1] - time[0])
+    if UNITS[CHANNELS[worst]] == "g":
+        mean = np.full(round(SMOOTH_S / period_s), period_s / SMOOTH_S)
+        true, old, new = (np.convolve(one, mean, "same") for one in (true, old, new))
     rows = liveliest(np.cumsum(np.abs(old - true)) * period_s, period_s, SHOWN_S)
     made, (above, below) = figure(9.6, 4.4, rows=2, sharex=True, height_ratios=[3, 2])
     above.plot(time[rows], true[rows], color=MEASURED, linewidth=2.4, label="hidden craft")

@@ -232,7 +232,8 @@ def _improved(page: Page, outcome: Outcome) -> None:
     )
     page.figure(
         beside_figure(outcome.folder, outcome.distance),
-        "The channel in which the first model strays most, where it drifts away fastest.",
+        "The channel in which the first model strays most, where it drifts away fastest"
+        " (accelerations averaged over 40 ms).",
     )
     page.figure(distance_figure(outcome.distance), "Every channel; further left is closer.")
     page.links([("hidden craft", "hidden2.csv"), ("first model", "as_body.csv"),
