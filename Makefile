@@ -14,10 +14,11 @@ run: $(VENV)/.ready
 demo: $(VENV)/.ready-dev
 	$(BIN)/groundstation demo $(ARGS)
 
+# Each worker takes a stretch of neighbours: what a file's tests share is made once.
 test: $(VENV)/.ready-dev lint
-	$(BIN)/pytest -n auto $(ARGS)
+	$(BIN)/pytest -n auto --dist worksteal $(ARGS)
 
-# The USB link through a real kernel, in a virtual machine: about eight minutes, and qemu-system-x86,
+# The USB link through a real kernel, in a virtual machine: about ten minutes, and qemu-system-x86,
 # busybox-static, kmod, cpio and usbip.
 test-usb: $(VENV)/.ready-dev
 	$(BIN)/pytest tests/usb_vm -s -v $(ARGS)
