@@ -274,8 +274,8 @@ def live(words, folder):
         if ends:
             assert daemon.wait() == 0, daemon.stderr
         else:
-            state = "opening" if hardware else "streaming"
-            daemon.status_when(lambda status: status["link"]["state"] == state, state)
+            up = {"streaming"} | ({"opening", "silent"} if hardware else set())
+            daemon.status_when(lambda status: status["link"]["state"] in up, "the link")
             if not hardware:
                 daemon.recording()
             assert daemon.stop() == 0, daemon.stderr
