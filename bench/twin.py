@@ -21,6 +21,7 @@ import numpy as np
 
 from bench.sealed.cases import named
 from bench.sealed.flights import CARRY, PROGRAMME, Generator, command, vehicle_of
+from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
 from groundstation.service.client import Client
@@ -28,8 +29,6 @@ from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.twin.judge import Episode
 from groundstation.twin.twin import Twin, in_words
-
-Row = tuple[str, float, float, str]
 
 PLANTS = ("reduced", "faithful")
 KNOWN = (
@@ -58,15 +57,15 @@ def rows() -> Iterator[Row]:
         models = fitted(Path(name))
         for plant in PLANTS:
             done = clean(plant, models[plant], 0.5)
-            yield (
-                f"twin, {plant}, clean flight: false events an hour (ref: the limit)",
-                *(len(done.events) / done.hours, 1.0, "1/h"),
+            rate = len(done.events) / done.hours
+            yield Row(
+                f"twin, {plant}, clean flight: false events an hour", rate, None, "1/h", most=1.0
             )
-        yield "twin, processor per flown second (ref: the limit)", done.share, 0.05, "core"
+        yield Row("twin, processor per flown second (a core)", done.share, 1.0, "core", most=0.05)
         path = Path(name) / "twin.json"
         without, beside = (_daemon(Path(name), each) for each in (None, path))
-        yield "daemon with a twin, processor (ref: without)", beside, without, "core"
-        yield "the same, difference (ref: the limit)", beside - without, 0.05, "core"
+        yield Row("daemon with a twin: processor (without)", beside, without, "core")
+        yield Row("the twin's share of it (a core)", beside - without, 1.0, "core", most=0.05)
 
 
 def fitted(folder: Path) -> dict[str, Model]:
@@ -120,6 +119,8 @@ def clean(plant: str, model: Model, hours: float, seed: int = 0, tell: bool = Fa
         if tell:
             for each in told:
                 print(f"  {plant} {settings} seed {number}: {in_words(each)}", flush=True)
+            if done.flights % len(FLIGHTS) == 0:
+                print(f"  {plant}: {done.hours:.2f} h, {len(done.events)} events", flush=True)
     done.share = taken_s / (done.hours * 3600.0)
     return done
 
@@ -175,7 +176,7 @@ def main(arguments: list[str]) -> int:
     what, folder = arguments[0], Path(arguments[1])
     models = fitted(folder)
     if what == "clean":
-        for plant in PLANTS:
+        for plant in arguments[3:] or PLANTS:
             done = clean(plant, models[plant], float(arguments[2]), tell=True)
             print(
                 f"{plant}: {done.hours:.2f} h in the air, {done.flights} flights,"
