@@ -7,15 +7,27 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for, require_apart
+from groundstation.cli.flights import (
+    HTML,
+    MARKED,
+    MODEL,
+    STRETCH,
+    VEHICLE,
+    flights_from,
+    marked_in,
+    model_for,
+    require_apart,
+)
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
 
 if TYPE_CHECKING:
-    from groundstation.discrepancy.report_json import Gap, WhereRow
+    from groundstation.discrepancy.report_json import Gap, StretchReport, WhereRow
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")
-ROWS = 8
+ROWS, STRETCH_ROWS = 8, 4
+CLEAR = 3.0
+"""Standard deviations of noise energy from which a place is worth naming."""
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -26,6 +38,8 @@ def compare(
     recordings: list[Path] = RECORDINGS,
     model: str = MODEL,
     vehicle: str | None = VEHICLE,
+    stretch: list[str] | None = STRETCH,
+    marked: bool = MARKED,
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -39,18 +53,28 @@ def compare(
     import msgspec
 
     from groundstation.discrepancy.comparison import compare as judge
-    from groundstation.discrepancy.report_json import CompareReport, gap_of, where_rows
+    from groundstation.discrepancy.report_json import (
+        CompareReport,
+        gap_of,
+        stretch_report,
+        where_rows,
+    )
 
     if html is not None:
         require_new(html)
     require_apart(recordings, [])
     loaded = model_for(model, vehicle)
     with shown("reading") as progress:
-        flights = [run for part in flights_from(recordings, loaded, vehicle) for run in part]
+        parts = flights_from(recordings, loaded, vehicle)
+        asked = marked_in(recordings, parts, stretch or [], marked)
+        flights = [run for part in parts for run in part]
         progress(0.3, "predicting 20 and 50 ms ahead")
         found = judge(flights, loaded)
         names = [path.name for path in recordings]
-        report = CompareReport(where_rows(found), gap_of(found), names, model)
+        report = CompareReport(
+            *(where_rows(found), gap_of(found), names, model),
+            [stretch_report(one, found) for one in asked],
+        )
         if html is not None:
             from groundstation.discrepancy.report_html import compare_page
 
@@ -60,8 +84,22 @@ def compare(
         text = msgspec.json.format(msgspec.json.encode(report), indent=2)
         typer.echo(text.decode())
         return
+    say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
+
+
+def say_stretches(stretches: list[StretchReport]) -> None:
+    """Each stretch that was asked for, and where in it the model is wrong."""
+    for one in stretches:
+        typer.echo(f"{one.recording} from {one.begin_s:.2f} to {one.end_s:.2f} s ({one.why}):")
+        later = "" if one.gap.after is None else f", after {one.gap.after:.2f}"
+        typer.echo(f"  gap {one.gap.before:.2f}{later}")
+        clear = [row for row in one.where if row.significance >= CLEAR][:STRETCH_ROWS]
+        for row in clear:
+            typer.echo(f"  {_row(row)}")
+        if not clear:
+            typer.echo("  nowhere clearly worse than noise")
 
 
 def say_gap(gap: Gap) -> None:
@@ -83,13 +121,16 @@ def say_gap(gap: Gap) -> None:
 
 def say_where(rows: list[WhereRow], most: int = ROWS) -> None:
     """The places that are clearly worse than noise."""
-    clear = [row for row in rows if row.significance >= 3.0][:most]
+    clear = [row for row in rows if row.significance >= CLEAR][:most]
     if not clear:
         typer.echo("nowhere clearly worse than noise")
         return
     typer.echo("worst, most significant first:")
     for row in clear:
-        typer.echo(
-            f"  {row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit},"
-            f" noise {row.expected_rms:.3g}"
-        )
+        typer.echo(f"  {_row(row)}")
+
+
+def _row(row: WhereRow) -> str:
+    return (
+        f"{row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit}, noise {row.expected_rms:.3g}"
+    )

@@ -8,16 +8,29 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.compare import RECORDINGS, say_gap, say_where
-from groundstation.cli.flights import HTML, MODEL, VEHICLE, flights_from, model_for, require_apart
+from groundstation.cli.compare import RECORDINGS, say_gap, say_stretches, say_where
+from groundstation.cli.flights import (
+    HTML,
+    MARKED,
+    MODEL,
+    STRETCH,
+    VEHICLE,
+    flights_from,
+    marked_in,
+    model_for,
+    require_apart,
+)
 from groundstation.cli.model_files import require_new
 from groundstation.cli.progress import shown
 
 if TYPE_CHECKING:
+    from groundstation.discrepancy.comparison import Comparison
     from groundstation.discrepancy.findings import Findings
     from groundstation.discrepancy.proof import Proof
-    from groundstation.discrepancy.report_json import DiscrepancyReport
+    from groundstation.discrepancy.report_json import DiscrepancyReport, StretchReport
+    from groundstation.discrepancy.stretches import Marked
     from groundstation.dynamics.model import Model
+    from groundstation.identification.runs import Run
 
 VALIDATE = typer.Option(
     None, "--validate", help="Recordings that no fit sees (default: the last third of each REC)."
@@ -55,6 +68,8 @@ def discrepancy(
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
     effects: Path | None = EFFECTS,
+    stretch: list[str] | None = STRETCH,
+    marked: bool = MARKED,
     seed: int = typer.Option(0, min=0, help="Of whatever the search draws."),
     output: Path | None = OUTPUT,
     json: Path | None = JSON,
@@ -80,6 +95,8 @@ def discrepancy(
     with shown("reading") as progress:
         flights = flights_from(recordings, loaded, vehicle)
         held = flights_from(validate or [], loaded, vehicle)
+        paths = [*recordings, *(validate or [])]
+        asked = marked_in(paths, [*flights, *held], stretch or [], marked)
         fit_on, held_out, judged = divide(flights, held)
         progress(0.05, "comparing")
         train = compare(fit_on, loaded)
@@ -94,12 +111,30 @@ def discrepancy(
         )
         progress(0.8, "proving it on held-out rows")
         proof = prove(findings, train, judged)
-        report = _report(findings, proof, model, recordings, validate, seed)
+        whole = [run for part in (*flights, *held) for run in part]
+        looked = _look(asked, whole, findings, train)
+        report = _report(findings, proof, model, recordings, validate, seed, looked)
         _write(files, findings, proof, report)
     _say(report)
     for path in (files.model, files.json, files.html, files.rerun):
         if path is not None:
             typer.echo(f"written: {path}")
+
+
+def _look(
+    asked: list[Marked], flights: list[Run], findings: Findings, train: Comparison
+) -> list[StretchReport]:
+    """The given and the improved model on the stretches that were asked for."""
+    from groundstation.discrepancy.comparison import compare
+    from groundstation.discrepancy.report_json import stretch_report
+
+    if not asked:
+        return []
+    names = {one.recording for one in asked}
+    there = [run for run in flights if run.name in names]
+    before = compare(there, train.model, train.black_box)
+    after = before.with_model(findings.model)
+    return [stretch_report(one, before, after) for one in asked]
 
 
 def _report(
@@ -109,6 +144,7 @@ def _report(
     recordings: list[Path],
     validate: list[Path] | None,
     seed: int,
+    looked: list[StretchReport],
 ) -> DiscrepancyReport:
     from groundstation import __version__
     from groundstation.discrepancy.report_json import findings_report
@@ -121,6 +157,7 @@ def _report(
         model=model,
         seed=seed,
         created_by=f"groundstation {__version__}",
+        stretches=looked,
     )
 
 
@@ -197,6 +234,7 @@ def _say(report: DiscrepancyReport) -> None:
             + (f" at {where} Hz" if where else "")
             + (f", like {left.signal}" if left.signal else "")
         )
+    say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
     if report.not_shown:

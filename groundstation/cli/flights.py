@@ -12,12 +12,19 @@ from groundstation.cli.model_files import open_one
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
+    from groundstation.discrepancy.stretches import Marked
     from groundstation.dynamics.model import Model
     from groundstation.identification.runs import Run
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 VEHICLE = typer.Option(
     None, "--vehicle", help="Vehicle profile of the recordings (default: the model's)."
+)
+STRETCH = typer.Option(
+    None, "--stretch", metavar="FROM:TO", help="Look at these seconds first; repeatable."
+)
+MARKED = typer.Option(
+    False, "--marked", help="Look first at what the live twin marked ('run --twin') in each REC."
 )
 HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 
@@ -55,6 +62,50 @@ def flights_from(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
         if vehicle is None and recorded != model.vehicle:
             raise _other_vehicle(path.name, recorded, model)
         found.append(flights_of(recording.samples, path.name))
+    return found
+
+
+def marked_in(
+    paths: Sequence[Path], flights: Sequence[Sequence[Run]], spans: Sequence[str], by_twin: bool
+) -> list[Marked]:
+    """The stretches that ``--stretch`` and ``--marked`` ask for.
+
+    Raises BadInputError for a span that is none, one in which no recording has a flight, and where
+    the twin marked nothing.
+    """
+    from groundstation.discrepancy import stretches
+    from groundstation.identification.segments import span_of
+
+    typed = [span_of(text, "--stretch") for text in spans]
+    found: list[Marked] = []
+    for span in typed:
+        there = [
+            path.name
+            for path, runs in zip(paths, flights, strict=True)
+            if any(
+                run.time_s[0] - run.recording_start_s < span[1]
+                and span[0] < run.time_s[-1] - run.recording_start_s
+                for run in runs
+            )
+        ]
+        if not there:
+            raise BadInputError(
+                f"--stretch {span[0]:g}:{span[1]:g}: no recording has a flight then; seconds count"
+                " from a recording's first sample"
+            )
+        found += stretches.by_hand([span], there)
+    if by_twin:
+        marks: list[Marked] = []
+        for path, runs in zip(paths, flights, strict=True):
+            first, last = runs[0].recording_start_s, float(runs[-1].time_s[-1])
+            marks += stretches.by_twin(open_one(path).events, path.name, first, last)
+        if not marks:
+            names = ", ".join(path.name for path in paths)
+            raise BadInputError(
+                f"{names}: the live twin marked nothing; record with 'groundstation run --twin"
+                " MODEL', or give --stretch FROM:TO"
+            )
+        found += marks
     return found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from groundstation.discrepancy.comparison import Comparison
 from groundstation.discrepancy.findings import Findings, Verdict
 from groundstation.discrepancy.proof import Proof
@@ -19,6 +21,7 @@ from groundstation.discrepancy.report_json import (
     CompareReport,
     DiscrepancyReport,
     Gap,
+    StretchReport,
     WhereRow,
     why_lost,
 )
@@ -57,6 +60,7 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
         page.verdict(
             f"Gap {found.gap:.2f} over all channels (1 is noise). Worst: {_place(worst)}.", "bad"
         )
+    _stretches(page, report.stretches)
     _channels(page, report.gap)
     page.heading("Where")
     page.figure(where_map([("error over noise", found.places)]), MAP_TEXT)
@@ -76,6 +80,7 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
         f"What {report.model} was missing", f"Discrepancy report on {', '.join(report.recordings)}"
     )
     _verdict(page, findings, report)
+    _stretches(page, report.stretches)
     page.heading("What was found")
     _effects(page, report)
     page.heading("The gap closes")
@@ -217,6 +222,30 @@ def _closer(
                 "Errors one row ahead by frequency: what stands above noise is not explained"
                 " (vibration is not meant to be).",
             )
+
+
+def _stretches(page: Page, stretches: Sequence[StretchReport]) -> None:
+    """The stretches that were asked for, with where they are worst."""
+    if not stretches:
+        return
+    page.heading("Looked at first")
+    rows: list[tuple[str | float | None, ...]] = []
+    for one in stretches:
+        worst = _worst(one.where)
+        rows.append(
+            (
+                f"{one.recording}, {one.begin_s:.2f} to {one.end_s:.2f} s",
+                one.why,
+                one.gap.before,
+                one.gap.after,
+                "nowhere clearly worse than noise" if worst is None else _place(worst),
+            )
+        )
+    page.table(
+        ["stretch", "named by", "gap before", "gap after", "worst"],
+        rows,
+        "Errors and noise floor of these rows alone; 1 is noise.",
+    )
 
 
 def _limits(page: Page, report: DiscrepancyReport) -> None:

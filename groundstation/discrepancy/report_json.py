@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal
 
@@ -15,6 +16,7 @@ from groundstation.discrepancy.floor import SOURCE
 from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.search import NOTHING_LEFT, WORTH
+from groundstation.discrepancy.stretches import Marked, within
 from groundstation.dynamics.model import Estimate
 
 Array = NDArray[np.float64]
@@ -134,6 +136,19 @@ class ResidualDetail(msgspec.Struct, frozen=True):
     excess: float
 
 
+class StretchReport(msgspec.Struct, frozen=True):
+    """A stretch that was asked for: seconds since the recording's first row, its own ``where``
+    and, by channel, error over noise before and after."""
+
+    recording: str
+    begin_s: float
+    end_s: float
+    why: str
+    gap: Level
+    channels: dict[str, Level]
+    where: list[WhereRow]
+
+
 class CompareReport(msgspec.Struct, frozen=True):
     """``compare --json``."""
 
@@ -141,6 +156,7 @@ class CompareReport(msgspec.Struct, frozen=True):
     gap: Gap
     recordings: list[str]
     model: str
+    stretches: list[StretchReport] = []
 
 
 class DiscrepancyReport(msgspec.Struct, frozen=True):
@@ -162,6 +178,27 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     model: str
     seed: int
     created_by: str
+    stretches: list[StretchReport] = []
+
+
+def stretch_report(
+    marked: Marked, before: Comparison, after: Comparison | None = None
+) -> StretchReport:
+    """One stretch of comparisons on whole recordings, of the given and the improved model."""
+    given = within(before, marked)
+    better = None if after is None else within(after, marked)
+    channels = {}
+    for number, name in enumerate(CHANNELS):
+        floor = given.noise_floor[number]
+        if np.isfinite(floor) and floor > 0 and np.isfinite(given.rms[number]):
+            later = None if better is None else float(better.rms[number] / floor)
+            channels[name] = Level(float(given.rms[number] / floor), later, 1.0)
+    return StretchReport(
+        *(marked.recording, marked.begin_s, marked.end_s, marked.why),
+        level(given, better),
+        channels,
+        where_rows(given, WORST),
+    )
 
 
 def where_rows(comparison: Comparison, most: int | None = None) -> list[WhereRow]:
@@ -229,6 +266,7 @@ def findings_report(
     model: str,
     seed: int,
     created_by: str,
+    stretches: Sequence[StretchReport] = (),
 ) -> DiscrepancyReport:
     """The whole report on a search. validation: files, or how rows were held out."""
     left = findings.residual
@@ -271,6 +309,7 @@ def findings_report(
         model=model,
         seed=seed,
         created_by=created_by,
+        stretches=list(stretches),
     )
 
 

@@ -72,8 +72,13 @@ def parse_selection(select: str, segments: tuple[str, ...] = ()) -> Selection:
             raise BadInputError(
                 f"--select {word}: there are {', '.join(CRITERIA)} and battery=LOW:HIGH"
             )
-    spans = tuple(_range(text, f"--segment {text}", "12.5:40") for text in segments)
+    spans = tuple(span_of(text, "--segment") for text in segments)
     return Selection(tuple(names), battery, spans)
+
+
+def span_of(text: str, option: str) -> tuple[float, float]:
+    """Seconds as typed after an option: ``12.5:40``. Raises BadInputError."""
+    return _range(text, f"{option} {text}", "12.5:40")
 
 
 def selected(run: Run, selection: Selection) -> Mask:
