@@ -32,14 +32,16 @@ def add_commands(app: typer.Typer) -> None:
 
 def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
-    link: str | None = typer.Option(None, help="stand-in, usb, serial:PORT or replay:FILE."),
+    link: str | None = typer.Option(
+        None, help="stand-in (default), usb, serial:PORT or replay:FILE."
+    ),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
     ),
     duration_s: float | None = typer.Option(
         None, "--for", min=0.0, help="Stop after so many seconds."
     ),
-    recordings: Path | None = typer.Option(None, help="Folder for recordings."),
+    recordings: Path | None = typer.Option(None, help="Folder for recordings (default: sessions)."),
     record: bool | None = typer.Option(None, "--record/--no-record", help="Record at once."),
     viewer: ViewerMode | None = typer.Option(
         None, help="Live view: off, serve (browser) or spawn (window)."
