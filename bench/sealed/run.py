@@ -186,7 +186,8 @@ def _judged(
     line = judge(case, sealed, said)
     line |= {key: answer[key] for key in ("seconds", "processor_s", "peak_mb")}
     if line["listed"] or case.group == "hover":
-        line["settled"] = _settled(case, sealed, search, folder)
+        line["after_manoeuvre"] = after = _after_manoeuvre(case, sealed, search, folder)
+        line["settled"] = settles(after)
         line["right"] = line["right"] or (line["listed"] and line["settled"])
     if case.group == "single" and line["right"]:
         try:
@@ -196,19 +197,24 @@ def _judged(
     return line
 
 
-def _settled(case: Case, sealed: Sealed, search: Search, folder: Path) -> bool:
-    """Whether the manoeuvre, flown next with a full and with an empty cell, names the right one
-    and no longer lists what it can be confused with."""
+def _after_manoeuvre(case: Case, sealed: Sealed, search: Search, folder: Path) -> dict[str, Any]:
+    """What is said when the manoeuvre was flown next, with a full and with an empty cell."""
     for number, charge in ((3, 1.0), (4, 0.35)):
         settings = {**sealed.craft, "program": SETTLE, "charge": charge, "land_when_low": False}
         samples, _ = flown({**settings, "seed": flight_seed(case, number)}, FLIGHT_S)
         record(folder / f"fit{number}.mcap", samples)
     for name in ("report.json", "improved.json"):
         (folder / name).unlink()
-    if search(folder)["error"]:
-        return False
+    error = search(folder)["error"]
+    if error:
+        return {"error": error, "right": False}
     line = judge(case, sealed, json.loads((folder / "report.json").read_text()))
-    doubts = [{name, other} for name, some in line["rivals"].items() for other in some]
+    return {key: line[key] for key in ("right", "found", "missed", "said", "rivals")}
+
+
+def settles(line: dict[str, Any]) -> bool:
+    """Whether a judgement names the right effect and lists nothing it can be confused with."""
+    doubts = [{name, other} for name, some in line.get("rivals", {}).items() for other in some]
     return bool(line["right"]) and not any(pair in CONFUSABLE for pair in doubts)
 
 

@@ -18,7 +18,7 @@ from bench.sealed.figures import draw as draw_figures
 from bench.sealed.flights import CARRY, PROGRAMME, Sealed, constants_alone, flown, record
 from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
-from bench.sealed.run import judged_again, search_arguments
+from bench.sealed.run import judged_again, search_arguments, settles
 from bench.sealed.signals import Signals, effect_signals
 from bench.sealed.tables import tables
 from bench.sealed.worker import names_alone
@@ -458,3 +458,18 @@ def test_what_a_bench_fitted_along_is_not_told_to_the_search(tmp_path):
     save_model(msgspec.structs.replace(THESIS, effects=(lag,)), path)
     constants_alone(path)
     assert load_model(path) == THESIS
+
+
+@pytest.mark.parametrize(
+    ("right", "rivals", "settled"),
+    [
+        (True, {"supply_sag": []}, True),
+        (True, {"supply_sag": ["gyro_bias"]}, True),
+        (True, {"supply_sag": ["motor_dead_voltage"]}, False),
+        (False, {"motor_dead_voltage": []}, False),
+    ],
+)
+def test_the_manoeuvre_settles_when_the_right_name_stands_without_its_double(
+    right, rivals, settled
+):
+    assert settles({"right": right, "rivals": rivals}) is settled
