@@ -14,6 +14,7 @@ from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
     VEHICLE,
+    bridged_runs_in,
     effect_names,
     model_before,
     open_one,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from groundstation.identification.evidence import Identified, Progress
     from groundstation.identification.runs import Run
     from groundstation.identification.segments import Selection
+    from groundstation.recording.session import Recording
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
 VALIDATE = typer.Option(
@@ -137,6 +139,7 @@ def fit_body(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
         *(vehicle, model, select, segment),
+        bridged_runs_in,
     )
 
 
@@ -209,6 +212,7 @@ def _carry_out(
     model: str | None,
     select: str,
     segment: list[str] | None,
+    read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
 ) -> None:
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.segments import parse_selection
@@ -222,13 +226,17 @@ def _carry_out(
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
         craft = vehicle_of([*fit_on, *held], vehicle)
         task = _Task(
-            runs_in(fit_on),
-            runs_in(held),
+            read(fit_on),
+            read(held),
             model_before(model, craft),
             load_vehicle(craft),
             selection,
         )
         found = identify(task, progress)
+        rows = sum(map(len, task.runs))
+        lost = rows - sum(len(one.samples) for one in fit_on)
+        if lost > 0:
+            found.account["warnings"].append(f"{lost} of {rows} rows were lost, and bridged")
         _finish(found, files, progress)
 
 

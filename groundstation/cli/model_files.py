@@ -40,6 +40,18 @@ def runs_in(recordings: Sequence[Recording]) -> list[Run]:
     return [run for one in recordings for run in runs_of(one.samples, one.path.name)]
 
 
+def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
+    """The same with short gaps bridged on straight lines, for what a radio's losses would cut to
+    pieces."""
+    from groundstation.discrepancy.recordings import flights_of, without_gaps
+
+    return [
+        without_gaps(run)
+        for one in recordings
+        for run in flights_of(one.samples, one.path.name, least_s=1.0)
+    ]
+
+
 def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str:
     """The profile that the user gave, or the one that the recordings name.
 
