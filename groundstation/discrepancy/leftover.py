@@ -209,6 +209,7 @@ def _with_signals(
         for s in linear.spectra:
             if s.flight == number:
                 columns = transform_channel(signals, s.channel, flight)
+                columns = columns / problem.root(flight, s.channel, s.hz)
                 wider.append(
                     replace(
                         s,

@@ -46,6 +46,9 @@ better known, but where slow air moves real craft its mean has no weight."""
 REST_SPEEDS_M_S = (0.03, 0.15)
 """What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
+SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
+"""Width of the bands in which flights have noise of their own, and the degrees of freedom that
+each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -104,6 +107,7 @@ class Problem:
         self.start = start
         self.prior, self.known_motor = _prior(model, start)
         self.noise: dict[int, Noise] = {}
+        self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
 
     def settle_filters(self) -> None:
@@ -116,18 +120,32 @@ class Problem:
         self.frame = replace(self.frame, rate_gain=(gains[0], gains[1], gains[2]))
 
     def linear(self, point: Point, keys: Sequence[str], flights: Sequence[Flight]) -> Linear:
-        """Evaluate flights at a point with the columns of ``keys``."""
+        """Evaluate flights at a point with the columns of ``keys``.
+
+        Spectra are divided by what the noise of their flight is to that of all (``shapes``).
+        """
         spectra: list[Spectrum] = []
         verticals: list[Vertical] = []
         for number, flight in enumerate(flights):
             series = evaluate(flight, self.frame, point, keys)
-            spectra += transform(number, series, keys, flight.period_s, _strides(flight))
+            for s in transform(number, series, keys, flight.period_s, _strides(flight)):
+                root = self.root(flight, s.channel, s.hz)
+                spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
             verticals += _vertical(number, series, keys, flight)
         return Linear(dict(point), tuple(keys), spectra, verticals)
 
-    def learn_noise(self, linear: Linear) -> None:
-        """Noise spectra from what a fit of every column at once leaves."""
-        self.reference = linear
+    def root(self, flight: Flight, channel: int, hz: Array) -> Array:
+        """What spectra of a flight's channel are divided by, at frequencies ``hz``."""
+        shape = self.shapes.get((id(flight), channel))
+        return np.ones(len(hz)) if shape is None else np.sqrt(shape.at(hz))
+
+    def learn_noise(self, linear: Linear) -> Linear:
+        """Noise spectra from what a fit of every column at once leaves.
+
+        One for all flights, and beside it each flight's own shape: a limit cycle or a propeller
+        out of balance in one of them would leave none of them white, and in closed loop a wrong
+        noise model is a wrong estimate. Returns ``linear`` divided by the new shapes.
+        """
         values = [s.residual for s in linear.spectra]
         used = [np.zeros(len(s.hz)) for s in linear.spectra]
         for number in range(NOISE_ROUNDS if not self.noise else LATER_NOISE_ROUNDS):
@@ -135,12 +153,43 @@ class Problem:
                 noise = self.noise
             else:
                 noise = whiten_by_own(linear.spectra, values, used)
+                linear, values = self._reshape(linear, values, used)
             total = self.with_prior(linear, noise)
             covariance = inverse(total.normal)
             change = covariance @ total.gradient
             values = [s.residual - change[s.place] @ s.columns for s in linear.spectra]
             used = [leverage(s, noise[s.channel], covariance) for s in linear.spectra]
         self.noise = whiten_by_own(linear.spectra, values, used)
+        self.reference = linear
+        return linear
+
+    def _reshape(
+        self, linear: Linear, values: Sequence[Array], used: Sequence[Array]
+    ) -> tuple[Linear, list[Array]]:
+        """Bring the shapes up to date with residuals ``values``; both divided accordingly."""
+        if len(self.flights) < 2:
+            return linear, list(values)
+        spectra, left = [], []
+        for s, residual, spent in zip(linear.spectra, values, used, strict=True):
+            width = max(SHAPE_HZ, SHAPE_FREEDOM / float(s.weight.sum()) * 2.0 * s.hz[-1])
+            # In the same bands: a mean over one is not what the spectrum is in its middle.
+            alike = [i for i, other in enumerate(linear.spectra) if other.channel == s.channel]
+            pooled = whiten_by_own(
+                [linear.spectra[i] for i in alike],
+                [values[i] for i in alike],
+                [used[i] for i in alike],
+                width,
+            )[s.channel]
+            own = whiten_by_own([s], [residual], [spent], width)[s.channel]
+            ratio = Noise(own.hz, own.power / pooled.at(own.hz))
+            key = (id(self.flights[s.flight]), s.channel)
+            before = self.shapes.get(key)
+            power = ratio.power if before is None else ratio.power * before.power
+            self.shapes[key] = Noise(ratio.hz, power)
+            root = np.sqrt(ratio.at(s.hz))
+            spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
+            left.append(residual / root)
+        return replace(linear, spectra=spectra), left
 
     def with_prior(self, linear: Linear, noise: Mapping[int, Noise] | None = None) -> Quadratic:
         """-2 log L around a linearisation, the prior included."""

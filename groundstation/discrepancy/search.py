@@ -150,7 +150,7 @@ def search(
             min(0.9, 0.1 + 0.2 * number),
         )
         linear = problem.linear(now.point, every, problem.flights)
-        problem.learn_noise(linear)
+        linear = problem.learn_noise(linear)
         total = problem.with_prior(linear)
         dropped = _needless(linear, total, now.keys, accepted)
         if dropped is not None:
@@ -213,7 +213,7 @@ def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]
     point = dict(problem.start)
     for _ in range(SETTLINGS):
         linear = problem.linear(point, every, problem.flights)
-        problem.learn_noise(linear)
+        linear = problem.learn_noise(linear)
         total = problem.with_prior(linear)
         change = inverse(total.normal) @ total.gradient
         at = linear.place(BODY_KEYS)

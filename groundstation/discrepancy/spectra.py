@@ -138,8 +138,10 @@ def _fourier(stack: Array, step_s: float) -> tuple[Array, Array, Array]:
     return real, np.tile(hz, 2), np.tile(weight, 2)
 
 
-def bands(top_hz: float) -> Array:
-    """Edges in Hz: narrow where motion is, wider above."""
+def bands(top_hz: float, even_hz: float | None = None) -> Array:
+    """Edges in Hz: narrow where motion is, wider above, or all ``even_hz`` apart."""
+    if even_hz is not None:
+        return np.linspace(0.0, top_hz * (1.0 + 1e-9), max(1, round(top_hz / even_hz)) + 1)
     edges, width = [0.0], FIRST_BAND_HZ
     while edges[-1] < top_hz:
         edges.append(edges[-1] + width)
@@ -149,14 +151,19 @@ def bands(top_hz: float) -> Array:
 
 
 def whiten_by_own(
-    spectra: Sequence[Spectrum], values: Sequence[Array], used: Sequence[Array]
+    spectra: Sequence[Spectrum],
+    values: Sequence[Array],
+    used: Sequence[Array],
+    even_hz: float | None = None,
 ) -> dict[int, Noise]:
-    """Noise spectra per channel from residuals; used: degrees of freedom spent on
-    each value."""
+    """Noise spectra per channel from residuals; used: degrees of freedom spent on each value.
+
+    even_hz: width of the bands, instead of those of ``bands``.
+    """
     noises: dict[int, Noise] = {}
     for channel in sorted({s.channel for s in spectra}):
         mine = [i for i, s in enumerate(spectra) if s.channel == channel]
-        edges = bands(max(spectra[i].hz[-1] for i in mine))
+        edges = bands(max(spectra[i].hz[-1] for i in mine), even_hz)
         power, count, free = (np.zeros(len(edges) - 1) for _ in range(3))
         for i in mine:
             band = np.searchsorted(edges, spectra[i].hz, side="right") - 1

@@ -23,7 +23,7 @@ def screened(seed, torque_noise, sensor_noise):
     problem = Problem(prepare(runs), model, start)
     problem.settle_filters()
     linear = problem.linear(start, (*BASE_KEYS, *EFFECT_KEYS), problem.flights)
-    problem.learn_noise(linear)
+    linear = problem.learn_noise(linear)
     return screen(linear, problem.with_prior(linear), BASE_KEYS, VARIANTS)
 
 
