@@ -24,6 +24,8 @@ from groundstation.dynamics.effects.catalogue import EFFECTS
 from groundstation.report.page import Page
 
 REPORT = "report.html"
+BUSY_S = 0.01
+"""Setpoints that take effect further apart than this were held up by the machine."""
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -143,12 +145,19 @@ def _controller_flies(page: Page, outcome: Outcome) -> None:
         return
     flown = flown_steps(outcome.folder, outcome.flown)
     apart = [f"{one.axis}: {', '.join(one.apart)}" for one in flown.axes if one.apart]
-    page.verdict(
-        "Measured and predicted disagree. " + "; ".join(apart)
-        if apart
-        else "Measured and predicted agree within 15 %, 3 points of overshoot or 20 ms.",
-        "bad" if apart else "good",
-    )
+    if not apart:
+        page.verdict(
+            "Measured and predicted agree within 15 %, 3 points of overshoot or 20 ms.", "good"
+        )
+    elif flown.spread_s > BUSY_S:
+        page.verdict(
+            f"Measured and predicted disagree ({'; '.join(apart)}), but this machine was too busy"
+            " to measure it: setpoints took effect spread over"
+            f" {1e3 * flown.spread_s:.0f} ms (the middle half of them).",
+            "neutral",
+        )
+    else:
+        page.verdict(f"Measured and predicted disagree. {'; '.join(apart)}", "bad")
     page.text(
         "In real time, through the daemon and the official client library: the gains are written,"
         " read back, flown through doublets, and the former ones put back."
