@@ -51,6 +51,10 @@ SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
 each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
+GAIN_KEY, HEIGHT_KEY = "ground_effect.gain", "ground_effect.height_m"
+HEIGHT_DOUBT_M, REACH_DOUBT_M = 0.03, 0.02
+"""No sensor measures height: what is reckoned is off by a few cm after a low hover, as a shift
+(which the gain takes) and as a stretch (which the reach takes)."""
 BOUNDS: dict[str, tuple[float, float]] = {
     "dead_time.delay_s": (0.0, 0.045),
     LOW_PASS: (0.0, 0.05),
@@ -88,7 +92,14 @@ class Fit:
     covariance: Array
 
     def stderr(self) -> dict[str, float]:
-        return dict(zip(self.keys, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        """Standard errors by key; those of the ground effect hold the reckoned height's too."""
+        found = dict(zip(self.keys, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        if HEIGHT_KEY in found:
+            reach = self.point[HEIGHT_KEY]
+            lost = self.point[GAIN_KEY] * HEIGHT_DOUBT_M / max(reach, HEIGHT_DOUBT_M)
+            found[GAIN_KEY] = float(np.hypot(found[GAIN_KEY], lost))
+            found[HEIGHT_KEY] = float(np.hypot(found[HEIGHT_KEY], REACH_DOUBT_M))
+        return found
 
 
 class Problem:
