@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -19,10 +20,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from bench.sealed.cases import named
+from bench.sealed.bound import significances
+from bench.sealed.cases import NO_SMALL_SIZE, named
 from bench.sealed.flights import CARRY, PROGRAMME, Generator, command, vehicle_of
+from bench.sealed.flights import flown as sealed_flight
+from bench.sealed.hidden import CHANNELS, LISTED, planted, scaled
 from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.effects.drawn import draw
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
 from groundstation.service.client import Client
 from groundstation.telemetry.decoder import decode_all
@@ -37,6 +42,7 @@ KNOWN = (
 )
 START_NS = 1_700_000_000_000_000_000
 PIECE_ROWS = 250
+SIGMAS = (10.0, 20.0, 40.0, 80.0)
 FLIGHTS: tuple[tuple[float, dict[str, Any]], ...] = (
     (600.0, {"program": "excite"}),
     (60.0, {"program": PROGRAMME}),
@@ -125,6 +131,63 @@ def clean(plant: str, model: Model, hours: float, seed: int = 0, tell: bool = Fa
     return done
 
 
+ONSET_S = {
+    **dict.fromkeys(LISTED, 9.0),  # the first doublet, in roll
+    **dict.fromkeys(
+        ("centre_of_gravity_offset", "rotor_mismatch", "motor_dead_voltage", "supply_sag",
+         "gyro_bias", "accelerometer_bias", "imu_misalignment", "ground_effect"), 3.0,
+    ),  # take-off
+    **dict.fromkeys(("rotor_acceleration_torque", "yaw_damping"), 15.0),
+    **dict.fromkeys(("rotor_gyroscopic_torque", "inertia_coupling", "climb_inflow"), 18.0),
+    "battery_reading_lag": 38.0,
+}  # fmt: skip
+"""When the programme first excites an effect, by its own segments."""
+
+
+def effects(model: Model, folder: Path) -> None:
+    """When the twin tells of each effect, at multiples of the bound's standard error."""
+    sizes_path = folder / "sizes.json"
+    if not sizes_path.exists():
+        sizes_path.write_text(json.dumps({name: _one_sigma(name) for name in LISTED}))
+    sizes = json.loads(sizes_path.read_text())
+    print("| effect | size | " + " | ".join(f"{each:g} sigma" for each in SIGMAS) + " |")
+    print("|---|---|" + "---|" * len(SIGMAS))
+    for name in LISTED:
+        if name in NO_SMALL_SIZE:
+            continue
+        cells = []
+        for sigmas in SIGMAS:
+            values = scaled(name, sizes[name], sigmas)
+            settings = {"effects": planted(name, values, True), "program": PROGRAMME}
+            samples = flown({"plant": "reduced", "seed": 77, **settings}, 60.0)
+            told = [(at, each) for at, each in watched(model, samples) if each.end_s is None]
+            right = [at for at, each in told if _fits(name, each)]
+            wrong = "" if not told or _fits(name, told[0][1]) else "!"
+            cells.append(f"{right[0] - ONSET_S[name]:.0f} s{wrong}" if right else f"-{wrong}")
+        size = ", ".join(f"{key} {value:.2g}" for key, value in sizes[name].items())
+        print(f"| {name} | {size} | " + " | ".join(cells) + " |", flush=True)
+
+
+def _fits(name: str, episode: Episode) -> bool:
+    channel = episode.place.channel.replace("_", " ")
+    return any(channel.startswith(each) for each in CHANNELS[name])
+
+
+def _one_sigma(name: str) -> dict[str, float]:
+    """An effect one standard error of the Cramer-Rao bound large, on two flights of 60 s."""
+    values = draw(name, np.random.default_rng(5))
+    if name in NO_SMALL_SIZE:
+        return values
+    usual = {"plant": "reduced", "craft": "crazyflie1", "program": PROGRAMME, "gains": CARRY,
+             "copies": 1, "loss": {"good_loss": 0.0}}  # fmt: skip
+    for _ in range(2):
+        trial = {**usual, "effects": planted(name, values, True)}
+        flights = [sealed_flight({**trial, "seed": 100 + k}, 60.0) for k in range(2)]
+        found = significances(msgspec.convert(trial, StandInSettings), flights)[name]
+        values = scaled(name, values, 10.0 / found)
+    return scaled(name, values, 0.1)
+
+
 def watched(model: Model, samples: SampleBatch) -> Iterator[tuple[float, Episode]]:
     """(device time at which it was told, episode), as the daemon would feed the twin."""
     twin = Twin(model)
@@ -175,6 +238,8 @@ def _daemon(folder: Path, model: Path | None) -> float:
 def main(arguments: list[str]) -> int:
     what, folder = arguments[0], Path(arguments[1])
     models = fitted(folder)
+    if what == "effects":
+        effects(models["reduced"], folder)
     if what == "clean":
         for plant in arguments[3:] or PLANTS:
             done = clean(plant, models[plant], float(arguments[2]), tell=True)

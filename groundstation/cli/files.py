@@ -189,6 +189,7 @@ def _print_report(report: dict[str, Any]) -> None:
             shown = ", ".join(f"{key} {value * 1e3:.3f} ms" for key, value in jitter.items())
             facts.append((name.removesuffix("_s").replace("_", " "), shown))
     facts += [("table", f"{name}: {rows} rows") for name, rows in report["tables"].items()]
+    facts += [(each["link"], f"{each['kind']}: {each['text']}") for each in report["marks"]]
     for name, text in facts:
         console.print(f"[bold]{name:<14}[/bold]", end="", highlight=False)
         console.print(text, highlight=False, markup=False, soft_wrap=True)

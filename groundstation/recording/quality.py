@@ -29,6 +29,8 @@ GAP_TOLERATED_S = 0.05
 FULL_DUTY = 4088 / 4096
 """The largest duty of a 9-bit PWM."""
 LOW_BATTERY_V = 3.0
+MARKS = ("mark", "gap", "gap ended")
+"""Kinds of events that point at a stretch of a flight."""
 
 _GYRO_RANGES_DEG_S = (250, 500, 1000, 2000)
 _ACCELEROMETER_RANGES_G = (2, 4, 8, 16, 24)
@@ -52,7 +54,8 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     (no telemetry packets), damaged (contradicting the other copies, or fitting nowhere),
     repeated_times, segments, clipping (channel -> samples), jitter (device_step_s,
     host_arrival_s), battery, ranges (channel -> unit, min, max, mean), missing (channels
-    without data), tables (name -> rows), damage, verdict.
+    without data), tables (name -> rows), marks (events that a client or the live twin put there),
+    damage, verdict.
     """
     samples = recording.samples
     steps = _steps(samples)
@@ -83,6 +86,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "ranges": _ranges(samples),
         "missing": [channel.name for channel in CHANNELS if not channel.is_in(samples)],
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
+        "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
     }
     faults = list(_faults(report, samples))

@@ -54,6 +54,8 @@ class TwinService:
         self._busy = asyncio.Lock()
         self._gap: list[float | None] | None = None
         self._text = ""
+        self._learnt = False
+        self._lasting: list[dict[str, Any]] = []  # disagreements, as told
         self._name = ""
         self._model: Model | None = None
         self._twin: Twin | None = None
@@ -77,6 +79,7 @@ class TwinService:
         self._waiting.clear()
         self._rows = 0
         self._twin, self._gap, self._text = None, None, ""
+        self._learnt, self._lasting = False, []
 
     def samples(self, batch: SampleBatch) -> None:
         """Queue samples; never waits."""
@@ -124,15 +127,12 @@ class TwinService:
         """None without a model; see ``answers.TwinStatus``."""
         if self._model is None:
             return None
-        twin = self._twin
-        learnt = twin is not None and twin.learnt
-        state = "failed" if self._text else "watching" if learnt else "learning"
-        lasting = [] if twin is None else [_details(each) for each in twin.episodes]
+        state = "failed" if self._text else "watching" if self._learnt else "learning"
         return {
             "state": state,
             "model": self._name,
             "gap": self._gap_by_channel(),
-            "disagreements": lasting,
+            "disagreements": self._lasting,
             "events": self.events,
             "waiting": self._rows,
             "dropped": self.dropped,
@@ -187,6 +187,8 @@ class TwinService:
         except BadInputError as error:
             if generation == self._generation:
                 self._text = str(error)
+                self._waiting.clear()
+                self._rows = 0
                 self._note("waiting", self._text)
             return
         if generation != self._generation:
@@ -197,6 +199,8 @@ class TwinService:
             self._show(shown)
             for episode in told:
                 self._tell_of(episode)
+        self._learnt = beside.learnt
+        self._lasting = [_details(each) for each in beside.episodes]
 
     def _tell_of(self, episode: Episode) -> None:
         from groundstation.twin.twin import in_words

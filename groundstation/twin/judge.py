@@ -21,7 +21,7 @@ from groundstation.twin.signals import KINDS, SHARED, Place
 
 Array = NDArray[np.float64]
 
-LIMIT = 6.0
+LIMIT = 7.0
 """Standard deviations. Chance: see docs/twin.md for the rate that was measured."""
 RETURNED = 0.5
 """Share of the limit below which the sums must stay for the disagreement to be over."""
@@ -31,6 +31,9 @@ MOST = 4.0
 """Standard deviations that one block can count for."""
 HOLD = 2
 """Blocks between the first sign and the event: the strongest place by then is named."""
+NAMED = 0.6
+"""Share of a family's largest sum from which a signal can be the one that is named: of those, the
+one that explains most when blocks count in full and nothing is taken off."""
 FLOOR_BLOCKS = 6
 """Whole blocks in flight that the noise is judged from at first."""
 MEMORY_BLOCKS = 60
@@ -93,16 +96,21 @@ class _Past:
 class Judge:
     """Watches blocks; tells of disagreements that begin and end.
 
-    allowances: standard deviation (len(SHARED),) of what a good model leaves of shared signals.
+    allowances: standard deviation (len(KINDS),) of what a good model leaves of each signal.
     """
 
     def __init__(self, allowances: Array, limit: float = LIMIT) -> None:
         self._limit = limit
-        self._allowed = np.square(allowances)
+        self._own = np.square(allowances)
+        self._own[list(SHARED)] = 0.0
+        self._allowed = np.square(allowances[list(SHARED)])
         self._doubt = np.diag(1.0 / self._allowed)
         self._squares: deque[Array] = deque(maxlen=MEMORY_BLOCKS)
         self._waiting: list[Block] = []
         self._past: deque[_Past] = deque(maxlen=MEMORY_BLOCKS)
+        # of the shared signals with all, summed over each window
+        self._meant = np.zeros((len(WINDOWS), len(SHARED), len(KINDS)))
+        self._mixed = np.zeros_like(self._meant)
         self._open: dict[str, _Open] = {}
         self._until = (0.0, 0)  # device time and arrival of the last row judged
         self.floor: Array | None = None
@@ -139,6 +147,7 @@ class Judge:
         ]
         self._open, self._waiting = {}, []
         self._past.clear()
+        self._meant[:], self._mixed[:] = 0.0, 0.0
         self.sums = np.zeros(len(KINDS))
         return ended
 
@@ -154,6 +163,12 @@ class Judge:
         self._past.append(
             _Past(block.first_s, weight @ block.total, weight @ block.energy, meant, mixed)
         )
+        for k, count in enumerate(WINDOWS):
+            self._meant[k] += meant
+            self._mixed[k] += mixed
+            if count < len(self._past):
+                self._meant[k] -= self._past[-1 - count].meant
+                self._mixed[k] -= self._past[-1 - count].mixed
         sums, whole, windows = self._sums()
         self.sums = sums
         self.statistics = whole
@@ -161,7 +176,7 @@ class Judge:
         families = np.array([FAMILIES[kind.place.channel] for kind in KINDS])
         for family in dict.fromkeys(families.tolist()):
             mine = np.flatnonzero(families == family)
-            clear = np.abs(sums[mine]) >= 0.8 * np.abs(sums[mine]).max()
+            clear = np.abs(sums[mine]) >= NAMED * np.abs(sums[mine]).max()
             best = int(mine[np.argmax(np.where(clear, np.abs(whole[mine]), -1.0))])
             episode = self._follow(
                 *(
@@ -188,33 +203,28 @@ class Judge:
         spread = _spread(pull, energy)
         most = MOST * np.sqrt(spread * energy)
         clipped = np.clip(pull, -most, most)
-        best, whole = np.zeros(len(KINDS)), np.zeros(len(KINDS))
-        over = np.ones(len(KINDS), np.int64)
+        used = [k for k, count in enumerate(WINDOWS) if count <= len(pull) or k == 0]
+        meant, mixed = self._meant[used], self._mixed[used]  # (windows, m, s)
+        counts = [WINDOWS[k] for k in used]
+        total, plain, known = (
+            np.stack([each[-count:].sum(axis=0) for count in counts])
+            for each in (clipped, pull, energy)
+        )
         shared = list(SHARED)
-        for count in WINDOWS:
-            if count > len(pull) and count != WINDOWS[0]:
-                break
-            parts = list(self._past)[-count:]
-            meant = np.sum([part.meant for part in parts], axis=0)
-            mixed = np.sum([part.mixed for part in parts], axis=0)
-            known = energy[-count:].sum(axis=0)
-            total, plain = clipped[-count:].sum(axis=0), pull[-count:].sum(axis=0)
-            # c (m, s): so much of each shared signal's own sum is taken off a signal's.
-            own = meant[:, shared] + self._doubt
-            c = np.linalg.solve(own.T, meant)
-            c[:, shared] = np.where(np.eye(len(shared)) > 0, 0.0, c[:, shared])
-            value = total - total[shared] @ c
-            left = meant - meant[:, shared] @ c
-            noise = known - 2.0 * np.sum(c * mixed, axis=0)
-            noise += np.einsum("ms,mn,ns->s", c, mixed[:, shared], c)
-            size = spread * noise + np.square(left).T @ self._allowed
-            clear = noise > CLEAR * known
-            value = np.where(clear, value / np.sqrt(np.where(clear, size, 1.0)), 0.0)
-            larger = np.abs(value) > np.abs(best)
-            best[larger], over[larger] = value[larger], count
-            own_size = np.sqrt(spread * np.where(known > 0.0, known, 1.0))
-            whole[larger] = (plain / own_size)[larger]
-        return best, whole, over
+        # c (windows, m, s): so much of each shared signal's own sum is taken off a signal's.
+        own = meant[:, :, shared] + self._doubt
+        c = np.linalg.solve(own.transpose(0, 2, 1), meant)
+        c[:, np.arange(len(shared))[:, None], shared] *= 1.0 - np.eye(len(shared))
+        value = total - (total[:, None, shared] @ c)[:, 0]
+        left = meant - meant[:, :, shared] @ c
+        noise = known + np.sum(c * (mixed[:, :, shared] @ c - 2.0 * mixed), axis=1)
+        size = spread * noise + self._allowed @ np.square(left) + self._own * noise**2
+        clear = noise > CLEAR * known
+        value = np.where(clear, value / np.sqrt(np.where(clear, size, 1.0)), 0.0)
+        whole = plain / np.sqrt(spread * np.where(known > 0.0, known, 1.0))
+        best = np.argmax(np.abs(value), axis=0)
+        each = np.arange(len(KINDS))
+        return value[best, each], whole[best, each], np.array(counts)[best]
 
     def _follow(
         self, family: str, kind: int, value: float, whole: float, window: int, block: Block

@@ -11,8 +11,10 @@ HOP = 8
 """Rows from one window to the next; a window is twice as long, weighted by a raised cosine."""
 WINDOW_ROWS = 0.75 * HOP
 """Sum of the squared weights."""
-SHARE = 0.35
-"""Of each row in the two low-passes that smooth what would be seen."""
+POLES = 4
+SHARE = 0.4
+"""Of each row in each of the low-passes that smooth what would be seen: 12 ms late, and 0.004 of a
+vibration near half the sample rate left, which the controller feeds into the inputs."""
 EVERY = 4
 """Rows between those on which products of what would be seen are taken."""
 
@@ -52,7 +54,7 @@ def score(
     observer's error over a row; seen_at: (9, s), what it adds to what is measured. advance:
     (12, 12) an error over a row, shown: (12, 12) what is measured of it; gains (12, 12).
     fresh, judged: (n,). innovations: (n, 9).
-    Carried on: error (12, s), smooth (2, 9, s), place (returned), and for the two windows that
+    Carried on: error (12, s), smooth (POLES, 9, s), place (returned), and for the two windows that
     are open, the one that ends first in front: bad (2,) rows not judged, felt (2, 9).
     Adds to square (10,): squared innovations, averaged over windows judged throughout, by
     channel, and the number of windows. In judged rows, by channel: total (9, s): innovations
@@ -93,11 +95,13 @@ def score(
             for s in range(count):
                 new[i, s] += seen_at[i, s] * signals[k, s]
                 smooth[0, i, s] += share * (new[i, s] - smooth[0, i, s])
-                smooth[1, i, s] += share * (smooth[0, i, s] - smooth[1, i, s])
+            for pole in range(1, POLES):
+                for s in range(count):
+                    smooth[pole, i, s] += share * (smooth[pole - 1, i, s] - smooth[pole, i, s])
             if judged[k]:
                 for s in range(count):
-                    total[i, s] += v * smooth[1, i, s]
-                    energy[i, s] += smooth[1, i, s] ** 2
+                    total[i, s] += v * smooth[POLES - 1, i, s]
+                    energy[i, s] += smooth[POLES - 1, i, s] ** 2
         if place % EVERY < 2 and judged[k]:  # a pair: one of them has a new attitude
             half = 0.5 * EVERY
             for i in range(9):
@@ -105,11 +109,14 @@ def score(
                     continue
                 weight = half
                 for a in range(len(shared)):
-                    one, other = weight * new[i, shared[a]], weight * smooth[1, i, shared[a]]
+                    one, other = (
+                        weight * new[i, shared[a]],
+                        weight * smooth[POLES - 1, i, shared[a]],
+                    )
                     if abs(one) + abs(other) > 1e-12:
                         for s in range(count):
-                            meant[i, a, s] += one * smooth[1, i, s]
-                            mixed[i, a, s] += other * smooth[1, i, s]
+                            meant[i, a, s] += one * smooth[POLES - 1, i, s]
+                            mixed[i, a, s] += other * smooth[POLES - 1, i, s]
         for i in range(12):
             for s in range(count):
                 error[i, s] = ahead[i, s]

@@ -45,10 +45,12 @@ AFTER_S = 0.6
 """A row is judged when so much has come after it: motors that stop meanwhile say that it may
 have been a landing."""
 STRIDE_S = 0.01
+LEAST_ROWS = 50
+"""New attitudes from which a block's variance is told."""
 MOSTLY = 0.7
 """Share of a block in settled flight where the noise is learnt."""
-LEARN_S = 3.0
-"""Settled flight from which the noise is learnt, once; nothing is judged before."""
+LEARN_S = (3.0, 12.0)
+"""Settled flight from which the noise is learnt, and learnt again; nothing is judged before."""
 LIFT_OFF_S = 0.3
 """Left out after a take-off."""
 LOST_S = 0.05
@@ -68,8 +70,8 @@ class Block:
     ``kernels.score``.
     time_s: (m,) of the rows that were predicted; measured, predicted: (m, 9) there, the latter
     from the longest of ``HORIZONS_S`` before. error: (horizons, 9) mean squared prediction
-    errors in settled flight; expected: what a model leaves whose innovations are as large, but
-    white.
+    errors in settled flight. step: (9,) variance of the innovations there. leaves: (horizons, 9,
+    9) mean squared errors by channel that white innovations of unit variance in each would leave.
     """
 
     begins: bool
@@ -87,7 +89,8 @@ class Block:
     measured: Array
     predicted: Array
     error: Array
-    expected: Array
+    step: Array
+    leaves: Array
 
 
 class Rolling:
@@ -131,11 +134,13 @@ class _Open:
     """The windows of ``kernels.score`` that are open, and the errors behind them."""
 
     def __init__(self) -> None:
+        from groundstation.twin.kernels import POLES
+
         self.place = 0
         self.error = np.zeros((ERRORS, len(KINDS)))
         self.bad = np.ones(2, np.int64)
         self.felt = np.zeros((2, 9))
-        self.smooth = np.zeros((2, 9, len(KINDS)))
+        self.smooth = np.zeros((POLES, 9, len(KINDS)))
 
 
 class _Stretch:
@@ -148,9 +153,10 @@ class _Stretch:
         self._segment = segment
         self._enters, self._seen_at = entries(period, owner._lean)
         self._horizons = np.array([round(each / period) for each in HORIZONS_S])
-        self._block, self._history, self._after, self._stride, self._learn = (
-            round(seconds / period) for seconds in (BLOCK_S, HISTORY_S, AFTER_S, STRIDE_S, LEARN_S)
+        self._block, self._history, self._after, self._stride = (
+            round(seconds / period) for seconds in (BLOCK_S, HISTORY_S, AFTER_S, STRIDE_S)
         )
+        self._learn = [] if owner.noise is not None else [round(each / period) for each in LEARN_S]
         self._tuned = False
         self._steady = 0  # rows of settled flight without a break
         self._set_gains(owner.noise)
@@ -196,9 +202,10 @@ class _Stretch:
             mean = np.mean(np.square(errors[good][known]), axis=0)
         targets = starts + int(self._horizons[-1])
         step = np.full(9, np.nan)
-        if judged.any():
-            step = np.mean(np.square(seen.innovations[1:][judged]), axis=0)
-            step[6:] *= judged.sum() / max(int((judged & fresh[1 : count + 1]).sum()), 1)
+        new = judged & fresh[1 : count + 1]
+        if new.sum() > LEAST_ROWS:
+            step[:6] = np.var(seen.innovations[1:][judged, :6], axis=0)
+            step[6:] = np.var(seen.innovations[1:][new, 6:], axis=0)
         time_s = self.rows.time_s(done, done + count + int(self._horizons[-1]) + 1)
         block = Block(
             self._begins,
@@ -213,12 +220,13 @@ class _Stretch:
             np.hstack([piece.gyro[targets], piece.accelerometer[targets], piece.attitude[targets]]),
             np.hstack([ahead.gyro[:, -1], ahead.accelerometer[:, -1], ahead.attitude[:, -1]]),
             mean,
-            self._expected @ step,
+            step,
+            self._expected,
         )
         self._begins = False
         self._done = done + count
         self._tune()
-        self.rows.forget(self._done - max(self._history, 0 if self._tuned else self._learn))
+        self.rows.forget(self._done - max([self._history, *self._learn]))
         return block
 
     def _score(
@@ -263,10 +271,12 @@ class _Stretch:
 
     def _tune(self) -> None:
         """Gains that suit the craft's vibration and the air, once seconds of flight can tell."""
-        if self._tuned or self._steady < self._learn:
+        if not self._learn or self._steady < self._learn[0]:
             return
-        noise = noise_of(self._owner.model, self.rows.piece(self._done - self._learn, self._done))
-        self._owner.noise = noise
+        first = self._done - self._learn.pop(0)
+        noise = noise_of(self._owner.model, self.rows.piece(first, self._done))
+        if not self._learn:  # for the flights that follow
+            self._owner.noise = noise
         self._set_gains(noise)
 
     def _set_gains(self, noise: Noise | None) -> None:

@@ -103,8 +103,8 @@ KINDS = _kinds()
 
 PHASE = 1.0 / np.sqrt(12.0)
 """Standard deviation, in rows, of a sensor's clock that runs beside the control loop's."""
-UNTIMED_ROWS = 0.1
-LAG_S, GAIN = 1e-4, 0.005
+UNTIMED_ROWS = 0.05
+LAG_S, GAIN = 5e-5, 0.005
 """Doubt that stays about a gyro's lag and a torque's or the thrust's gain: what a fit leaves, and
 what an observer that is not tuned to the last per cent makes of feedback."""
 GYRO_STEP = math.radians(1 / 16.384)
@@ -122,24 +122,54 @@ SHARED = tuple(
 """Signals of which a good model may still show a little, and that others must not borrow from."""
 
 
+NEGLIGIBLE = {
+    ("torque", "thrust"): 0.005,  # rad/s^2 per m/s^2: 2 um beside the centre
+    ("torque", "pqr"): 0.02,  # 1/s
+    ("torque", "products"): 0.03,
+    ("torque", "uv"): 0.1,  # rad/s^2 per m/s
+    ("torque", "torque"): 0.005,
+    ("torque", "momentum"): 2e-4,  # rotor's inertia over the craft's
+    ("torque", "spin change"): 5e-5,
+    ("torque", "braking"): 2e-6,
+    ("force", "uvw"): 0.01,  # m/s^2 per m/s
+    ("force", "torque"): 1e-4,  # m
+    ("force", "products"): 2e-4,  # m
+    ("force", "braking"): 1e-6,
+    ("force", "near"): 1e-3,
+    ("angle", "tilt"): 0.01,  # 1/s; the firmware's filter pulls with 0.4
+}
+"""Standard deviation of what no test need tell, by how a signal acts and what drives it: about a
+tenth of the smallest that the list of effects calls one."""
+
+
 def allowances(model: Model, period_s: float) -> Array:
-    """Standard deviation (len(SHARED),) of what a good model leaves of each shared signal.
+    """Standard deviation (len(KINDS),) of what a good model leaves of each signal.
 
     A model with a dead time knows its mean only: a sensor's clock that runs beside the loop's
     makes it up to half a row more or less, anew at each start.
     """
     timed = any(term.name == "dead_time" for term in model.effects)
     delay_s = (PHASE if timed else UNTIMED_ROWS) * period_s
-    found = []
-    for number in SHARED:
-        kind = KINDS[number]
+    return np.array([_allowance(number, delay_s) for number in range(len(KINDS))])
+
+
+def _allowance(number: int, delay_s: float) -> float:
+    kind = KINDS[number]
+    if number in SHARED:
         if kind.drive == "one":
-            found.append(ACCELEROMETER_STEP if kind.acts == "force" else GYRO_STEP)
-        elif kind.acts == "gyro":
-            found.append(LAG_S)
-        else:
-            found.append(delay_s if kind.drive.endswith("change") else GAIN)
-    return np.array(found)
+            return ACCELEROMETER_STEP if kind.acts == "force" else GYRO_STEP
+        if kind.acts == "gyro":
+            return math.hypot(LAG_S, delay_s)
+        return delay_s if kind.drive.endswith("change") else GAIN
+    last = kind.drive.split()[-1]
+    single = {"p": "pqr", "q": "pqr", "r": "pqr", "u": "uv", "v": "uv", "w": "uvw"}
+    name = {"x": "tilt", "y": "tilt"}.get(last, single.get(kind.drive, last))
+    if kind.acts == "force" and name == "uv":
+        name = "uvw"
+    for each in (kind.drive, name, "products"):
+        if (kind.acts, each) in NEGLIGIBLE:
+            return NEGLIGIBLE[kind.acts, each]
+    raise KeyError(kind)
 
 
 @dataclass

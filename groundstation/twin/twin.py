@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,11 @@ from groundstation.twin.rolling import Block, Rolling
 from groundstation.twin.signals import allowances
 
 Array = NDArray[np.float64]
+
+QUIET = 0.35
+"""Quantile of the blocks' variances that counts as noise: a disagreement shows in some blocks
+more than in others."""
+NOISE_BLOCKS, LEAST_BLOCKS = 60, 6
 
 _CHANNELS = {
     "gyro_x": "roll rate",
@@ -53,7 +59,7 @@ class Shown:
 
     segment, time_s: (m,) of the device. measured, predicted: (m, 9) SI, in the order of
     ``discrepancy.findings.CHANNELS``, the latter from 50 ms before. gap: (9,) prediction error
-    20 and 50 ms ahead over what noise leaves; NaN where it was not judged.
+    20 and 50 ms ahead over what the noise of quiet stretches leaves; NaN where it was not judged.
     """
 
     segment: int
@@ -73,6 +79,7 @@ class Twin:
         require_body(model)
         self._rolling = Rolling(model)
         self._judge = Judge(allowances(model, SAMPLE_PERIOD_S))
+        self._steps: deque[Array] = deque(maxlen=NOISE_BLOCKS)
 
     def feed(self, samples: SampleBatch) -> Iterator[tuple[Shown, list[Episode]]]:
         """What each completed half second shows and tells.
@@ -80,7 +87,17 @@ class Twin:
         Raises BadInputError where samples lack what the model needs.
         """
         for block in self._rolling.feed(samples):
-            yield _shown(block), self._judge.take(block)
+            told = self._judge.take(block)
+            yield self._shown(block), told
+
+    def _shown(self, block: Block) -> Shown:
+        if np.isfinite(block.step).all():
+            self._steps.append(block.step)
+        gap = np.full(9, np.nan)
+        if len(self._steps) >= LEAST_BLOCKS and np.isfinite(block.error).all():
+            quiet = np.quantile(np.stack(self._steps), QUIET, axis=0)
+            gap = np.sqrt(block.error.sum(axis=0) / (block.leaves.sum(axis=0) @ quiet))
+        return Shown(block.segment, block.time_s, block.measured, block.predicted, gap)
 
     @property
     def learnt(self) -> bool:
@@ -120,11 +137,3 @@ def warm_up(model: Model) -> None:
     made.gyro[:], made.accelerometer[:], made.attitude[:] = 0.0, 9.8, 0.0
     for _ in Twin(model).feed(made):
         pass
-
-
-def _shown(block: Block) -> Shown:
-    expected = block.expected.sum(axis=0)
-    ratio = np.divide(
-        block.error.sum(axis=0), expected, out=np.full(9, np.nan), where=expected > 0.0
-    )
-    return Shown(block.segment, block.time_s, block.measured, block.predicted, np.sqrt(ratio))

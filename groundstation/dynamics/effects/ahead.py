@@ -367,7 +367,8 @@ def fresh_rows(attitude: Array) -> Mask:
     known = np.asarray(np.isfinite(attitude).all(axis=1))
     changed = known.copy()
     rows = np.flatnonzero(known)
-    changed[rows[1:]] = (attitude[rows[1:]] != attitude[rows[:-1]]).any(axis=1)
+    differs = (attitude[rows[1:]] != attitude[rows[:-1]]).any(axis=1)
+    changed[rows[1:]] = differs & (np.diff(rows) == 1)  # across a lost row it tells nothing
     for first in (0, 1):
         mine, other = float(changed[first::2].mean()), float(changed[1 - first :: 2].mean())
         if mine > 0.2 and other < 0.02 + 2.0 / len(changed):
