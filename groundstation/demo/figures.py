@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN_S = 4.0
-GAP_TICKS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+GAP_TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SMOOTH_S = 0.04
 """Accelerations are averaged over this to be drawn: their noise would hide what differs."""
 COLOURED = 3
@@ -101,15 +101,18 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     axis.axhline(1.0, color=MEASURED, linestyle="--", linewidth=1.0, label="noise alone")
     axis.set_yscale("log")
     highest = 2.2 * max(3.0, float(np.nanmax(gap)))
-    axis.set_yticks([tick for tick in GAP_TICKS if tick < highest])
+    lowest = 0.7 * min(0.6, float(np.nanmin(gap)))
+    axis.set_yticks([tick for tick in GAP_TICKS if lowest < tick < highest])
     axis.set_yticks([], minor=True)
     axis.yaxis.set_major_formatter("{x:g}")
-    axis.set_ylim(0.4, highest)
+    axis.set_ylim(lowest, highest)
     axis.set_xlim(float(samples.time_s[0]), float(samples.time_s[-1]))
     if noticed:
         heard_s = float(noticed[0]["details"]["noticed_s"])
         axis.axvline(heard_s, color=BAD, linewidth=1.6)
-        axis.annotate(" the twin is sure", (heard_s, 0.44), color=BAD, fontsize=9, va="bottom")
+        axis.annotate(
+            " the twin is sure", (heard_s, 1.1 * lowest), color=BAD, fontsize=9, va="bottom"
+        )
     axis.set_ylabel("prediction error over noise")
     axis.set_xlabel("device time, s")
     axis.legend(loc="upper right", ncols=4, frameon=False)
