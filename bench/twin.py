@@ -232,6 +232,8 @@ def _daemon(folder: Path, model: Path | None) -> float:
         for process in (daemon, craft):
             process.terminate()
             process.wait(30)
+    if model is not None and after["twin"]["state"] != "watching":
+        raise RuntimeError(f"the twin was not watching: {after['twin']}")
     return float(after["health"]["cpu_s"] - before["health"]["cpu_s"]) / lasted_s
 
 

@@ -69,9 +69,10 @@ class Block:
     total, energy: (9, len(KINDS)), meant, mixed: (9, len(SHARED), len(KINDS)), see
     ``kernels.score``.
     time_s: (m,) of the rows that were predicted; measured, predicted: (m, 9) there, the latter
-    from the longest of ``HORIZONS_S`` before. error: (horizons, 9) mean squared prediction
-    errors in settled flight. step: (9,) variance of the innovations there. leaves: (horizons, 9,
-    9) mean squared errors by channel that white innovations of unit variance in each would leave.
+    from the longest of ``HORIZONS_S`` before, NaN on the ground. error: (horizons, 9) mean squared
+    prediction errors in settled flight. step: (9,) variance of the innovations there. leaves:
+    (horizons, 9, 9) mean squared errors by channel that white innovations of unit variance in
+    each would leave.
     """
 
     begins: bool
@@ -218,7 +219,11 @@ class _Stretch:
             *scores,
             time_s[targets],
             np.hstack([piece.gyro[targets], piece.accelerometer[targets], piece.attitude[targets]]),
-            np.hstack([ahead.gyro[:, -1], ahead.accelerometer[:, -1], ahead.attitude[:, -1]]),
+            np.where(
+                flying[starts, None],
+                np.hstack([ahead.gyro[:, -1], ahead.accelerometer[:, -1], ahead.attitude[:, -1]]),
+                np.nan,
+            ),
             mean,
             step,
             self._expected,

@@ -34,6 +34,7 @@ _LEVELS = {
     "fault": rr.TextLogLevel.ERROR,
     "silent": rr.TextLogLevel.WARN,
     "restart": rr.TextLogLevel.WARN,
+    "gap": rr.TextLogLevel.WARN,
 }
 
 
