@@ -11,7 +11,9 @@ ROWS = re.findall(r"^\| `(\w+)` \| ([^|]*)\| ([^|]*)\|$", TEXT, re.MULTILINE)
 PACKAGES = {name: (what, may) for name, what, may in ROWS}
 SMALL = {path.stem for path in (ROOT / "groundstation").glob("*.py")} - {"__init__"}
 PURE = {name for name, (what, _) in PACKAGES.items() if what.strip().endswith("pure")}
-OUTSIDE = {"asyncio", "http", "socket", "subprocess", "threading", "serial", "usb", "rerun"}
+OUTSIDE = {"asyncio", "http", "socket", "subprocess", "threading", "serial", "usb", "rerun"} | {
+    *("multiprocessing", "shutil", "tempfile", "urllib"),
+}
 """What touches the world: no business of a pure package."""
 
 

@@ -23,6 +23,7 @@ from itertools import pairwise
 import pytest
 from installed import COMMAND, PATIENCE_S, Daemon, free_port, until
 from pages import PAGES, ROOT, blocks_of
+from typer.main import get_command
 from typer.testing import CliRunner
 
 from firmware_sim import __main__ as stand_in
@@ -49,10 +50,10 @@ ELSEWHERE = {
     "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
     "make demo": ("three minutes", ".ci/run", "make demo"),
     "groundstation demo": ("three minutes", ".ci/run", "make demo"),
-    "sh demo-1/commands.sh": ("after the demo", "tests/system/test_demo.py", ""),
+    "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
-    "groundstation pid design": ("20 s", "docs/getting_started.md", "pid design"),
-    "groundstation discrepancy": ("10 s", "docs/getting_started.md", "groundstation discrepancy"),
+    "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
+    "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
     "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio]"),
     "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
@@ -114,6 +115,20 @@ def test_what_is_not_run_here_is_run_elsewhere(command):
     assert any(sign in file.read_text() for file in files)
     if command.startswith("make "):
         assert_target(command)
+    if command.startswith("groundstation "):
+        assert_taken(command)
+
+
+def assert_taken(command):
+    """The command's options and their values are understood; nothing is run."""
+    words = shlex.split(command, comments=True)[1:]
+    taker = get_command(app)
+    context = taker.make_context("groundstation", list(words))
+    while hasattr(taker, "get_command"):
+        name, *words = words
+        taker = taker.get_command(context, name)
+        assert taker is not None, name
+    taker.make_context(name, words, parent=context)
 
 
 @pytest.mark.timeout(900)  # half a minute where nothing else runs
