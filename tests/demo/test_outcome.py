@@ -1,56 +1,84 @@
 """The seal is opened: what counts as named, and what is said when it was not."""
 
+import msgspec
 import numpy as np
-import pytest
-from made_findings import NAME, findings, proof, report
 
 from firmware_sim.hide import main as hide
 from groundstation.demo.outcome import Distance, claims_of, described, hidden_in
 from groundstation.demo.story import CRAFT_FILE, SEALED, inputs
-from groundstation.discrepancy.findings import Verdict
+from groundstation.discrepancy.report_json import DiscrepancyReport
 
+NAME = "velocity_moment"
 TRUTH = {NAME: {"moment": 15.1}}
 CLOSER = Distance(np.full(9, 2.0), np.full(9, 0.1), np.ones(9))
-NOTICED = [{"kind": "disagrees", "text": "roll disagrees while translating"}]
+NOTICED = [{"kind": "gap", "text": "roll disagrees while translating"}]
 
 
-@pytest.fixture(scope="module")
-def found():
-    some = findings()
-    return report(some, proof(some))
+def found_report(*effects, after=1.0):
+    """A report of a search that named these effects."""
+    level = {"before": 4.0, "after": after, "noise_floor": 1.0}
+    plain = {
+        "verdict": "effects_found" if effects else "unexplained",
+        "effects": effects,
+        "gap": {"unit": "", "floor_source": "", "validation": level, "train": None, "channels": {}},
+        "residual": "white",
+        "residual_detail": {"channel": "", "frequencies_hz": [], "signal": "", "excess": 1.0},
+        **{key: [] for key in ("where", "where_after", "candidates", "not_shown", "warnings")},
+        **{"lost": {}, "recordings": [], "validation": [], "model": "", "seed": 0},
+        "created_by": "test",
+    }
+    return msgspec.convert(plain, DiscrepancyReport)
+
+
+def named(name, **parameters):
+    return {
+        "name": name,
+        "order": 1,
+        "adds": "",
+        "parameters": {
+            key: {"value": value, "stderr": error, "unit": unit}
+            for key, (value, error, unit) in parameters.items()
+        },
+        "evidence": {},
+        "alternatives": [],
+        "gap": {"before": 4.0, "after": 1.0},
+        "channels": [],
+    }
+
+
+RIGHT = named(NAME, moment=(15.0, 0.2, "rad/s^2 per m/s"))
 
 
 def claims(hidden, found, distance=CLOSER, noticed=NOTICED):
     return {one.name: one for one in claims_of(hidden, found, distance, noticed)}
 
 
-def test_all_came_true_where_the_hidden_name_and_no_other_is_found(found):
-    made = claims(TRUTH, found)
+def test_all_came_true_where_the_hidden_name_and_no_other_is_found():
+    made = claims(TRUTH, found_report(RIGHT))
     assert all(claim.true for claim in made.values())
     assert "hidden: velocity_moment 15.1 rad/s^2 per m/s" in made["named"].text
     assert "named: velocity_moment 15 ± 0.2 rad/s^2 per m/s" in made["named"].text
 
 
-@pytest.mark.parametrize(
-    "hidden", [{"rotor_drag": {"drag_n_s_m": 0.01}}, {**TRUTH, "yaw_damping": {}}]
-)
-def test_another_name_or_one_that_is_missing_is_not_named(found, hidden):
-    if "yaw_damping" in hidden:
-        hidden["yaw_damping"] = {"damping_n_m_s": 4e-6}
-    assert not claims(hidden, found)["named"].true
+def test_another_name_one_too_many_or_one_too_few_is_not_named():
+    other = {"yaw_damping": {"damping_n_m_s": 4e-6}}
+    extra = named("yaw_damping", damping_n_m_s=(4e-6, 1e-7, "N m s"))
+    assert not claims(other, found_report(RIGHT))["named"].true
+    assert not claims(TRUTH, found_report(RIGHT, extra))["named"].true
+    assert not claims(TRUTH | other, found_report(RIGHT))["named"].true
+    assert claims(TRUTH | other, found_report(RIGHT, extra))["named"].true
 
 
 def test_nothing_found_is_said_and_neither_named_nor_closer():
-    none = findings(Verdict.UNEXPLAINED)
-    made = claims(TRUTH, report(none, proof(none)))
+    made = claims(TRUTH, found_report(after=4.0))
     assert not made["named"].true
     assert made["named"].text.endswith("named: nothing")
     assert not made["gap"].true
 
 
-def test_a_twin_that_saw_nothing_and_a_model_that_strays_more_are_told(found):
+def test_a_twin_that_saw_nothing_and_a_model_that_strays_more_are_told():
     further = Distance(np.full(9, 1.0), np.full(9, 1.1), np.ones(9))
-    made = claims(TRUTH, found, further, [])
+    made = claims(TRUTH, found_report(RIGHT), further, [])
     assert [name for name, claim in made.items() if not claim.true] == ["noticed", "flown"]
 
 
