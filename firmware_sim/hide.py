@@ -11,10 +11,12 @@ import sys
 import tomllib
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from firmware_sim.effects.drawn import draw
-from firmware_sim.settings import load_settings
+from firmware_sim.effects.present import present_effects
+from firmware_sim.settings import load_settings, parse_settings
 
 HIDEABLE = (
     "centre_of_gravity_offset",
@@ -54,7 +56,6 @@ def main(arguments: list[str] | None = None) -> int:
         text = _sealed(options.settings, options.seed)
         with options.output.open("x", encoding="utf-8") as file:
             file.write(text)
-        load_settings(options.output)
     except FileExistsError:
         print(f"firmware_sim: {options.output} exists already; give another name", file=sys.stderr)
         return 1
@@ -69,14 +70,25 @@ def _sealed(settings: Path, seed: int) -> str:
     """The settings' own text, and a table with what is hidden at its end."""
     if seed < 0:
         raise ValueError(f"--seed {seed}: must not be negative")
-    if load_settings(settings).effects:
+    plain = load_settings(settings)
+    name = HIDEABLE[seed % len(HIDEABLE)]
+    if plain.effects:
         raise ValueError(f"{settings}: this craft has effects already; start from one without")
+    if name in present_effects(plain):
+        raise ValueError(
+            f"{settings}: this craft has {name} from the start, and seed {seed} would hide it;"
+            ' start from one with plant = "reduced"'
+        )
     text = settings.read_text(encoding="utf-8")
     table = "stand_in.effects" if "stand_in" in tomllib.loads(text) else "effects"
-    name = HIDEABLE[seed % len(HIDEABLE)]
     values = draw(name, np.random.default_rng(seed))
     lines = [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
-    return "\n".join([text.rstrip(), "", f"[{table}.{name}]", *lines, ""])
+    sealed = "\n".join([text.rstrip(), "", f"[{table}.{name}]", *lines, ""])
+    try:
+        parse_settings(sealed)
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{settings}: no table can be added to it: {error}") from error
+    return sealed
 
 
 if __name__ == "__main__":

@@ -173,7 +173,12 @@ def load_settings(path: Path) -> StandInSettings:
     Raises ValueError with the key that is wrong.
     """
     try:
-        table = msgspec.toml.decode(path.read_bytes())
-        return msgspec.convert(table.get("stand_in", table), StandInSettings)
+        return parse_settings(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
         raise ValueError(f"stand-in settings {path}: {error}; correct the file") from error
+
+
+def parse_settings(text: str) -> StandInSettings:
+    """The same from the text of a file. Raises msgspec.DecodeError."""
+    table = msgspec.toml.decode(text)
+    return msgspec.convert(table.get("stand_in", table), StandInSettings)

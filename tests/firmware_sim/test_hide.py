@@ -54,6 +54,8 @@ def test_a_daemon_s_configuration_stays_one(tmp_path):
         (CRAFT + "[effects.rotor_drag]\n", "1", "has effects already"),
         (CRAFT, "-1", "must not be negative"),
         ("plant = 3\n", "1", "craft.toml"),
+        (CRAFT.replace("reduced", "faithful"), "7", "has attitude_filter_lean from the start"),
+        ('plant = "reduced"\neffects = {}\n', "1", "no table can be added"),
     ],
 )
 def test_what_cannot_be_hidden_is_refused_in_one_line(tmp_path, capsys, text, seed, why):
