@@ -46,6 +46,8 @@ _COUNTERS = (
     ("viewer_dropped", "Items the viewer was too slow for", "viewer.dropped"),
     ("viewer_restarts", "Restarts of the viewer", "viewer.restarts"),
     ("stream_dropped", "Items that stream clients were too slow for", "stream.dropped"),
+    ("twin_events", "Disagreements that the twin told", "twin.events"),
+    ("twin_dropped", "Samples that the twin was too slow for", "twin.dropped"),
     ("command_setpoints", "Setpoints of clients", "command.setpoints"),
     ("command_refused", "Requests to command that were refused", "command.refused"),
     ("command_interventions", "Times the dead man stopped the motors", "command.interventions"),

@@ -198,7 +198,7 @@ class Station:
             await asyncio.gather(receiving, stopping, return_exceptions=True)
             if not self._stopping.is_set():
                 self.receiver.drain()
-                await self.twin.drain()
+                await self._finish_twin()
             if not receiving.cancelled():
                 receiving.result()
 
@@ -349,7 +349,7 @@ class Station:
         if self.viewer.mode is ViewerMode.OFF:
             return
         self.receiver.drain()
-        await self.twin.drain()
+        await self._finish_twin()
         self._close_window()
         self._recording_ended = self.sessions.status()["state"] == "recording"
         await self.recordings.close()
@@ -363,6 +363,13 @@ class Station:
 
     def _take_raw(self, batch: RawBatch) -> None:
         self.sessions.raw(batch)
+
+    async def _finish_twin(self) -> None:
+        """All of a finite link has come: what the twin says of it, unless nobody waits for it."""
+        told = asyncio.create_task(self.twin.drain(), name="twin drain")
+        stopping = asyncio.create_task(self._stopping.wait(), name="stop")
+        await asyncio.wait({told, stopping}, return_when=asyncio.FIRST_COMPLETED)
+        stopping.cancel()
 
     def _split(self) -> None:
         self.sessions.split()

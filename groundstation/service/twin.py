@@ -27,6 +27,7 @@ ROWS_MOST = 30_000
 PIECE_ROWS = 5000
 ANNOUNCE_S = 2.0
 CLOSE_S = 2.0
+FAULTS_MOST = 3
 SOURCE = "twin"
 BEGAN, ENDED = "gap", "gap ended"
 """Kinds of events."""
@@ -55,6 +56,7 @@ class TwinService:
         self._gap: list[float | None] | None = None
         self._text = ""
         self._learnt = False
+        self._faults = 0  # in a row
         self._lasting: list[dict[str, Any]] = []  # disagreements, as told
         self._name = ""
         self._model: Model | None = None
@@ -75,7 +77,10 @@ class TwinService:
 
     def split(self) -> None:
         """What follows comes from another craft."""
+        if not self._busy.locked():  # otherwise a thread has it, whose work is of no interest
+            self._end("the link or the model was changed")
         self._generation += 1
+        self._faults = 0
         self._waiting.clear()
         self._rows = 0
         self._twin, self._gap, self._text = None, None, ""
@@ -110,7 +115,7 @@ class TwinService:
     async def drain(self) -> None:
         """Compute all that waits."""
         async with self._busy:
-            while self._waiting and self._model is not None:
+            while self._waiting and self._model is not None and not self._text:
                 if not self._warm:
                     await self._warm_up(self._model)
                     continue
@@ -121,6 +126,7 @@ class TwinService:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_S):
                 await asyncio.shield(asyncio.create_task(self.drain(), name="twin drain"))
+                self._end("the daemon ended")
         self._model = None
 
     def status(self) -> dict[str, Any] | None:
@@ -156,9 +162,11 @@ class TwinService:
         )
         try:
             await in_background(lambda: warm_up(model))
+            self._warm = True
+        except Exception as error:  # whatever it is, the telemetry goes on
+            self._give_up("fault", f"the twin cannot be prepared: {error!r}")
         finally:
             announcement.cancel()
-        self._warm = True
 
     async def _step(self, model: Model) -> None:
         from groundstation.twin.twin import Twin
@@ -184,16 +192,13 @@ class TwinService:
 
         try:
             beside, made = await in_background(work)
-        except BadInputError as error:
+        except Exception as error:  # whatever it is, the telemetry goes on
             if generation == self._generation:
-                self._text = str(error)
-                self._waiting.clear()
-                self._rows = 0
-                self._note("waiting", self._text)
+                self._failed(error)
             return
         if generation != self._generation:
             return  # of a craft that is gone
-        self._twin = beside
+        self._twin, self._faults = beside, 0
         for shown, told in made:
             self._gap = [None if np.isnan(each) else round(float(each), 3) for each in shown.gap]
             self._show(shown)
@@ -201,6 +206,30 @@ class TwinService:
                 self._tell_of(episode)
         self._learnt = beside.learnt
         self._lasting = [_details(each) for each in beside.episodes]
+
+    def _failed(self, error: Exception) -> None:
+        """Begin anew with the next sample; give up where that is of no use."""
+        self._twin, self._lasting, self._learnt = None, [], False
+        self._faults += 1
+        if isinstance(error, BadInputError):
+            self._give_up("waiting", str(error))
+        elif self._faults >= FAULTS_MOST:
+            self._give_up("fault", f"the twin is given up: {error!r}")
+        else:
+            self._note("fault", f"the twin begins anew: {error!r}")
+
+    def _give_up(self, kind: str, text: str) -> None:
+        self._text = text
+        self._waiting.clear()
+        self._rows = 0
+        self._note(kind, text)
+
+    def _end(self, why: str) -> None:
+        """Of every disagreement that lasts, tell that nothing more is known."""
+        if self._twin is not None:
+            for episode in self._twin.interrupt(why):
+                self._tell_of(episode)
+        self._lasting = []
 
     def _tell_of(self, episode: Episode) -> None:
         from groundstation.twin.twin import in_words

@@ -37,6 +37,8 @@ one that explains most when blocks count in full and nothing is taken off."""
 FLOOR_BLOCKS = 6
 """Whole blocks in flight that the noise is judged from at first."""
 MEMORY_BLOCKS = 60
+LANDED_BLOCKS = 6
+"""Without settled flight for so long, a flight has ended."""
 LEAST_WINDOWS = 10
 """Of the 31 in a block, that must be in settled flight."""
 CLEAR = 1e-3
@@ -112,6 +114,7 @@ class Judge:
         self._meant = np.zeros((len(WINDOWS), len(SHARED), len(KINDS)))
         self._mixed = np.zeros_like(self._meant)
         self._open: dict[str, _Open] = {}
+        self._away = 0  # blocks without a window
         self._until = (0.0, 0)  # device time and arrival of the last row judged
         self.floor: Array | None = None
         """Variance (9,) of the innovations, None until it is known."""
@@ -125,7 +128,10 @@ class Judge:
         told: list[Episode] = []
         if block.begins:
             told += self.interrupt("the flight was interrupted")
-        if block.windows < LEAST_WINDOWS:
+        self._away = 0 if block.windows else self._away + 1
+        if self._away == LANDED_BLOCKS:
+            told += self.interrupt("the flight has ended")
+        if block.windows < LEAST_WINDOWS or not _is_finite(block):
             return told
         self._until = (block.last_s, block.host_ns)
         self._squares.append(block.square)
@@ -273,6 +279,12 @@ class Judge:
             *(told.place, one.statistic, told.begin_s, told.noticed_s, told.segment, host_ns),
             *(end_s, why),
         )
+
+
+def _is_finite(block: Block) -> bool:
+    """A number that is none would stay in every sum."""
+    parts = (block.square, block.total, block.energy, block.meant, block.mixed)
+    return all(bool(np.isfinite(each).all()) for each in parts)
 
 
 def _spread(pull: Array, energy: Array) -> Array:

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from groundstation.discrepancy.recordings import LONGEST_GAP_S, filled
 from groundstation.errors import BadInputError
-from groundstation.identification.runs import FASTEST_HZ, SLOWEST_HZ
+from groundstation.identification.runs import FASTEST_HZ
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
 
+SLOWEST_HZ = 200.0
+"""Slower telemetry has too few rows in half a second to be judged."""
 RHYTHM_ROWS = 50
 """Samples from which the period is told."""
 WIDTH = 14

@@ -90,6 +90,10 @@ class Twin:
             told = self._judge.take(block)
             yield self._shown(block), told
 
+    def interrupt(self, why: str) -> list[Episode]:
+        """End what lasts: nothing after this belongs to it."""
+        return self._judge.interrupt(why)
+
     def _shown(self, block: Block) -> Shown:
         if np.isfinite(block.step).all():
             self._steps.append(block.step)
