@@ -100,6 +100,8 @@ def discrepancy(
         fit_on, held_out, judged = divide(flights, held)
         progress(0.05, "comparing")
         train = compare(fit_on, loaded)
+        whole = [run for part in (*flights, *held) for run in part]
+        asked_before = _before(asked, whole, train)
         require_channels(held_out)
         findings = find_effects(
             fit_on,
@@ -111,8 +113,7 @@ def discrepancy(
         )
         progress(0.8, "proving it on held-out rows")
         proof = prove(findings, train, judged)
-        whole = [run for part in (*flights, *held) for run in part]
-        looked = _look(asked, whole, findings, train)
+        looked = _after(asked, asked_before, findings.model)
         report = _report(findings, proof, model, recordings, validate, seed, looked)
         _write(files, findings, proof, report)
     _say(report)
@@ -121,20 +122,29 @@ def discrepancy(
             typer.echo(f"written: {path}")
 
 
-def _look(
-    asked: list[Marked], flights: list[Run], findings: Findings, train: Comparison
-) -> list[StretchReport]:
-    """The given and the improved model on the stretches that were asked for."""
+def _before(asked: list[Marked], flights: list[Run], train: Comparison) -> Comparison | None:
+    """The given model on the recordings of the stretches that were asked for.
+
+    Raises BadInputError, before anything is searched, for one in which nothing flew.
+    """
     from groundstation.discrepancy.comparison import compare
-    from groundstation.discrepancy.report_json import stretch_report
+    from groundstation.discrepancy.stretches import within
 
     if not asked:
-        return []
+        return None
     names = {one.recording for one in asked}
-    there = [run for run in flights if run.name in names]
-    before = compare(there, train.model, train.black_box)
-    after = before.with_model(findings.model)
-    return [stretch_report(one, before, after) for one in asked]
+    before = compare([run for run in flights if run.name in names], train.model, train.black_box)
+    for one in asked:
+        within(before, one)
+    return before
+
+
+def _after(asked: list[Marked], before: Comparison | None, model: Model) -> list[StretchReport]:
+    """The given and the improved model on these stretches."""
+    from groundstation.discrepancy.report_json import stretch_report
+
+    after = None if before is None else before.with_model(model)
+    return [stretch_report(one, before, after) for one in asked if before is not None]
 
 
 def _report(

@@ -77,6 +77,10 @@ def marked_in(
     from groundstation.identification.segments import span_of
 
     typed = [span_of(text, "--stretch") for text in spans]
+    names = [path.name for path in paths]
+    if (typed or by_twin) and len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise BadInputError(f"two recordings are called {twice}: a stretch fits both; rename one")
     found: list[Marked] = []
     for span in typed:
         there = [
@@ -100,10 +104,9 @@ def marked_in(
             first, last = runs[0].recording_start_s, float(runs[-1].time_s[-1])
             marks += stretches.by_twin(open_one(path).events, path.name, first, last)
         if not marks:
-            names = ", ".join(path.name for path in paths)
             raise BadInputError(
-                f"{names}: the live twin marked nothing; record with 'groundstation run --twin"
-                " MODEL', or give --stretch FROM:TO"
+                f"{', '.join(names)}: the live twin marked nothing; record with 'groundstation run"
+                " --twin MODEL', or give --stretch FROM:TO"
             )
         found += marks
     return found
@@ -118,10 +121,13 @@ def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:
 
     seen: dict[str, Path] = {}
     for path in (*recordings, *validate):
-        try:
-            content = hashlib.sha256(path.read_bytes()).hexdigest()
-        except OSError:
+        if not path.is_file():
             continue  # whoever opens it says why it cannot be read
+        try:
+            with path.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError:
+            continue
         if content in seen:
             what = "given twice" if path == seen[content] else f"the same as {seen[content]}"
             raise BadInputError(

@@ -145,7 +145,7 @@ def _own(effect: Effect, source: str, values: Mapping[str, float]) -> OwnEffect:
 
 def _sizes(effect: Effect) -> tuple[str, ...]:
     """Parameters that make a difference at their default while the others are absent, or, should
-    the law not stand that, where they alone go absent the effect goes."""
+    the law not stand that, whose absence it stands and which make a difference at all defaults."""
     draw = np.random.default_rng(0)
     states = draw.normal(size=(TRIED, 17))
     states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1)[:, None]
@@ -153,20 +153,20 @@ def _sizes(effect: Effect) -> tuple[str, ...]:
     slopes = 500.0 * draw.normal(size=(TRIED, 4))
 
     def added(values: Mapping[str, float]) -> Any:
-        with np.errstate(all="ignore"):
-            return own_acceleration(effect, list(values.values()), states, slopes)
+        try:
+            with np.errstate(all="ignore"):
+                return own_acceleration(effect, list(values.values()), states, slopes)
+        except ZeroDivisionError:
+            return np.full(1, np.nan)
 
     absent = {p.name: p.absent for p in effect.parameters}
     found = []
     for p in effect.parameters:
-        try:
-            alone = added({**absent, p.name: p.default})
-        except ZeroDivisionError:
-            alone = np.full(1, np.nan)
+        alone = added({**absent, p.name: p.default})
         if not np.isfinite(alone).all():
             default = {q.name: q.default for q in effect.parameters}
-            gone = added({**default, p.name: p.absent})
-            if np.isfinite(gone).all() and not gone.any():
+            whole, without = added(default), added({**default, p.name: p.absent})
+            if np.isfinite(without).all() and np.isfinite(whole).all() and (whole != without).any():
                 found.append(p.name)
         elif alone.any():
             found.append(p.name)

@@ -54,6 +54,9 @@ def by_twin(
         if before is not None:
             strength = max(strength, before[0])
         until = last_s if end is None else float(end)
+        if until <= first_s:
+            continue  # told of in the file before this one
+        begin = max(begin, first_s)
         why = f"the live twin: {event['text']}" if before is None else before[1].why
         found[key] = strength, Marked(recording, begin - first_s, until - first_s, why)
     return [marked for _, marked in sorted(found.values(), key=lambda item: -item[0])]

@@ -246,6 +246,13 @@ def test_a_stretch_that_was_asked_for_comes_first(folder):
     assert stretch.where[0].channel in ("gyro_x", "gyro_y")
 
 
+def test_a_pipe_is_refused_and_not_waited_for(folder, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for command in ("compare", "discrepancy"):
+        done = groundstation(command, tmp_path / "pipe", "--model", "thesis")
+        assert "not a file" in require_failure(done)
+
+
 def test_a_stretch_that_is_none_and_marks_that_are_missing_are_refused(folder):
     arguments = ("compare", folder / "hidden.mcap", "--model", folder / "base.json")
     assert "no recording has a flight then" in said_no(*arguments, "--stretch", "90:95")

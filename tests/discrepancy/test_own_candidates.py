@@ -99,6 +99,26 @@ def test_sizes_are_what_alone_makes_a_difference():
     assert point == {"weather_vane.turn": 2.0}
 
 
+@pytest.mark.parametrize(
+    ("law", "sizes"),
+    [("a * p / b + c * p / d", ("a", "c")), ("a * p / b + c * p * p / b", ("a", "c"))],
+)
+def test_sizes_are_told_from_lengths_that_the_law_divides_by(tmp_path, law, sizes):
+    path = tmp_path / "divided.py"
+    names = ("a", "b", "c", "d")
+    path.write_text(
+        "from groundstation.dynamics.effects.catalogue import Effect, Parameter\n"
+        "def law(values, state, slope, acceleration):\n"
+        "    a, b, c, d = values\n"
+        "    p = state[10]\n"
+        f"    acceleration[0] += {law}\n"
+        f"ONE = Effect('divided', 'body', tuple(Parameter(n, '', 2.0, 1.0, 9.0) for n in {names}),"
+        " '', '', '', ('gyro x',), law=law)\n"
+    )
+    (one,) = own_effects(path)
+    assert one.sizes == sizes
+
+
 def test_columns_are_the_laws_own_derivatives():
     (vane,) = own_effects(VANE)
     states = np.zeros((4, 17))

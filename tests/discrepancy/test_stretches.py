@@ -90,6 +90,14 @@ def test_the_twins_events_are_stretches_the_strongest_first():
     ]
 
 
+def test_what_began_in_the_file_before_begins_with_this_one():
+    """A recording that was rotated: the file before told of the first, and closed it."""
+    events = [told(ENDED, 4.0, 90.0, 95.0), told(ENDED, 5.0, 98.0, 103.0)]
+    assert by_twin(events, "b.mcap", 100.0, 130.0) == [
+        Marked("b.mcap", 0.0, 3.0, "the live twin: gyro_x disagrees")
+    ]
+
+
 def test_a_typed_stretch_is_looked_at_in_every_recording():
     found = by_hand([(1.0, 2.0)], ["a", "b"])
     assert [(one.recording, one.begin_s) for one in found] == [("a", 1.0), ("b", 1.0)]
