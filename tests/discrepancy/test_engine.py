@@ -54,11 +54,27 @@ def test_a_hidden_effect_is_named_and_nothing_else(name):
         assert findings.channels[channel].after < findings.channels[channel].before
     assert [term.name for term in findings.model.effects] == [name]
     assert findings.base.effects == ()
+    assert findings.residual.verdict == "white"
 
 
 def test_two_effects_at_once_are_both_named():
     hidden = {"rate_damping": {"damping_n_m_s": 1.2e-5}, "supply_sag": {"resistance_ohm": 0.2}}
     assert_found(search(2, hidden), hidden)
+
+
+def test_a_lag_of_the_gyro_is_told_though_the_attitude_is_made_of_that_gyro():
+    """The rotors' acceleration behind a lag looks like yaw torque, and no attitude tells."""
+    hidden = {
+        "attitude_filter_lean": {"strength": 1.0},
+        "gyro_low_pass": {"bandwidth_hz": 30.0},
+        "rotor_acceleration_torque": {"rotor_inertia_kg_m2": 6e-8},
+    }
+    assert_found(search(6, hidden), hidden)
+
+
+def test_a_velocity_moment_is_told_by_an_attitude_that_leans():
+    hidden = {"attitude_filter_lean": {"strength": 1.0}, "velocity_moment": {"moment": 15.0}}
+    assert_found(search(7, hidden), hidden)
 
 
 def test_nothing_is_found_in_a_craft_that_is_as_modelled():
