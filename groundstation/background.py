@@ -14,7 +14,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-_NAME = "groundstation-background "
+_NAME = "groundstation-background"
 
 
 async def in_background(
@@ -22,7 +22,7 @@ async def in_background(
 ) -> T:
     """What ``function`` gives, run in a daemon thread; when cancelled, the thread is left behind.
 
-    The function must own everything it changes. what: a name for ``still_running``. discard:
+    The function must own everything it changes. what: a name for ``left_running``. discard:
     takes the result back when it comes after nobody waits any more.
     """
     loop = asyncio.get_running_loop()
@@ -47,13 +47,25 @@ async def in_background(
         with contextlib.suppress(RuntimeError):  # the loop is closed: the program has ended
             loop.call_soon_threadsafe(settle, value, error)
 
-    threading.Thread(target=run, name=_NAME + what, daemon=True).start()
-    return await result
+    thread = threading.Thread(target=run, name=_NAME, daemon=True)
+    thread.start()
+    try:
+        return await result
+    except asyncio.CancelledError:
+        thread.name = _left(what)
+        if discard is not None and not result.cancelled() and result.exception() is None:
+            discard(result.result())  # it came in the same moment
+        raise
 
 
-def still_running(what: str) -> bool:
-    """Whether work of this name runs: what hangs must not be begun again and again."""
-    return any(thread.name == _NAME + what for thread in threading.enumerate())
+def left_running(what: str) -> bool:
+    """Whether work of this name was left behind and runs: what hangs must not be begun again and
+    again."""
+    return any(thread.name == _left(what) for thread in threading.enumerate())
+
+
+def _left(what: str) -> str:
+    return f"{_NAME}, left: {what}"
 
 
 def left_behind() -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.background import in_background, still_running
+from groundstation.background import in_background, left_running
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError, LinkLostError
 from groundstation.links.base import Link
@@ -56,7 +56,6 @@ class SerialLink(Link):
         except ValueError as error:
             raise BadInputError(str(error)) from error
         self._serial: Any = None
-        self._hung = False
         self._reset()
 
     @property
@@ -86,8 +85,8 @@ class SerialLink(Link):
         hung = LinkError(
             f"serial port {self.port} does not answer: unplug the receiver and plug it in again"
         )
-        if self._hung and still_running(what):
-            raise hung  # one thread that waits is enough
+        if left_running(what):
+            raise hung  # one thread that waits is enough, whichever link began it
         try:
             async with asyncio.timeout(OPEN_S):
                 return await in_background(
@@ -96,7 +95,6 @@ class SerialLink(Link):
                     discard=lambda port: port.close(),
                 )
         except TimeoutError as late:
-            self._hung = True
             raise hung from late
 
     def _receive(self) -> None:
