@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from itertools import chain, count
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -23,7 +24,10 @@ def add_commands(app: typer.Typer) -> None:
 def demo(
     seed: int = typer.Option(1, min=0, max=10**6, help="Chooses what is hidden, and all noise."),
     output: Path | None = typer.Option(
-        None, "-o", "--output", help="A new or empty folder (default: demo-SEED)."
+        None,
+        "-o",
+        "--output",
+        help="A new or empty folder (default: demo-SEED, demo-SEED-2 ...).",
     ),
     as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
 ) -> None:
@@ -41,7 +45,7 @@ def demo(
     from groundstation.demo.shell import Shell
     from groundstation.demo.story import STAGES, inputs, tell
 
-    folder = output or Path(f"demo-{seed}")
+    folder = output or _free_folder(f"demo-{seed}")
     console = Console(stderr=as_json, highlight=False, markup=False, soft_wrap=True)
     columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
@@ -80,6 +84,12 @@ def demo(
     if not outcome.good:
         missed = ", ".join(claim.name for claim in outcome.claims if not claim.true)
         raise GroundStationError(f"not everything came true ({missed}): see {folder / REPORT}")
+
+
+def _free_folder(name: str) -> Path:
+    """The name, or the name with the first number that is free."""
+    numbered = (Path(f"{name}-{number}") for number in count(2))
+    return next(path for path in chain([Path(name)], numbered) if not path.exists())
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -91,8 +91,13 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     shown = [one for one, _ in twin.feed(samples) if len(one.time_s)]
     time = np.array([one.time_s[-1] for one in shown])
     gap = np.array([one.gap for one in shown])
-    worst = np.argsort(-np.nan_to_num(np.nanmax(gap, axis=0)))
     made, (axis,) = figure(9.6, 3.8)
+    if not np.isfinite(gap).any():
+        axis.text(0.5, 0.5, "the twin never came to judge: it learns the noise first, in the air",
+                  ha="center", transform=axis.transAxes)  # fmt: skip
+        axis.set_axis_off()
+        return made
+    worst = np.argsort(-np.max(np.nan_to_num(gap), axis=0))
     for channel in worst[::-1]:
         told = int(np.flatnonzero(worst == channel)[0])
         color = SERIES[told] if told < COLOURED else "#c9ced6"

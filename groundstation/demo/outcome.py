@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.demo.story import CRAFT_FILE, PID_FLIGHTS, SEALED, Told
+from groundstation.demo.story import CRAFT_FILE, FLIGHT_S, PID_FLIGHTS, SEALED, Told, only
 from groundstation.discrepancy.gap import PER_SI
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.dynamics.effects.catalogue import EFFECTS
@@ -152,8 +152,7 @@ def channels(run: Run) -> Array:
 
 def watched(folder: Path) -> Path:
     """The recording of the flight that the twin watched."""
-    (path,) = folder.glob("watched/*.mcap")
-    return path
+    return only(folder, "watched/*.mcap")
 
 
 def twin_events(folder: Path) -> list[dict[str, Any]]:
@@ -201,7 +200,7 @@ def claims_of(
     after = gap.before if gap.after is None else gap.after
     old, new = distance.overall
     return (
-        _twin_claim(noticed),
+        _twin_claim(hidden, noticed),
         Claim(
             "named",
             f"hidden: {said_hidden(hidden)}; named: {said_found(found)}",
@@ -222,10 +221,16 @@ def claims_of(
     )
 
 
-def _twin_claim(noticed: list[dict[str, Any]]) -> Claim:
-    if not noticed:
-        return Claim("noticed", "the twin saw nothing in a flight of 40 s", False)
-    return Claim("noticed", f"the twin noticed: {noticed[0]['text']}", True)
+def _twin_claim(hidden: Hidden, noticed: list[dict[str, Any]]) -> Claim:
+    """True where a channel was told in which what is hidden shows."""
+    shows = {channel.replace(" ", "_") for name in hidden for channel in EFFECTS[name].channels}
+    right = [one for one in noticed if one["details"]["channel"] in shows]
+    if right:
+        return Claim("noticed", f"the twin noticed: {right[0]['text']}", True)
+    if noticed:
+        text = f"the twin spoke of a channel that has nothing to do with it: {noticed[0]['text']}"
+        return Claim("noticed", text, False)
+    return Claim("noticed", f"the twin saw nothing in a flight of {FLIGHT_S} s", False)
 
 
 def _rms(values: Array) -> Array:

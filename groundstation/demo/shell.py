@@ -36,7 +36,13 @@ cp {inputs} .
 export PATH={path}:"$PATH"
 run=$(mktemp -d)
 export GROUNDSTATION_SOCKET="$run/control.sock" XDG_STATE_HOME="$run"
+daemon=
+trap 'test -z "$daemon" || kill -TERM $daemon; rm -rf "$run"' EXIT
+trap 'exit 130' INT TERM
 """
+_SCRIPT_WAIT = """daemon=$!
+until groundstation status >/dev/null 2>&1; do kill -0 $daemon; sleep 0.5; done"""
+_SCRIPT_END = """kill -TERM $daemon; wait $daemon; daemon="""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,13 +140,13 @@ class Shell:
         it says that it could not do its work."""
         line = f"{_shown(words)} &"
         mark = self._tell(line)
-        self._note(f"{line}\nuntil groundstation status >/dev/null 2>&1; do sleep 0.5; done")
+        self._note(f"{line}\n{_SCRIPT_WAIT}")
         process = self._start(words, self._log)
         try:
             yield process
         finally:
             status = _end(process)
-            self._note("kill -TERM $! && wait $!")
+            self._note(_SCRIPT_END)
         if status:
             raise GroundStationError(f"'{_shown(words)}' failed: {self._last_words(mark)}")
 

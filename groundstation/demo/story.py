@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.resources import files
+from pathlib import Path
 
 from groundstation.demo.shell import Shell
 from groundstation.errors import GroundStationError
@@ -169,6 +170,7 @@ def _watched(shell: Shell, seed: int) -> None:
         *("groundstation", "run", "--config", SEALED, "--twin", "body.json"),
         *("--for", str(FLIGHT_S + 1), "--recordings", "watched"),
     )
+    only(shell.folder, "watched/*.mcap")
     shell.run("groundstation", "convert", "watched/*.mcap", "watched.rrd")
 
 
@@ -217,6 +219,18 @@ def _await_answer(shell: Shell, daemon: subprocess.Popen[bytes]) -> None:
     raise GroundStationError(
         f"no telemetry from the daemon after {READY_S:.0f} s; try when the machine is less busy"
     )
+
+
+def only(folder: Path, pattern: str) -> Path:
+    """A daemon's one recording. Raises GroundStationError where it made none, or began anew."""
+    found = sorted(folder.glob(pattern))
+    if len(found) != 1:
+        names = ", ".join(path.name for path in found) or "nothing"
+        raise GroundStationError(
+            f"{pattern}: one recording was expected, there is {names}; try again when the machine"
+            " is less busy and its disk not full"
+        )
+    return found[0]
 
 
 def _free_udp_port() -> int:

@@ -11,7 +11,9 @@ from groundstation.discrepancy.report_json import DiscrepancyReport
 NAME = "velocity_moment"
 TRUTH = {NAME: {"moment": 15.1}}
 CLOSER = Distance(np.full(9, 2.0), np.full(9, 0.1), np.ones(9))
-NOTICED = [{"kind": "gap", "text": "roll disagrees while translating"}]
+NOTICED = [
+    {"kind": "gap", "text": "roll rate disagrees", "details": {"channel": "gyro_x"}},
+]
 
 
 def found_report(*effects, after=1.0):
@@ -82,6 +84,14 @@ def test_a_twin_that_saw_nothing_and_a_model_that_strays_more_are_told():
     assert [name for name, claim in made.items() if not claim.true] == ["noticed", "flown"]
 
 
+def test_a_false_alarm_on_another_channel_is_no_notice():
+    elsewhere = {"text": "yaw rate disagrees", "details": {"channel": "gyro_z"}}
+    assert not claims(TRUTH, found_report(RIGHT), noticed=[elsewhere])["noticed"].true
+    both = claims(TRUTH, found_report(RIGHT), noticed=[elsewhere, *NOTICED])["noticed"]
+    assert both.true
+    assert both.text.endswith("roll rate disagrees")
+
+
 def test_small_quantities_are_told_in_the_unit_one_thinks_in():
     said = described("dead_time", {"delay_s": 0.0041}, {"delay_s": 0.0001})
     assert said == "dead_time 4.1 ± 0.1 ms"
@@ -89,7 +99,8 @@ def test_small_quantities_are_told_in_the_unit_one_thinks_in():
     assert said == "centre_of_gravity_offset x 1 mm, y -0.5 mm"
 
 
-def test_the_seal_holds_what_was_hidden_and_the_story_s_own_files_do_not(tmp_path):
+def test_the_seal_holds_what_was_hidden_and_the_story_s_own_files_do_not(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     for name, text in inputs(3).items():
         (tmp_path / name).write_text(text)
     craft, sealed = tmp_path / CRAFT_FILE, tmp_path / SEALED
