@@ -54,7 +54,8 @@ def test_a_hidden_effect_is_told_while_the_stand_in_flies_and_is_in_the_recordin
     kept = next(each for each in recording.events if each["kind"] == "gap")
     assert kept["details"] == event["details"]
     report = json.loads(groundstation("inspect", daemon.only_file(), "--json").stdout)
-    assert [each["text"] for each in report["marks"]] == [event["text"]]
+    assert report["marks"][0]["text"] == event["text"]
+    assert [each["details"]["why"] for each in report["marks"]] == ["", "the daemon ended"]
 
 
 def test_on_a_replayed_flight_it_tells_the_same_as_in_fast_time(tmp_path, model):
