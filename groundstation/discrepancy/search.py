@@ -215,7 +215,7 @@ def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]
         linear = problem.linear(point, every, problem.flights)
         linear = problem.learn_noise(linear)
         total = problem.with_prior(linear)
-        change = inverse(total.normal) @ total.gradient
+        change = _within_reason(linear, total)
         at = linear.place(BODY_KEYS)
         moved = bounded(point, BODY_KEYS, change[at])
         bent = any(abs(np.log(moved[key] / point[key])) > BENT for key in BODY_KEYS)
@@ -227,6 +227,19 @@ def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]
             point = moved
         point |= {key: goals[key] for key in far}
     return linear, total
+
+
+def _within_reason(linear: Linear, total: Quadratic) -> Array:
+    """The change (p,) to the best fit of everything at once, with each effect's range as a weak
+    prior: a yaw damping of a thousand times that would bend c2 tenfold to go with it."""
+    normal, gradient = total.normal.copy(), total.gradient.copy()
+    for i, key in enumerate(linear.keys):
+        if key in ABSENT:
+            low, high = range_of(key)
+            size = max(abs(low - ABSENT[key]), abs(high - ABSENT[key]))
+            normal[i, i] += size**-2
+            gradient[i] += (ABSENT[key] - linear.point.get(key, ABSENT[key])) / size**2
+    return np.asarray(inverse(normal) @ gradient)
 
 
 def _away(point: Point, goals: Point, key: str) -> float:
