@@ -69,14 +69,14 @@ class Search:
         if line:
             answer: dict[str, Any] = json.loads(line)
             return answer
-        process.wait()
+        process.communicate()
         self._process = None
         return {"error": f"died ({process.returncode})"}
 
     def close(self) -> None:
-        if self._process is not None and self._process.stdin is not None:
-            self._process.stdin.close()
-            self._process.wait()
+        if self._process is not None:
+            self._process.communicate()  # ends its input, waits, closes both pipes
+            self._process = None
 
 
 def search_arguments(folder: Path) -> list[str]:
