@@ -22,6 +22,9 @@ CROSSED = 0.4
 sit elsewhere: by 45 degrees it is the axes' own answer. A craft whose own answers are small
 (blade flapping pushes back within 50 ms) is no reason to refuse."""
 OWN = (-CROSSED, 5.0)
+"""Least and greatest answer to an axis's own torque. A gain that is far too small in a model may
+come from a fit to flights with a lasting torque, which a smaller gain explains: beyond the upper
+limit the profile's gain decides."""
 THRUST = (0.5, 2.0)
 """What another craft's answer and thrust are beyond: no effect in the list goes so far."""
 
@@ -84,9 +87,16 @@ def require_vehicle(errors: Sequence[AheadErrors], model: Model) -> None:
                 f" '{vehicle.configuration}' of the model: is the craft's another?)"
             )
             raise _other(one, model, what)
-        if not (OWN[0] < own.min() and own.max() < OWN[1]):
+        known = own * np.minimum(1.0, _gains_of(model) / np.array(vehicle.body_constants))
+        if not (OWN[0] < own.min() and known.max() < OWN[1]):
             listed = ", ".join(f"{value:.2f}" for value in own)
             raise _other(one, model, f"roll, pitch, yaw answer {listed} times as strongly")
+
+
+def _gains_of(model: Model) -> Array:
+    """c0, c1, c2 of the model, (3,)."""
+    assert model.body is not None
+    return np.array([model.body.c0, model.body.c1, model.body.c2])
 
 
 def _answers(one: AheadErrors) -> Array:

@@ -221,6 +221,15 @@ def test_a_model_of_another_configuration_is_refused_by_how_the_craft_answers(re
     assert "roll answers to pitch torque" in said
 
 
+def test_a_gain_that_a_lasting_torque_made_small_is_no_other_vehicle(folder):
+    model = load_model(folder / "base.json")
+    smaller = msgspec.structs.replace(model.body, c0=model.body.c0 / 14)
+    save_model(msgspec.structs.replace(model, body=smaller), folder / "absorbed.json")
+    write(folder / "unlike.mcap", flight(20.0))
+    done = groundstation("compare", "unlike.mcap", "--model", "absorbed.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_model_that_is_not_for_the_given_vehicle_is_refused(refused):
     said = refused(flight(12.0), "discrepancy", "base.json", "--vehicle", "crazyflie21")
     assert "the model is for 'crazyflie1'" in said

@@ -369,12 +369,13 @@ def fresh_rows(attitude: Array) -> Mask:
     rows = np.flatnonzero(known)
     differs = (attitude[rows[1:]] != attitude[rows[:-1]]).any(axis=1)
     changed[rows[1:]] = differs & (np.diff(rows) == 1)  # across a lost row it tells nothing
-    for first in (0, 1):
-        mine, other = float(changed[first::2].mean()), float(changed[1 - first :: 2].mean())
-        if mine > 0.2 and other < 0.02 + 2.0 / len(changed):
-            fresh = np.zeros(len(changed), np.bool_)
-            fresh[first::2] = True
-            return fresh
+    for told in (changed, known):  # held values may be repeated or left out
+        for first in (0, 1):
+            mine, other = float(told[first::2].mean()), float(told[1 - first :: 2].mean())
+            if mine > 0.2 and other < 0.02 + 2.0 / len(told):
+                fresh = np.zeros(len(told), np.bool_)
+                fresh[first::2] = True
+                return fresh
     return np.ones(len(changed), np.bool_)
 
 

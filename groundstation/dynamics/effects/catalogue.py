@@ -430,7 +430,7 @@ LISTED: tuple[Effect, ...] = (
             # A small craft's ground effect reaches about as high as the craft is wide, and is
             # tenths of the thrust at the ground: what is weak and reaches far is something else.
             Parameter("height_m", "m", 0.08, 0.005, 0.17),
-            Parameter("gain", "", 0.25, 0.06, 1.0),
+            Parameter("gain", "", 0.25, 0.10, 1.0),
         ),
         "thrust times 1 + gain exp(-z / height)",
         "thrust is too low in the model right after take-off and before landing",
