@@ -29,6 +29,9 @@ BLOCK_S = 1.0
 LEAST_GYRO_BIAS_DPS = 0.16
 DISAGREE, DISAGREE_SHARE = 5.0, 0.4
 """Parts disagree where they lie this many standard errors and this share of the size apart."""
+HEARD = 0.05
+"""Share of what all know of the size, from which a channel or recording is heard on it: where an
+effect hardly shows, a small fault of a strong one looks like a disagreement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,8 @@ class Evidence:
         if len(sizes) < 2:
             return 0.0, 0.0
         every, trust = np.array(sizes), np.array(weights)
+        heard = trust > HEARD * trust.sum()
+        every, trust = every[heard], trust[heard]
         away = np.abs(every - float((every * trust).sum() / trust.sum()))
         worst = int(np.argmax(away * np.sqrt(trust)))
         return float(away[worst] * np.sqrt(trust[worst])), float(away[worst])

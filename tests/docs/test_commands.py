@@ -48,8 +48,11 @@ ELSEWHERE = {
     "make bench": ("minutes; each part by itself", "bench/__main__.py", "rows()"),
     "make soak": ("a quarter of an hour", "bench/soak.py", "--hours"),
     "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
-    "make demo": ("three minutes", ".ci/run", "make demo"),
-    "groundstation demo": ("three minutes", ".ci/run", "make demo"),
+    "make demo": ("three minutes", ".ci/run", "make -s demo"),
+    "groundstation demo": ("three minutes", ".ci/run", "make -s demo"),
+    "groundstation compare flight.mcap --model body.json --marked": (
+        *("a flight that a twin watched", "tests/discrepancy/test_commands.py", '"--marked"'),
+    ),
     "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
