@@ -22,7 +22,7 @@ SPAN_NS = 1_000_000_000
 def craft(where):
     """The software craft behind a sound radio; what it says at its end is for the test."""
     with subprocess.Popen(
-        [sys.executable, "-m", "firmware_sim", "--usb", where, "--settings", OUT / "flight.toml"],
+        [sys.executable, "-m", "firmware_sim", "--usb", where, "--settings", OUT / "sound_flight.toml"],
         stdout=subprocess.PIPE, text=True,
         env={**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(OUT / "numba")},
     ) as process:  # fmt: skip
