@@ -21,8 +21,9 @@ SPAN_NS = 1_000_000_000
 @contextlib.contextmanager
 def craft(where):
     """The software craft behind a sound radio; what it says at its end is for the test."""
+    settings = OUT / "sound_flight.toml"
     with subprocess.Popen(
-        [sys.executable, "-m", "firmware_sim", "--usb", where, "--settings", OUT / "sound_flight.toml"],
+        [sys.executable, "-m", "firmware_sim", "--usb", where, "--settings", settings],
         stdout=subprocess.PIPE, text=True,
         env={**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(OUT / "numba")},
     ) as process:  # fmt: skip
