@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 GROUNDSTATION_LOCAL_DATA ?= local-data
 
-.PHONY: run demo test test-usb check-local lint bench bench-discrepancy soak clean
+.PHONY: run demo test test-usb check-local lint bench bench-real bench-discrepancy soak clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
@@ -14,18 +14,31 @@ run: $(VENV)/.ready
 demo: $(VENV)/.ready-dev
 	$(BIN)/groundstation demo $(ARGS)
 
-# Each worker takes a stretch of neighbours: what a file's tests share is made once.
-test: $(VENV)/.ready-dev lint
-	$(BIN)/pytest -n auto --dist worksteal $(ARGS)
+# Each worker takes a stretch of neighbours: what a file's tests share is made once. One worker more
+# than there are cores, for some tests wait for real time.
+test: $(VENV)/.ready-dev
+	$(MAKE) --output-sync -j2 lint $(VENV)/.compiled
+	$(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal $(ARGS)
+
+# Byte code and numba's cache, for every program that the tests start.
+$(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -name '*.py')
+	$(BIN)/python -m compileall -q groundstation firmware_sim
+	$(BIN)/python tests/helpers/compiled.py
+	touch $@
 
 # The USB link through a real kernel, in a virtual machine: about ten minutes, and qemu-system-x86,
 # busybox-static, kmod, cpio and usbip.
 test-usb: $(VENV)/.ready-dev
-	$(BIN)/pytest tests/usb_vm -s -v $(ARGS)
+	$(BIN)/pytest tests/usb_vm -s -v -o faulthandler_timeout=0 $(ARGS)
 
-# Recordings that may not be committed: a folder with usd_card/ and imrc/.
+# Recordings that may not be committed: a folder with usd_card/, imrc/, imrc_brushed/, imrc_payload/
+# and nanobench/.
 check-local: $(VENV)/.ready-dev
 	GROUNDSTATION_LOCAL_DATA=$(GROUNDSTATION_LOCAL_DATA) $(BIN)/pytest tests/local $(ARGS)
+
+# Fits and findings on real flights beside estimates made apart: `make bench-real ARGS="fit agreement"`.
+bench-real: $(VENV)/.ready-dev
+	$(BIN)/python -m bench.real $(GROUNDSTATION_LOCAL_DATA) $(ARGS)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -41,12 +54,15 @@ bench-discrepancy: $(VENV)/.ready-dev
 	$(BIN)/python -m bench.sealed run $(ARGS)
 
 $(VENV)/.ready: pyproject.toml constraints.txt
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e .
+	@echo "once: an environment of its own in $(VENV)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "once: groundstation and its libraries (a minute or two)"
+	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio]'
+	@echo "once: what tests, demo and radio need besides"
+	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio]'
 	touch $@
 
 # A day of telemetry through the real daemon, every file verified: `make soak ARGS="--hours 2"`.

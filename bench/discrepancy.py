@@ -27,7 +27,7 @@ SCREENING = """
 import sys, time
 from pathlib import Path
 from groundstation.discrepancy.engine import find_effects
-from groundstation.discrepancy.recordings import flights_of
+from groundstation.identification.recordings import flights_of
 from groundstation.dynamics.model import load_model
 from groundstation.recording.open_recording import open_recording
 folder = Path(sys.argv[1])

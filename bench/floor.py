@@ -1,7 +1,7 @@
 """``python -m bench.floor [NAME...]``: gaps of the base model and of the true one, by effect.
 
 Flights of the reduced stand-in with one effect at medium size: two to learn the noise floor
-on, a third to judge on. The table of docs/discrepancy.md.
+on, a third to judge on. The table of bench/sealed/RESULTS.md.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 from affected_flights import BASE, MEDIUM, affected
 from compared_flights import flights, hidden
 
-from groundstation.discrepancy.comparison import compare
-from groundstation.discrepancy.findings import CHANNELS
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import compare
 
 SECONDS = 60.0
 

@@ -25,15 +25,15 @@ from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.simulation import simulate
 from groundstation.dynamics.state import craft_state
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
-from groundstation.identification.arx import search_arx
-from groundstation.identification.arx_data import ArxData
-from groundstation.identification.body import fit_body
-from groundstation.identification.body_validation import fit_free_run
-from groundstation.identification.motor import bench_run, fit_motor
-from groundstation.identification.motor_problem import MotorRun
+from groundstation.identification.arx.data import ArxData
+from groundstation.identification.arx.fit import search_arx
+from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.validation import fit_free_run
+from groundstation.identification.motor.fit import bench_run, fit_motor
+from groundstation.identification.motor.problem import MotorRun
+from groundstation.identification.motor.supply import undo_supply
 from groundstation.identification.runs import Run, runs_of
 from groundstation.identification.stretches import stretches_of
-from groundstation.identification.supply import undo_supply
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 
@@ -63,7 +63,7 @@ def _simulation() -> Iterator[Row]:
     steps = 200_000
     voltage = np.full((steps, 4), 2400.0)
     start = craft_state(rates=(0.1, 0.2, 0.3), rotor_rev_s=250)
-    craft = craft_of_vehicle(VEHICLE)
+    craft = craft_of_vehicle(VEHICLE, {"inertia_coupling": {"fraction": 1.0}})
     numbers = np.array([*VEHICLE.inertia_kg_m2, VEHICLE.mass_kg, VEHICLE.thrust_n, 0.045, 9.5e-9])
     log = np.empty((steps + 1, 17))
     ours = best(lambda: simulate(craft, start, voltage), 15)

@@ -22,13 +22,13 @@ from bench.table import Row
 from bench.timing import best
 from firmware_sim.craft import StandInSettings
 from firmware_sim.monte_carlo import fly_many
-from groundstation.control.cascade import run_cascade
-from groundstation.control.cascade_design import cascade_limits, design_cascade, robustness
-from groundstation.control.direct import axis_plant, run_direct
-from groundstation.control.flown import analyse
+from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
+from groundstation.control.firmware_loop import run_cascade
+from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.programme import Programme
+from groundstation.control.step_analysis import analyse
 from groundstation.control.uncertainty import draws
 from groundstation.dynamics.model import THESIS, Model, load_model, save_model
 from groundstation.telemetry.decoder import decode_all

@@ -14,16 +14,16 @@ from bench.table import Row
 from bench.timing import best
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
-from groundstation.dynamics.effects.ahead import observe_run, predict_ahead
-from groundstation.dynamics.effects.catalogue import EFFECTS
-from groundstation.dynamics.effects.observer import gains_of
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, vehicle_model
 from groundstation.dynamics.reference import load_reference
-from groundstation.dynamics.reference_flight import fly_reference
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.simulation import simulate
 from groundstation.dynamics.state import craft_state
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.runs import Run, runs_of
+from groundstation.prediction.observer import gains_of
+from groundstation.prediction.prediction import observe_run, predict_ahead
+from groundstation.prediction.reference_flight import fly_reference
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 

@@ -27,12 +27,12 @@ from bench.sealed.flights import flown as sealed_flight
 from bench.sealed.hidden import CHANNELS, LISTED, planted, scaled
 from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.drawn import draw
+from firmware_sim.effects.catalogue import draw
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
 from groundstation.service.client import Client
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.twin.judge import Episode
+from groundstation.twin.alarm import Episode
 from groundstation.twin.twin import Twin, in_words
 
 PLANTS = ("reduced", "faithful")

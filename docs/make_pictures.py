@@ -1,13 +1,15 @@
-"""``python docs/make_pictures.py [viewer] [where]``: the pictures of README and docs, made anew.
+"""``python docs/make_pictures.py [viewer] [where] [real --data FOLDER]``: the pictures, made anew.
 
 viewer: a stand-in flight in the viewer; needs no display; without a GPU, Debian's
 mesa-vulkan-drivers and libvulkan1 draw it. where: the map of where a model and a craft with hidden
-effects disagree, and how the gap shrinks as the search names them. Any other name is an error.
+effects disagree, and how the gap shrinks as the search names them. real: the slow moments of real
+craft, from the flights of ``make bench-real``. Any other name is an error.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,19 +21,16 @@ from firmware_sim.settings import StandInSettings
 from groundstation import (
     RawBatch,
     Run,
-    compare,
     decode_all,
-    find_effects,
+    find_discrepancy,
     flights_of,
     load_vehicle,
     open_recording,
-    prove,
     vehicle_model,
 )
-from groundstation.discrepancy.comparison import Judged
 from groundstation.discrepancy.report_figures import waterfall, where_map
+from groundstation.recording.rrd import write_rrd
 from groundstation.report.figure import png
-from groundstation.viewer.rrd import write_rrd
 from groundstation.viewer.screenshot import hidden_viewer
 
 IMAGES = Path(__file__).parent / "images"
@@ -47,8 +46,14 @@ FLIGHT_S = 40.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "where"])
-    chosen = parser.parse_args().pictures or ["viewer", "where"]
+    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "where", "real"])
+    parser.add_argument("--data", type=Path, help="folder with the real flights")
+    options = parser.parse_args()
+    chosen = options.pictures or ["viewer", "where"]
+    if "real" in chosen:
+        if options.data is None:
+            parser.error("real needs --data FOLDER")
+        save("real_slow.png", slow_picture(options.data))
     if "viewer" in chosen:
         save("viewer.png", viewer_picture(RECORDING, AT_S))
     if "where" in chosen:
@@ -60,6 +65,13 @@ def main() -> None:
 def save(name: str, picture: bytes) -> None:
     (IMAGES / name).write_bytes(picture)
     print(IMAGES / name)
+
+
+def slow_picture(data: Path) -> bytes:
+    sys.path.insert(0, str(Path(__file__).parents[1]))  # the bench is no part of the package
+    from bench.real.slow import picture
+
+    return picture(data)
 
 
 def viewer_picture(recording: Path, at_s: float) -> bytes:
@@ -74,11 +86,9 @@ def viewer_picture(recording: Path, at_s: float) -> bytes:
 def search_pictures() -> tuple[bytes, bytes]:
     """(where a model errs on a craft with hidden effects, the gap as they are named)."""
     model = vehicle_model(load_vehicle("crazyflie1"))
-    fit_on, held = [*flown(3), *flown(4)], flown(5)
-    findings = find_effects(fit_on, model, held)
-    judged = [Judged(run, 0, len(run)) for run in held]
-    proof = prove(findings, compare(fit_on, model), judged)
-    print(", ".join(effect.name for effect in findings.effects), [s[1] for s in proof.steps])
+    found = find_discrepancy([flown(3), flown(4)], model, [flown(5)])
+    proof = found.proof
+    print(", ".join(one.name for one in found.findings.effects), [s[1] for s in proof.steps])
     return (
         png(where_map([("the model given: error over noise", proof.before.places)])),
         png(waterfall(proof.steps)),

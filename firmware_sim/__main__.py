@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.output import write_csv, write_npz, write_truth
 from firmware_sim.settings import load_settings
+from groundstation.kernel_cache import provide_cache
+from groundstation.text import printable
 
 if TYPE_CHECKING:
     from firmware_sim.serial_port import SerialPort
@@ -44,6 +46,7 @@ layout (Timestamp in ticks of 73/72 us). Neither says what was hidden in the cra
 def main(arguments: list[str] | None = None) -> int:
     """Run the stand-in. Returns 0, or 1 after one line on stderr."""
     options = _parser().parse_args(arguments)
+    provide_cache()
     try:
         settings = _settings(options)
         craft = StandIn(settings)
@@ -56,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.truth is not None:
             write_truth(options.truth, craft.truth())
     except ValueError as error:
-        print(f"firmware_sim: {error}", file=sys.stderr)
+        print(f"firmware_sim: {printable(str(error))}", file=sys.stderr)
         return 1
     except OSError as error:
         print(
@@ -209,6 +212,8 @@ async def _fly(
         return parts[0]
     if line is not None:
         print(f"telemetry on serial:{line.path}", flush=True)
+    if options.output is None and line is None and server is None:
+        print("flying for nobody (see --help: -o, --serial, --usb, --crtp); Ctrl-C ends it")
     start, flown_s = time.monotonic(), 0.0
     try:
         while flown_s < end_s and not stopped.is_set():

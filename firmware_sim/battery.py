@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.rotors import motor_supply_mv, supply_current
+from firmware_sim.effects.supply_sag import motor_supply_mv, supply_current
 from firmware_sim.layout import PASS_NS, ROTOR, SENSOR_STREAM, Record
 from firmware_sim.random_numbers import normal
 

@@ -6,6 +6,7 @@ from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
 
 MIN_THRUST = 10000.0
+MIN_THRUST_TODAY = 1000.0
 MAX_THRUST = 60000.0
 LEVEL_NS = 500_000_000
 """Without a setpoint for so long: level, no yaw rate, thrust kept."""
@@ -34,5 +35,6 @@ def watch(fw: Record, now_ns: int) -> None:
     if age > STOP_NS:
         fw.setpoint_thrust = 0.0
     fw.thrust = 0.0
-    if fw.setpoint_thrust > MIN_THRUST:
+    least = MIN_THRUST_TODAY if fw.today != 0 else MIN_THRUST
+    if fw.setpoint_thrust > least:
         fw.thrust = min(fw.setpoint_thrust, MAX_THRUST)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_sim.layout import (
     ACCEL_DLPF,
+    LAW_BODY,
     PASS_NS,
     PILOT_PASSES,
     POSITION,
@@ -21,23 +22,31 @@ from firmware_sim.layout import (
     TRUTH,
 )
 from firmware_sim.settings import StandInSettings
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.telemetry.packet import Packets, encode
 
 __all__ = ["CraftState", "StandIn", "StandInSettings"]
 
 CHUNK_PASSES = 5000
 """At most 10 s of flight per call of the kernel: bounds the memory of a long advance."""
+HISTORY_PASSES = 1000
+"""The last 2 s, for whoever logs."""
+
+DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
+"""Vehicle -> the name the firmware gives; a 2.1 and a 2.1+ call themselves alike."""
 
 
 @dataclass(frozen=True, slots=True)
 class CraftState:
     """What the firmware and the plant know at one moment, for clients and displays.
 
-    time_s: device time since power-on of the first cell. angles_deg: the firmware's estimate,
-    pitch nose up. gyro_dps, accel_g: as the firmware uses them. motors: 16-bit.
+    time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
+    firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
+    the firmware uses them. motors: 16-bit.
     """
 
     time_s: float
+    uptime_ms: int
     powered: bool
     boots: int
     angles_deg: tuple[float, float, float]
@@ -47,6 +56,8 @@ class CraftState:
     motors: tuple[int, int, int, int]
     battery_v: float
     power_state: int
+    armed: bool
+    stopped: bool
     calibrated: bool
     position_m: tuple[float, float, float]
     rotor_rev_s: tuple[float, float, float, float]
@@ -61,7 +72,13 @@ class StandIn:
     def __init__(self, settings: StandInSettings | None = None) -> None:
         from firmware_sim.bridge import Bridge
         from firmware_sim.flight import fly
-        from firmware_sim.physics import craft_of, firmware, hover_thrust, parameters
+        from firmware_sim.physics import (
+            craft_of,
+            firmware,
+            firmware_of,
+            hover_thrust,
+            parameters,
+        )
         from firmware_sim.programme import Sticks, load_programme
         from firmware_sim.radio import transmit
 
@@ -70,7 +87,17 @@ class StandIn:
         self._parameters = parameters(self.settings)
         self._fresh_firmware = firmware(self.settings)
         self._firmware = self._fresh_firmware.copy()
-        self._hover = hover_thrust(craft_of(self.settings)[0])
+        vehicle, _ = craft_of(self.settings)
+        self._vehicle = vehicle
+        self._unlocked = False
+        self.profile = vehicle.name if vehicle.name in BUILT_IN else None
+        """The vehicle it is made of, where that has a name."""
+        self.device = DEVICES.get(vehicle.name, "Crazyflie 2.1")
+        """What today's craft calls itself."""
+        is_today = firmware_of(self.settings, vehicle) == "2.x"
+        self.protocol = self.settings.protocol if is_today else 1
+        """Version of CRTP."""
+        self._hover = hover_thrust(self.settings)
         self._state = np.zeros(1, STATE)
         self._sticks = Sticks(load_programme(self.settings.program), self.settings.seed)
         self._fly, self._transmit = fly(), transmit()
@@ -81,6 +108,7 @@ class StandIn:
             [loss.good_loss, loss.bad_loss, loss.to_bad, loss.to_good, loss.damage]
         )
         self._truth: list[NDArray[np.void]] = []
+        self._history = np.zeros(0, ROWS)
         self._power_on(first=True)
 
     def advance(self, until_s: float) -> tuple[Packets, NDArray[np.float64]]:
@@ -110,7 +138,8 @@ class StandIn:
             fw, s = self._firmware[0], self._state[0]
             return CraftState(
                 time_s=float(s["now_ns"]) * 1e-9,
-                powered=bool(s["off_ns"] < 0),
+                uptime_ms=self.uptime_ms,
+                powered=self.powered,
                 boots=int(s["boots"]),
                 angles_deg=_floats(fw["angles"]),
                 gyro_dps=_floats(fw["gyro"]),
@@ -119,23 +148,73 @@ class StandIn:
                 motors=tuple(int(c) << 7 for c in fw["compare"]),  # type: ignore[arg-type]  # four
                 battery_v=float(fw["battery_filter"]),
                 power_state=int(fw["power_state"]),
+                armed=bool(fw["armed"]),
+                stopped=bool(fw["stopped"]),
                 calibrated=bool(fw["bias_found"]),
                 position_m=_floats(s["y"][:3]),
                 rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
             )
 
+    def logged(self, uptime_ms: int) -> CraftState:
+        """What a log block read at that time of the firmware's clock: the values after the last
+        pass until then, of the last two seconds; the position is the present one."""
+        now = self.state()
+        with self._lock:
+            row = self._row_at(uptime_ms)
+        if row is None:
+            return now
+        return replace(
+            now,
+            time_s=float(row["time_ns"]) * 1e-9,
+            uptime_ms=uptime_ms,
+            angles_deg=_floats(row["angles_deg"]),
+            gyro_dps=_floats(row["gyro_dps"]),
+            accel_g=_floats(row["accel_g"]),
+            thrust=int(row["thrust"]),
+            motors=tuple(int(m) for m in row["pwm"]),  # type: ignore[arg-type]  # four
+            battery_v=float(row["battery_v"]),
+            power_state=int(row["power_state"]),
+            rotor_rev_s=_floats(row["rotor_rev_s"]),
+        )
+
     def command(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
         """A client's setpoint, as the firmware takes it: pitch nose up, yaw rate clockwise.
 
-        With ``flightmode.althold`` set the pilot holds the height while thrust is given.
+        With ``flightmode.althold`` set the pilot holds the height while thrust is given; today's
+        firmware holds it at zero thrust as well, and takes no thrust before a client that was
+        silent has sent zero once.
         """
+        from firmware_sim.commander import STOP_NS
+
         with self._lock:
             fw, now = self._firmware[0], self._now_ns
+            today = bool(fw["today"])
+            if thrust == 0:
+                self._unlocked = True
+            elif now - fw["setpoint_ns"] > STOP_NS or fw["client_ns"] < 0:
+                self._unlocked = False
+            if today and not self._unlocked:
+                thrust = 0
             fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
             held = fw["altitude_hold"] > 0 and fw["client_ns"] >= 0 and fw["thrust"] > 0
-            if not held or thrust <= 10000:
+            if not held or (thrust <= 10000 and not today):
                 fw["setpoint_thrust"] = float(thrust)
             fw["setpoint_ns"] = fw["client_ns"] = now
+
+    def arm(self, armed: bool) -> bool:
+        """Arm the motors, or disarm them; whether they are armed. Brushed ones always are."""
+        from firmware_sim.today import needs_arming
+
+        with self._lock:
+            fw = self._firmware[0]
+            if needs_arming(self._vehicle) and not fw["stopped"]:
+                fw["armed"] = armed
+            return bool(fw["armed"])
+
+    def emergency_stop(self) -> None:
+        """Today's firmware stops its motors until it is switched off and on."""
+        with self._lock:
+            self._firmware[0]["stopped"] = self._firmware[0]["today"]
 
     def get_parameter(self, name: str) -> float:
         """A firmware parameter by full name (``pid_rate.roll_kp``)."""
@@ -161,6 +240,21 @@ class StandIn:
     def time_s(self) -> float:
         """Device time since the first power-on."""
         return self._now_ns * 1e-9
+
+    @property
+    def uptime_ms(self) -> int:
+        """The firmware's clock: ms since the last power-on."""
+        return int(self._state[0]["now_ns"] - self._state[0]["boot_ns"]) // 1_000_000
+
+    @property
+    def boots(self) -> int:
+        """How often it was switched on."""
+        return int(self._state[0]["boots"])
+
+    @property
+    def powered(self) -> bool:
+        """Whether its cell still feeds it."""
+        return bool(self._state[0]["off_ns"] < 0)
 
     @property
     def overflows(self) -> int:
@@ -198,7 +292,17 @@ class StandIn:
             self._truth.append(truth[:written])
         if flown < passes:
             self._power_on(first=False)
+        self._history = np.concatenate([self._history, rows[:written]])[-HISTORY_PASSES:]
         return rows[:written]
+
+    def _row_at(self, uptime_ms: int) -> Any:
+        """The last row of this power-on until then; None before the first that is kept."""
+        boot_ns = int(self._state[0]["boot_ns"])
+        at = int(
+            np.searchsorted(self._history["time_ns"], boot_ns + uptime_ms * 1_000_000, "right")
+        )
+        row = self._history[at - 1] if at > 0 else None
+        return row if row is not None and row["boot_ns"] == boot_ns else None
 
     def _deliver(
         self, rows: NDArray[np.void], until_ns: int, scale: float
@@ -230,6 +334,7 @@ class StandIn:
 
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
+        self._unlocked = False
         if first:
             s["rng"] = seeded(self.settings.seed, len(s["rng"]))
             s["charge"] = self.settings.charge
@@ -241,10 +346,11 @@ class StandIn:
         s["y"][POSITION + 2] = -p["gravity"] / GROUND_PULSATION**2
         s["y"][QUATERNION] = 1.0
         s["y"][ACCEL_DLPF + 2] = p["gravity"]
+        s["y"][LAW_BODY:] = p["own_initial"]
         s["boot_ns"], s["off_ns"], s["overload_ns"] = now, -1, 0
         s["landing"], s["landed_ns"] = 0, now
         s["pilot_height"] = s["pilot_integral"] = 0.0
-        s["mode"], s["duty"] = 0.0, 0.0
+        s["mode"], s["duty"], s["filter"] = 0.0, 0.0, 0.0
         phase = np.random.default_rng((self.settings.seed, 2, int(s["boots"])))
         s["timer_phase"] = phase.integers(0, 1 << 16)
         fw = self._firmware[0]

@@ -1,7 +1,9 @@
-"""The firmware's side of CRTP, protocol version 1: commander, parameters, logging, console.
+"""The firmware's side of CRTP: commander, parameters, logging, console, what it calls itself.
 
 One datagram is one packet: a header byte (port << 4 | channel) and up to 30 bytes of data.
-``Conversation`` is the protocol for one client, without I/O; ``crtp_server`` puts it on UDP.
+``Conversation`` is the protocol for one client, without I/O; ``crtp_server`` puts it on UDP. A
+craft with the firmware of 2014 speaks protocol 1, one with today's firmware 7 to 12, where numbers
+in the tables of contents have 16 bits and log blocks have a command for periods below 10 ms.
 """
 
 from __future__ import annotations
@@ -9,21 +11,33 @@ from __future__ import annotations
 import errno
 import math
 import struct
-import zlib
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from firmware_sim.contents import (
+    FLOAT,
+    HALF,
+    PARAM_FLOAT,
+    PARAM_U8,
+    TODAY,
+    Contents,
+    checksum,
+    contents_of,
+    supervisor_bits,
+)
 from firmware_sim.craft import CraftState, StandIn
-from firmware_sim.physics import PARAMETER_NAMES
 
-CONSOLE, PARAM, COMMANDER, MEM, LOG, LINK = 0, 2, 3, 4, 5, 15
+CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
+LOCALIZATION, SUPERVISOR, PLATFORM, LINK = 6, 9, 13, 15
+SUPERVISED = 12
+"""The protocol from which on the supervisor has a port."""
 MAX_DATA = 30
-MAX_BLOCKS, MAX_VARIABLES, MAX_LOG_BYTES = 8, 64, 26
+MAX_LOG_BYTES = 26
 NULL_PACKET = b"\xff"
+MISSED_MS = 1000
+"""A block that was not asked for so long has lost what came before, as a queue would."""
 
-_PARAM_FLOAT, _PARAM_U8 = 0x06, 0x08
-_PARAM_FORMAT = {_PARAM_FLOAT: "<f", _PARAM_U8: "<B"}
-_LOG_FORMAT = {1: "<B", 2: "<H", 3: "<I", 4: "<b", 5: "<h", 6: "<i", 7: "<f"}
+_PARAM_FORMAT = {PARAM_FLOAT: "<f", PARAM_U8: "<B"}
+_LOG_FORMAT = {1: "<B", 2: "<H", 3: "<I", 4: "<b", 5: "<h", 6: "<i", FLOAT: "<f", HALF: "<e"}
 _LOG_LIMITS = {
     1: (0, 255),
     2: (0, 65535),
@@ -32,39 +46,14 @@ _LOG_LIMITS = {
     5: (-32768, 32767),
     6: (-(2**31), 2**31 - 1),
 }
+_HALF_MOST = 65504.0
 _SETPOINT = struct.Struct("<fffH")
 
-BANNER = (
-    "SYS: ----------------------------\n"
-    "SYS: Crazyflie is up and running!\n"
-    "SYS: firmware stand-in, 2014.01.0\n"
-)
+CREATE, APPEND, DELETE, START, STOP, RESET, CREATE_V2, APPEND_V2, START_V2 = range(9)
+"""Commands of the log; those of version 2 are today's."""
 
-PARAMETERS: tuple[tuple[str, int], ...] = tuple(
-    (name, _PARAM_U8 if name in ("imu_acc_lpf.factor", "flightmode.althold") else _PARAM_FLOAT)
-    for name in PARAMETER_NAMES
-)
-"""(full name, type) in the order of the table of contents."""
-
-VARIABLES: tuple[tuple[str, int, Callable[[CraftState], float]], ...] = (
-    ("stabilizer.roll", 7, lambda s: s.angles_deg[0]),
-    ("stabilizer.pitch", 7, lambda s: s.angles_deg[1]),
-    ("stabilizer.yaw", 7, lambda s: s.angles_deg[2]),
-    ("stabilizer.thrust", 2, lambda s: s.thrust),
-    ("gyro.x", 7, lambda s: s.gyro_dps[0]),
-    ("gyro.y", 7, lambda s: s.gyro_dps[1]),
-    ("gyro.z", 7, lambda s: s.gyro_dps[2]),
-    ("acc.x", 7, lambda s: s.accel_g[0]),
-    ("acc.y", 7, lambda s: s.accel_g[1]),
-    ("acc.z", 7, lambda s: s.accel_g[2]),
-    ("motor.m1", 6, lambda s: s.motors[0]),
-    ("motor.m2", 6, lambda s: s.motors[1]),
-    ("motor.m3", 6, lambda s: s.motors[2]),
-    ("motor.m4", 6, lambda s: s.motors[3]),
-    ("pm.vbat", 7, lambda s: s.battery_v),
-    ("pm.state", 4, lambda s: s.power_state),
-)
-"""(full name, type, value) of what can be logged, in the order of the table of contents."""
+RELEASES = {7: "2023.11", 8: "2024.10", 9: "2025.02", 10: "2025.09", 12: "2026.04"}
+"""Firmware releases by the protocol that they brought."""
 
 
 @dataclass(slots=True)
@@ -80,7 +69,10 @@ class Conversation:
     """CRTP with one client: its packets in, the craft's answers out."""
 
     def __init__(self, craft: StandIn) -> None:
+        self.contents: Contents = contents_of(craft)
         self._craft = craft
+        self._today = craft.protocol >= TODAY
+        self._boots = craft.boots
         self._blocks: dict[int, LogBlock] = {}
 
     def answer(self, packet: bytes) -> list[bytes]:
@@ -101,24 +93,39 @@ class Conversation:
             return [bytes([packet[0]]) + body for body in self._log(channel, data)]
         elif port == MEM and channel == 0 and data[:1] == b"\x01":
             return [bytes([packet[0], 1, 0])]
+        elif self._today and port in (LOCALIZATION, SUPERVISOR, PLATFORM):
+            return [bytes([packet[0]]) + body for body in self._request(port, channel, data)]
         elif port == LINK and channel == 0:
             return [packet]
         elif port == LINK and channel == 1:
-            return [bytes([packet[0]]) + bytes(MAX_DATA), *_console(BANNER)]
+            source = b"Bitcraze Crazyflie" if self._today else b""
+            return [bytes([packet[0]]) + source.ljust(MAX_DATA, b"\0"), *_console(self._banner())]
         return []
 
-    def due(self, now_ms: int) -> list[bytes]:
-        """Log packets due at a device time in ms (10 ms grid)."""
-        out = []
-        state: CraftState | None = None
+    def due(self, uptime_ms: int) -> list[bytes]:
+        """Log packets due until a time of the firmware's clock, ms, in order of time."""
+        if self._craft.boots != self._boots:  # a firmware that starts anew has no blocks
+            self._boots = self._craft.boots
+            self._blocks.clear()
+        moments = []
         for number, block in self._blocks.items():
-            if block.period_ms == 0 or now_ms < block.next_ms:
+            if block.period_ms == 0:
                 continue
-            block.next_ms = now_ms + block.period_ms - now_ms % block.period_ms
-            state = state or self._craft.state()
-            stamp = (now_ms & 0xFFFFFF).to_bytes(3, "little")
-            values = b"".join(_log_value(state, *variable) for variable in block.variables)
-            out.append(bytes([LOG << 4 | 2, number]) + stamp + values)
+            if uptime_ms - block.next_ms > MISSED_MS:
+                block.next_ms += (uptime_ms - block.next_ms) // block.period_ms * block.period_ms
+            while block.next_ms <= uptime_ms:
+                moments.append((block.next_ms, number))
+                block.next_ms += block.period_ms
+        out = []
+        states: dict[int, CraftState] = {}
+        for moment, number in sorted(moments, key=lambda each: each[0]):
+            if moment not in states:
+                states[moment] = self._craft.logged(moment)
+            stamp = (moment & 0xFFFFFF).to_bytes(3, "little")
+            values = [
+                self._value(states[moment], *which) for which in self._blocks[number].variables
+            ]
+            out.append(bytes([LOG << 4 | 2, number]) + stamp + b"".join(values))
         return out
 
     def _setpoint(self, data: bytes) -> None:
@@ -128,31 +135,61 @@ class Conversation:
         if all(map(math.isfinite, (roll, pitch, yaw))):
             self._craft.command(roll, pitch, yaw, thrust)
 
-    def _parameter(self, channel: int, data: bytes) -> list[bytes]:
+    def _request(self, port: int, channel: int, data: bytes) -> list[bytes]:
+        """Versions, and requests to arm and to stop: on ports of their own from 2026 on."""
         if not data:
             return []
+        if port == PLATFORM and channel == 1:
+            return self._version(data)
+        asked = (port, channel, data[0])
+        supervised = self._craft.protocol >= SUPERVISED
+        if asked == ((SUPERVISOR, 1, 3) if supervised else (LOCALIZATION, 1, 3)):
+            self._craft.emergency_stop()
+        elif asked == ((SUPERVISOR, 1, 1) if supervised else (PLATFORM, 0, 1)) and len(data) > 1:
+            armed = self._craft.arm(bool(data[1]))
+            done = armed == bool(data[1])
+            return [bytes([0x81, done, armed])] if supervised else [bytes([1, done])]
+        elif asked == (SUPERVISOR, 0, 0x0C) and supervised:
+            return [b"\x8c" + supervisor_bits(self._craft.state()).to_bytes(2, "little")]
+        return []
+
+    def _version(self, data: bytes) -> list[bytes]:
+        said = {
+            0: self._craft.protocol.to_bytes(4, "little"),
+            1: RELEASES[self._craft.protocol].encode(),
+            2: self._craft.device.encode(),
+        }
+        return [data[:1] + said[data[0]]] if data[0] in said else []
+
+    def _parameter(self, channel: int, data: bytes) -> list[bytes]:
         if channel == 0:
-            return _contents(data, PARAMETER_CONTENTS, b"")
-        number = data[0]
-        if number >= len(PARAMETERS):
-            return [bytes([0xFF, number, errno.ENOENT])]
-        name, kind = PARAMETERS[number]
+            return self._contents(data, self.contents.parameter_items, b"")
+        width = 2 if self._today else 1
+        if len(data) < width or channel not in (1, 2):
+            return []
+        place, given = data[:width], data[width:]
+        number = int.from_bytes(place, "little")
+        if number >= len(self.contents.parameters):
+            return [place + bytes([errno.ENOENT]) if self._today else bytes([255, number, 2])]
+        name, kind = self.contents.parameters[number]
         form = struct.Struct(_PARAM_FORMAT[kind])
-        if channel == 2 and len(data) == 1 + form.size:
-            value = form.unpack(data[1:])[0]
+        if channel == 2:
+            if len(given) != form.size:
+                return []
+            value = form.unpack(given)[0]
             # A value that is no number would leave the loops undefined: what is set stays.
             if math.isfinite(value):
                 self._craft.set_parameter(name, value)
-        elif channel != 1:
-            return []
         value = self._craft.get_parameter(name)
-        return [bytes([number]) + form.pack(value if kind == _PARAM_FLOAT else int(value))]
+        status = b"\0" if self._today and channel == 1 else b""
+        return [place + status + form.pack(value if kind == PARAM_FLOAT else int(value))]
 
     def _log(self, channel: int, data: bytes) -> list[bytes]:
         if not data:
             return []
         if channel == 0:
-            return _contents(data, LOG_CONTENTS, bytes([MAX_BLOCKS, MAX_VARIABLES]))
+            limits = bytes([self.contents.most_blocks, self.contents.most_variables])
+            return self._contents(data, self.contents.log_items, limits)
         if channel != 1:
             return []
         command, number = data[0], data[1] if len(data) > 1 else 0
@@ -160,76 +197,90 @@ class Conversation:
 
     def _control(self, command: int, number: int, data: bytes) -> int:
         block = self._blocks.get(number)
-        if command == 5:
+        if command == RESET:
             self._blocks.clear()
             return 0
-        if command == 0:
+        if command == (CREATE_V2 if self._today else CREATE):
             if block is not None:
                 return errno.EEXIST
-            if len(self._blocks) >= MAX_BLOCKS:
+            if len(self._blocks) >= self.contents.most_blocks:
                 return errno.ENOMEM
+            # today's firmware keeps a block whose variables it refuses
             block = LogBlock()
             error = self._append(block, data)
-            if error == 0:
+            if error == 0 or self._today:
                 self._blocks[number] = block
             return error
-        if command not in (1, 2, 3, 4):
+        append = APPEND_V2 if self._today else APPEND
+        known = (append, DELETE, START, STOP, *((START_V2,) if self._today else ()))
+        if command not in known:
             return errno.ENOEXEC
         if block is None:
             return errno.ENOENT
-        if command == 1:
+        if command == append:
             return self._append(block, data)
-        if command == 2:
+        if command == DELETE:
             del self._blocks[number]
-        elif command == 3:
-            if not data:
-                return errno.ENOEXEC
-            block.period_ms, block.next_ms = 10 * data[0], 0
-        else:
+        elif command == STOP:
             block.period_ms = 0
+        else:
+            width, unit_ms = (2, 1) if command == START_V2 else (1, 10)
+            if len(data) < width:
+                return errno.ENOEXEC
+            block.period_ms = int.from_bytes(data[:width], "little") * unit_ms
+            block.next_ms = self._craft.uptime_ms + block.period_ms
         return 0
 
     def _append(self, block: LogBlock, data: bytes) -> int:
-        added = [(data[i + 1], data[i] & 0x0F) for i in range(0, len(data) - 1, 2)]
+        """Until the first variable that is refused, as the firmware does."""
+        width = 2 if self._today else 1
+        added = [
+            (int.from_bytes(data[at + 1 : at + 1 + width], "little"), data[at] & 0x0F)
+            for at in range(0, len(data) - width, 1 + width)
+        ]
         for variable, kind in added:
-            if variable >= len(VARIABLES) or kind not in _LOG_FORMAT:
+            if variable >= len(self.contents.variables) or kind not in _LOG_FORMAT:
                 return errno.ENOENT
-        if sum(len(b.variables) for b in self._blocks.values()) + len(added) > MAX_VARIABLES:
-            return errno.ENOMEM
-        both = block.variables + added
-        if sum(struct.calcsize(_LOG_FORMAT[kind]) for _, kind in both) > MAX_LOG_BYTES:
-            return errno.E2BIG
-        block.variables = both
+            both = [*block.variables, (variable, kind)]
+            if sum(struct.calcsize(_LOG_FORMAT[kind]) for _, kind in both) > MAX_LOG_BYTES:
+                return errno.E2BIG
+            others = sum(len(b.variables) for b in self._blocks.values() if b is not block)
+            if others + len(both) > self.contents.most_variables:
+                return errno.ENOMEM
+            block.variables = both
         return 0
 
+    def _contents(self, data: bytes, items: list[bytes], limits: bytes) -> list[bytes]:
+        """A table of contents: its size and checksum, or one item."""
+        if not data:
+            return []
+        about, one, width = (3, 2, 2) if self._today else (1, 0, 1)
+        if data[0] == about:
+            size = len(items).to_bytes(width, "little")
+            return [bytes([about]) + size + checksum(items) + limits]
+        if data[0] == one and len(data) > width:
+            place = data[1 : 1 + width]
+            number = int.from_bytes(place, "little")
+            return [bytes([one]) + place + items[number] if number < len(items) else bytes([one])]
+        return []
 
-def _contents(data: bytes, items: list[bytes], limits: bytes) -> list[bytes]:
-    """A table of contents: its size and checksum, or one item."""
-    if data[0] == 1:
-        checksum = zlib.crc32(b"".join(items)).to_bytes(4, "little")
-        return [bytes([1, len(items)]) + checksum + limits]
-    if data[0] == 0 and len(data) > 1:
-        if data[1] < len(items):
-            return [bytes([0, data[1]]) + items[data[1]]]
-        return [bytes([0])]
-    return []
+    def _value(self, state: CraftState, variable: int, kind: int) -> bytes:
+        value = self.contents.variables[variable][2](state)
+        if kind == HALF:
+            value = min(max(value, -_HALF_MOST), _HALF_MOST)
+        if kind in (FLOAT, HALF):
+            return struct.pack(_LOG_FORMAT[kind], value)
+        low, high = _LOG_LIMITS[kind]
+        return struct.pack(_LOG_FORMAT[kind], int(min(max(value, low), high)))
 
-
-def _item(name: str, kind: int) -> bytes:
-    group, _, variable = name.partition(".")
-    return bytes([kind]) + group.encode() + b"\0" + variable.encode() + b"\0"
-
-
-PARAMETER_CONTENTS = [_item(name, kind) for name, kind in PARAMETERS]
-LOG_CONTENTS = [_item(name, kind) for name, kind, _ in VARIABLES]
-
-
-def _log_value(state: CraftState, variable: int, kind: int) -> bytes:
-    value = VARIABLES[variable][2](state)
-    if kind == 7:
-        return struct.pack("<f", value)
-    low, high = _LOG_LIMITS[kind]
-    return struct.pack(_LOG_FORMAT[kind], int(min(max(value, low), high)))
+    def _banner(self) -> str:
+        if not self._today:
+            return (
+                "SYS: ----------------------------\n"
+                "SYS: Crazyflie is up and running!\n"
+                "SYS: firmware stand-in, 2014.01.0\n"
+            )
+        return f"SYS: {self._craft.device} is up and running!\nSYS: firmware stand-in\n"
 
 
 def _console(text: str) -> list[bytes]:

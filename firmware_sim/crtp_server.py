@@ -87,7 +87,7 @@ class CrtpServer(asyncio.DatagramProtocol):
     async def _log(self) -> None:
         while True:
             await asyncio.sleep(LOG_TICK_S / 2)
-            now_ms = int(self._craft.time_s * 1000)
+            now_ms = self._craft.uptime_ms
             for addr, client in list(self._clients.items()):
                 for packet in client.due(now_ms):
                     self._send(packet, addr)

@@ -30,8 +30,9 @@ from firmware_sim.pilot import LANDED_M, REST_NS, decide
 from firmware_sim.plant import derivative, integrate
 from firmware_sim.random_numbers import normal, uniform
 from firmware_sim.stabilizer import angle_loops, stabilize
+from firmware_sim.stabilizer_today import stabilize_today
 
-FULL_COMPARE = 512.0
+FULL_COMPARE, FULL_PWM = 512.0, 65535.0
 WAIT_NS = 1_000_000_000
 """The firmware waits so long before anything moves."""
 TEST_NS, TEST_EVERY_NS, TEST_COMPARE = 50_000_000, 200_000_000, 101
@@ -89,6 +90,8 @@ def fly() -> Callable[..., Any]:
                     _witness(s, truth[written], slot)
                 written += 1
             _act(p, fw, s, index)
+            if index >= FIRST_ROW:
+                _log(fw, s, rows[written - 1])
             phase, speed = s.y[PHASE], s.y[ROTOR]
             _move(p, s)
             if s.mode == FIXED:
@@ -103,7 +106,9 @@ def fly() -> Callable[..., Any]:
 
 @inner
 def _battery_ratio(fw: Record) -> float:
-    """A pilot pushes the stick further as the battery empties."""
+    """A pilot pushes the stick further as the battery empties, where the firmware does not."""
+    if fw.today != 0:
+        return 1.0
     return 3.7 / min(max(fw.battery_filter, 3.0), 4.2)
 
 
@@ -132,11 +137,18 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
         _motor_test(fw, s.now_ns - s.boot_ns - WAIT_NS)
     else:
         watch(fw, s.now_ns)
-        if index % 2 == 0:
-            angle_loops(fw)
-        stabilize(p, fw)
+        if fw.today != 0:
+            stabilize_today(fw)
+        else:
+            if index % 2 == 0:
+                angle_loops(fw)
+            stabilize(p, fw)
     for i in range(4):
-        s.duty[i] = fw.compare[i] / FULL_COMPARE
+        if fw.today != 0 and fw.bias_found != 0:
+            s.duty[i] = fw.pwm[i] / FULL_PWM
+        else:
+            fw.pwm[i] = fw.compare[i] << 7
+            s.duty[i] = fw.compare[i] / FULL_COMPARE
     supply(p, s)
     if index % ADC_PASSES == 0 or p.adc_filter == 0:
         read_adc(p, fw, s)
@@ -214,6 +226,22 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
         row.accelerometer[i] = s.ring_accel[slot, i]
         row.angles[i] = math.floor(100.0 * fw.angles[i] + 0.5)
     row.debug = s.gate_ticks
+
+
+@inner
+def _log(fw: Record, s: Record, row: Record) -> None:
+    """What the firmware's log variables hold when the pass is over."""
+    row.boot_ns = s.boot_ns
+    for i in range(3):
+        row.gyro_dps[i] = fw.gyro[i]
+        row.accel_g[i] = fw.accel[i]
+        row.angles_deg[i] = fw.angles[i]
+    for i in range(4):
+        row.pwm[i] = fw.pwm[i]
+        row.rotor_rev_s[i] = s.y[ROTOR + i]
+    row.thrust = fw.thrust
+    row.battery_v = fw.battery_filter
+    row.power_state = fw.power_state
 
 
 @inner

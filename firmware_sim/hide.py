@@ -11,26 +11,17 @@ import sys
 import tomllib
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
-from firmware_sim.effects.drawn import draw
-from firmware_sim.effects.present import present_effects
+from firmware_sim.effects.catalogue import EFFECTS, draw, present_effects
 from firmware_sim.settings import load_settings, parse_settings
+from groundstation.text import printable
 
-HIDEABLE = (
-    "centre_of_gravity_offset",
-    "rotor_acceleration_torque",
-    "motor_dead_voltage",
-    "imu_misalignment",
-    "velocity_moment",
-    "motor_braking_asymmetry",
-    "rotor_mismatch",
-    "attitude_filter_lean",
-    "supply_sag",
-    "gyro_low_pass",
-    "accelerometer_bias",
-    "yaw_damping",
+HIDEABLE = tuple(
+    sorted(
+        (name for name, one in EFFECTS.items() if one.hidden is not None),
+        key=lambda name: EFFECTS[name].hidden or 0,
+    )
 )
 """Effects that any ordinary flight shows at every size drawn; neighbours are unlike each other,
 so that one seed after the other is another story."""
@@ -60,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"firmware_sim: {options.output} exists already; give another name", file=sys.stderr)
         return 1
     except (ValueError, OSError) as error:
-        print(f"firmware_sim: {error}", file=sys.stderr)
+        print(f"firmware_sim: {printable(str(error))}", file=sys.stderr)
         return 1
     print(f"{options.output}: something is hidden in this craft")
     return 0
@@ -85,8 +76,8 @@ def _sealed(settings: Path, seed: int) -> str:
     lines = [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
     sealed = "\n".join([text.rstrip(), "", f"[{table}.{name}]", *lines, ""])
     try:
-        parse_settings(sealed)
-    except msgspec.DecodeError as error:
+        parse_settings(sealed.encode())
+    except ValueError as error:
         raise ValueError(f"{settings}: no table can be added to it: {error}") from error
     return sealed
 

@@ -11,6 +11,8 @@ import math
 from typing import Any
 
 from firmware_sim.compiled import inner
+from firmware_sim.effects.imu_lever_arm import lever_arm_acceleration
+from firmware_sim.effects.own import lawful_reading
 from firmware_sim.layout import (
     ACCEL_DLPF,
     GYRO_DLPF,
@@ -67,6 +69,13 @@ def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
     rate_x = y[RATE] + p.shake[2] * twist_x
     rate_y = y[RATE + 1] + p.shake[2] * twist_y
     rate_z = y[RATE + 2] + YAW_SHAKE * p.shake[2] * twist_z
+    if p.lawful != 0:
+        force = (s.force[0], s.force[1], s.force[2])
+        rate, felt = lawful_reading(
+            p, y, dy, force, (rate_x, rate_y, rate_z), (felt_x, felt_y, felt_z)
+        )
+        rate_x, rate_y, rate_z = rate
+        felt_x, felt_y, felt_z = felt
     if p.gyro_lag > 0.0:
         dy[GYRO_LAG] = (rate_x - y[GYRO_LAG]) / p.gyro_lag
         dy[GYRO_LAG + 1] = (rate_y - y[GYRO_LAG + 1]) / p.gyro_lag
@@ -79,21 +88,6 @@ def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
         dy[ACCEL_DLPF] = (felt_x - y[ACCEL_DLPF]) / p.dlpf_s[1]
         dy[ACCEL_DLPF + 1] = (felt_y - y[ACCEL_DLPF + 1]) / p.dlpf_s[1]
         dy[ACCEL_DLPF + 2] = (felt_z - y[ACCEL_DLPF + 2]) / p.dlpf_s[1]
-
-
-@inner
-def lever_arm_acceleration(p: Record, y: Any, dy: Any) -> Any:
-    """imu_lever_arm in m/s^2: alpha x r + Omega x (Omega x r), all in body axes."""
-    x, v, z = p.lever[0], p.lever[1], p.lever[2]
-    ax, ay, az = dy[RATE], dy[RATE + 1], dy[RATE + 2]
-    wx, wy, wz = y[RATE], y[RATE + 1], y[RATE + 2]
-    along = wx * x + wy * v + wz * z
-    square = wx * wx + wy * wy + wz * wz
-    return (
-        ay * z - az * v + wx * along - square * x,
-        az * x - ax * z + wy * along - square * v,
-        ax * v - ay * x + wz * along - square * z,
-    )
 
 
 @inner
@@ -114,6 +108,11 @@ def sample(p: Record, s: Record, time_ns: int) -> None:
             fx += lever_x
             fy += lever_y
             fz += lever_z
+        if p.lawful != 0:
+            force = (s.force[0], s.force[1], s.force[2])
+            rate, felt = lawful_reading(p, y, s.slope, force, (rx, ry, rz), (fx, fy, fz))
+            rx, ry, rz = rate
+            fx, fy, fz = felt
     w, a, b, c = y[6], y[7], y[8], y[9]
     if p.rotated != 0:
         m = p.mounting
@@ -125,16 +124,33 @@ def sample(p: Record, s: Record, time_ns: int) -> None:
     rates = (rx, ry, rz)
     forces = (fx, fy, fz)
     for i in range(3):
-        rate = rates[i] + p.gyro_bias[i] + warm * p.gyro_drift[i]
+        rate = rates[i] + p.gyro_offset[i] + warm * p.gyro_drift[i]
         rate += p.gyro_noise * normal(s.rng, SENSOR_STREAM)
-        force = forces[i] + p.accel_bias[i] + p.accel_noise * normal(s.rng, SENSOR_STREAM)
+        sensed = forces[i] + p.accel_bias[i] + p.accel_noise * normal(s.rng, SENSOR_STREAM)
+        if p.filtered != 0:
+            rate = _low_pass(p.gyro_filter, s.filter, i, rate)
+            sensed = _low_pass(p.accel_filter, s.filter, 3 + i, sensed)
         s.ring_gyro[slot, i] = register(rate * GYRO_COUNTS)
-        s.ring_accel[slot, i] = register(force * ACCEL_COUNTS)
+        s.ring_accel[slot, i] = register(sensed * ACCEL_COUNTS)
     if p.ideal_attitude != 0:
         _sample_attitude(p, s, slot, w, a, b, c)
     s.sampled_ns[slot] = time_ns
     s.ring_ready_ns[slot] = time_ns + p.pipeline_ns
     s.sampled += 1
+
+
+@inner
+def _low_pass(coefficients: Any, memory: Any, channel: int, value: float) -> float:
+    """One step of a second-order filter in direct form 2."""
+    inside = value - coefficients[3] * memory[channel, 0] - coefficients[4] * memory[channel, 1]
+    out = (
+        coefficients[0] * inside
+        + coefficients[1] * memory[channel, 0]
+        + coefficients[2] * memory[channel, 1]
+    )
+    memory[channel, 1] = memory[channel, 0]
+    memory[channel, 0] = inside
+    return float(out)
 
 
 @inner

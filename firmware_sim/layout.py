@@ -23,6 +23,8 @@ POSITION, VELOCITY, QUATERNION, RATE, ROTOR = 0, 3, 6, 10, 13
 CORE_STATES = 17
 PHASE, GYRO_LAG, GYRO_DLPF, ACCEL_DLPF, ARM, LOAD = 17, 21, 24, 27, 30, 32
 ALL_STATES = 36
+LAW_BODY, LAW_SENSOR, LAW_STATES = 36, 52, 68
+"""States of effects whose laws are flown, 16 of the body and 16 of sensors."""
 
 SENSOR_RING = 32
 """Samples on their way from the sensor to the loop: up to 60 ms of delay."""
@@ -49,9 +51,9 @@ PARAMETERS = np.dtype(
         ("strength", "f8", (4,)),  # 1, or a rotor's thrust and drag relative to the others
         ("thrust", "f8"),  # N per (rev/s)^2
         ("drag", "f8"),  # N m per (rev/s)^2
-        ("a0", "f8"),
-        ("a1", "f8"),
-        ("a2", "f8"),
+        ("a0", "f8", (4,)),
+        ("a1", "f8", (4,)),
+        ("a2", "f8", (4,)),
         ("start_mv", "f8"),
         ("longest_step", "f8"),  # s
         ("states", "i8"),  # CORE_STATES, or ALL_STATES where something needs the rest
@@ -81,12 +83,15 @@ PARAMETERS = np.dtype(
         ("pipeline_ns", "i8"),  # from sampling to the loop's registers
         ("sensor_phase_ns", "i8"),
         ("sensor_period_ns", "i8"),
-        ("gyro_bias", "f8", (3,)),  # rad/s
+        ("gyro_offset", "f8", (3,)),  # rad/s
         ("gyro_drift", "f8", (3,)),  # rad/s reached after warming up
         ("warm_up", "f8"),  # s
         ("accel_bias", "f8", (3,)),  # m/s^2
         ("mounting", "f8", (9,)),  # sensor axes in the body, row-major rotation body <- sensor
         ("rotated", "i8"),
+        ("filtered", "i8"),  # 1: today's filters, each b0 b1 b2 a1 a2
+        ("gyro_filter", "f8", (5,)),
+        ("accel_filter", "f8", (5,)),
         ("shake", "f8", (3,)),  # imbalance: m/s^2 in plane, m/s^2 axial, rad/s; at 250 rev/s
         # timer
         ("timer_jitter", "f8"),  # ticks
@@ -95,25 +100,29 @@ PARAMETERS = np.dtype(
         ("rotor_inertia_gyro", "f8"),
         ("rotor_inertia_yaw", "f8"),
         ("coupling", "f8"),
-        ("rate_damping", "f8"),
+        ("tilt_damping", "f8"),
         ("quadratic_damping", "f8"),
-        ("yaw_damping", "f8"),
+        ("turn_damping", "f8"),
         ("gravity_x", "f8"),
         ("gravity_y", "f8"),
         ("dead_mv", "f8"),
         ("braking", "f8"),  # 1: brakes as it accelerates
-        ("rotor_drag", "f8"),
-        ("velocity_moment", "f8"),
-        ("climb_inflow", "f8"),
+        ("plane_drag", "f8"),
+        ("flapping", "f8"),
+        ("inflow", "f8"),
         ("lever", "f8", (3,)),
         ("levered", "i8"),
         ("ground_gain", "f8"),
         ("ground_height", "f8"),
         ("gyro_lag", "f8"),  # s
-        ("law", "i8"),  # address of a user's own effects, 0: none
-        ("law_values", "f8", (16,)),
+        # effects whose laws are flown, see effects/own.py
+        ("lawful", "i8"),
+        ("own", "i8", (5,)),
+        ("own_values", "f8", (16,)),
+        ("own_initial", "f8", (32,)),
         # effects that no list names
         ("load_mass", "f8"),
+        ("payload", "f8"),  # share of the mass that was added; it is in ``mass`` already
         ("load_length", "f8"),
         ("arm_hz", "f8"),
         ("arm_gain", "f8"),
@@ -149,6 +158,15 @@ FIRMWARE = np.dtype(
         ("quirk_clamp_macro", "i8"),
         ("quirk_lower_limit", "i8"),
         ("quirk_negate", "i8"),
+        # today's firmware
+        ("today", "i8"),
+        ("armed", "i8"),
+        ("stopped", "i8"),  # by an emergency: until it is switched off
+        ("thrust_curve", "f8", (4,)),  # N from V
+        ("thrust_most_n", "f8"),
+        ("heading", "f8"),  # deg, that is held
+        ("wanted", "f8", (4,)),
+        ("pwm", "i8", (4,)),  # 16-bit PWM
         # state of the PIDs
         ("rate_integral", "f8", (3,)),
         ("rate_previous", "f8", (3,)),
@@ -184,10 +202,10 @@ FIRMWARE = np.dtype(
 
 STATE = np.dtype(
     [
-        ("y", "f8", (ALL_STATES,)),
-        ("start", "f8", (ALL_STATES,)),
-        ("slope", "f8", (ALL_STATES,)),
-        ("sum", "f8", (ALL_STATES,)),
+        ("y", "f8", (LAW_STATES,)),
+        ("start", "f8", (LAW_STATES,)),
+        ("slope", "f8", (LAW_STATES,)),
+        ("sum", "f8", (LAW_STATES,)),
         ("force", "f8", (3,)),  # specific force in body axes, m/s^2
         # held over a pass
         ("duty", "f8", (4,)),
@@ -210,6 +228,7 @@ STATE = np.dtype(
         ("ring_gyro", "i8", (SENSOR_RING, 3)),
         ("ring_accel", "i8", (SENSOR_RING, 3)),
         ("ring_angles", "f8", (SENSOR_RING, 3)),
+        ("filter", "f8", (6, 2)),  # memory of the filters
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),
@@ -235,9 +254,19 @@ ROWS = np.dtype(
         ("accelerometer", "i8", (3,)),
         ("angles", "i8", (3,)),
         ("debug", "i8"),
+        # what a log block reads after the pass
+        ("boot_ns", "i8"),
+        ("gyro_dps", "f8", (3,)),
+        ("accel_g", "f8", (3,)),
+        ("angles_deg", "f8", (3,)),
+        ("thrust", "f8"),
+        ("pwm", "i8", (4,)),  # 16 bits, computed in this pass
+        ("battery_v", "f8"),
+        ("power_state", "i8"),
+        ("rotor_rev_s", "f8", (4,)),
     ]
 )
-"""One telemetry row as the firmware fills it."""
+"""One telemetry row as the firmware fills it, and what its log would say of the pass."""
 
 TRUTH = np.dtype(
     [

@@ -16,8 +16,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim import today
+from firmware_sim.effects.catalogue import EFFECTS as IMPLEMENTED
 from firmware_sim.effects.catalogue import apply_effects
-from firmware_sim.effects.own import apply_own
+from firmware_sim.effects.own import apply_laws
 from firmware_sim.layout import (
     ALL_STATES,
     CORE_STATES,
@@ -28,7 +30,9 @@ from firmware_sim.layout import (
 )
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
-from groundstation.dynamics.model import Model, load_model, model_vehicle
+from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
+from groundstation.dynamics.registry import EFFECTS as LISTED
+from groundstation.dynamics.registry import find_effect
 from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
 
 G = 9.80665
@@ -42,7 +46,6 @@ DLPF: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {
 }
 """DLPF_CFG -> (bandwidth in Hz, delay in s) of the gyro and of the accelerometer."""
 BUS_S = 0.4e-3
-MOST_DELAY_NS = (SENSOR_RING - 2) * PASS_NS
 THESIS_GAINS = {
     "pid_rate.roll_kp": 12.0,
     "pid_rate.pitch_kp": 12.0,
@@ -111,7 +114,7 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     draws = np.random.default_rng((settings.seed, 1))
     phase, ppm = draws.uniform(0, PASS_NS * 1e-9), draws.normal(0, 10.0)
     sensor = settings.sensor
-    p["gyro_bias"] = np.radians(sensor.gyro_bias_dps)
+    p["gyro_offset"] = np.radians(sensor.gyro_bias_dps)
     p["accel_bias"] = np.multiply(sensor.accel_bias_g, G)
     p["gyro_drift"] = np.radians(sensor.warm_up_drift_dps)
     p["warm_up"] = sensor.warm_up_s
@@ -126,19 +129,32 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
         p["timer_jitter"] = 1.0
     else:
         _faithful(p, vehicle, settings)
-        _sensor_timing(p, sensor, phase, ppm)
+        if firmware_of(settings, vehicle) == "2.x":
+            _sensor_of_today(p, phase)
+        else:
+            _sensor_timing(p, sensor, phase, ppm)
+    if firmware_of(settings, vehicle) == "2.x":
+        _filters_of_today(p, vehicle)
     chosen = {name: dict(values) for name, values in settings.effects.items()}
+    sources: dict[str, str] = {}
     for term in model.effects if model is not None else ():
-        if term.source:
-            continue
         chosen.setdefault(term.name, {k: e.value for k, e in term.parameters.items()})
+        sources[term.name] = term.source
+    flown_by_law = []
+    for name in [name for name in chosen if name not in IMPLEMENTED]:
+        if name in LISTED or sources.get(name):
+            effect = find_effect(name, sources.get(name, ""))
+            flown_by_law.append((effect, effect.values(chosen.pop(name))))
     apply_effects(p, chosen)
-    if model is not None and any(term.source for term in model.effects):
-        apply_own(p, model)
-    if p["pipeline_ns"] > MOST_DELAY_NS:
+    for rotor, motor in enumerate(() if model is None else rotor_motors(model)):
+        p["a0"][rotor], p["a1"][rotor], p["a2"][rotor] = motor.a0, motor.a1, motor.a2
+    if flown_by_law:
+        apply_laws(p, flown_by_law)
+    most_ns = (SENSOR_RING - 2) * (PASS_NS if p["filtered"] == 0 else p["sensor_period_ns"])
+    if p["pipeline_ns"] > most_ns:
         raise ValueError(
             f"sensor delay_s and dead_time make {p['pipeline_ns'] * 1e-6:g} ms of delay,"
-            f" must be at most {MOST_DELAY_NS * 1e-6:g}"
+            f" must be at most {most_ns * 1e-6:g}"
         )
     return record
 
@@ -148,9 +164,14 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     vehicle, _ = craft_of(settings)
     record = np.zeros(1, FIRMWARE)
     fw = record[0]
-    for name, values in STOCK.items():
+    is_today = firmware_of(settings, vehicle) == "2.x"
+    for name, values in (today.stock_gains(vehicle) if is_today else STOCK).items():
         fw[name] = values
     fw["fusion_kp"], fw["fusion_ki"], fw["accel_factor"] = 0.8, 0.002, 32.0
+    fw["armed"] = not (is_today and today.needs_arming(vehicle))
+    if is_today:
+        fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
+        fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
     fw["altitude_hold"] = float(settings.altitude_hold)
     quirks = settings.quirks
     fw["quirk_attitude_dt"] = quirks.attitude_dt
@@ -178,8 +199,16 @@ def gain_place(name: str) -> tuple[str, int]:
     raise ValueError(f"firmware parameter {name!r}: there are {', '.join(PARAMETER_NAMES)}")
 
 
-def hover_thrust(vehicle: Vehicle) -> float:
-    """16-bit thrust that carries the craft at 3.7 V."""
+def firmware_of(settings: StandInSettings, vehicle: Vehicle) -> str:
+    """Whose loops fly: ``2014`` or ``2.x``."""
+    return settings.firmware or vehicle.firmware
+
+
+def hover_thrust(settings: StandInSettings) -> float:
+    """16-bit thrust that carries the craft: of 2014 at 3.7 V."""
+    vehicle, _ = craft_of(settings)
+    if firmware_of(settings, vehicle) == "2.x":
+        return today.hover_command(vehicle)
     rotor = math.sqrt(G / (4 * vehicle.thrust_per_mass))
     return vehicle.motor.armature_mv(rotor) / 3700.0 * 65536.0
 
@@ -228,7 +257,7 @@ def _faithful(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
     """What a real craft has and the base model has not."""
     p["states"] = ALL_STATES
     p["supply_ohm"] = vehicle.battery.supply_ohm
-    p["protection_a"] = 4.0
+    p["protection_a"] = today.protection_a(vehicle)
     p["start_mv"] = 800.0
     p["adc_filter"] = 1
     p["coupling"] = 1.0
@@ -238,6 +267,23 @@ def _faithful(p: Any, vehicle: Vehicle, settings: StandInSettings) -> None:
     p["timer_jitter"] = 1.0
     in_plane, axial, rate = settings.sensor.shake
     p["shake"] = in_plane * G, axial * G, math.radians(rate)
+
+
+def _sensor_of_today(p: Any, phase: float) -> None:
+    """A BMI088, read 1000 times a second in step with the loop."""
+    p["dlpf_s"] = (
+        1 / (2 * math.pi * today.GYRO_BANDWIDTH_HZ),
+        1 / (2 * math.pi * today.ACCELEROMETER_BANDWIDTH_HZ),
+    )
+    p["pipeline_ns"] = round(today.BUS_S * 1e9)
+    p["sensor_phase_ns"] = round(phase * 1e9)
+
+
+def _filters_of_today(p: Any, vehicle: Vehicle) -> None:
+    p["sensor_period_ns"] = round(1e9 / today.LOOP_HZ)
+    p["filtered"] = 1
+    p["gyro_filter"] = today.low_pass(vehicle.gyro_filter_hz)
+    p["accel_filter"] = today.low_pass(vehicle.accelerometer_filter_hz)
 
 
 def _sensor_timing(p: Any, sensor: Sensor, phase: float, ppm: float) -> None:

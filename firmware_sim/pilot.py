@@ -39,6 +39,8 @@ HEIGHT_GAIN, SPEED_GAIN, HEIGHT_INTEGRAL = 4.0, 3.6, 1.5
 LEAN_LIMIT = 15.0
 LEAN_POSITION, LEAN_SPEED = 5.8, 9.3
 """Correction of position in deg per m and deg per m/s (1 rad/s, damping 0.8)."""
+PER_THRUST = 1.0 / 1.7
+"""Thrust grows with the 1.7th power of a PWM around hover; today's firmware takes thrust itself."""
 HEADING_GAIN = 1.0
 LANDED_M = 0.012
 REST_NS = 2_000_000_000
@@ -79,6 +81,7 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
         thrust = wanted
     elif height_held:
         thrust = hold_height(p, fw, s, wanted, push, hover)
+    fw.armed = 1  # a pilot arms before he flies
     accept(fw, now_ns, roll, pitch, yaw, thrust)
 
 
@@ -110,9 +113,8 @@ def hold_height(
         s.pilot_integral += HEIGHT_INTEGRAL * error * TICK_S
     s.pilot_integral = min(max(s.pilot_integral, -4.0), 4.0)
     push = HEIGHT_GAIN * error + SPEED_GAIN * (speed - climb) + s.pilot_integral
-    # Thrust grows with the 1.7th power of the command around hover.
-    ratio = 1.0 + push / p.gravity + share
-    thrust = hover * math.pow(min(max(ratio, 0.3), 2.0), 1.0 / 1.7)
+    ratio = min(max(1.0 + push / p.gravity + share, 0.3), 2.0)
+    thrust = hover * (ratio if fw.today != 0 else math.pow(ratio, PER_THRUST))
     return min(max(thrust, MIN_THRUST + 1.0), MAX_THRUST)
 
 

@@ -14,22 +14,24 @@ import math
 from typing import Any
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.air import drag_force, flapping_acceleration, ground_factor, inflow_loss
-from firmware_sim.effects.body import coupling_torque, damping_torque, gravity_offset_torque
-from firmware_sim.effects.own import own_acceleration
-from firmware_sim.effects.rotors import (
-    acceleration_torque,
-    armature_mv,
-    gyroscopic_torque,
-    rotor_acceleration,
-)
-from firmware_sim.effects.unlisted import (
-    ATTACHMENT_M,
-    bent_propeller,
-    cracked_arm,
-    side_gust,
-    slung_load,
-)
+from firmware_sim.effects.bent_propeller import bent_propeller
+from firmware_sim.effects.centre_of_gravity_offset import gravity_offset_torque
+from firmware_sim.effects.climb_inflow import inflow_loss
+from firmware_sim.effects.cracked_arm import cracked_arm
+from firmware_sim.effects.ground_effect import ground_factor
+from firmware_sim.effects.inertia_coupling import coupling_torque
+from firmware_sim.effects.motor_braking_asymmetry import braked
+from firmware_sim.effects.motor_dead_voltage import armature_mv
+from firmware_sim.effects.own import lawful_body, lawful_motor, lawful_rotors
+from firmware_sim.effects.quadratic_rate_damping import quadratic_damping
+from firmware_sim.effects.rate_damping import linear_damping
+from firmware_sim.effects.rotor_acceleration_torque import acceleration_torque
+from firmware_sim.effects.rotor_drag import drag_force
+from firmware_sim.effects.rotor_gyroscopic_torque import gyroscopic_torque
+from firmware_sim.effects.side_gust import side_gust
+from firmware_sim.effects.slung_load import ATTACHMENT_M, slung_load
+from firmware_sim.effects.velocity_moment import flapping_acceleration
+from firmware_sim.effects.yaw_damping import turn_damping
 from firmware_sim.imu import filter_slopes
 from firmware_sim.layout import (
     CORE_STATES,
@@ -105,7 +107,10 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         lift *= ground_factor(p, y[2])
     for i in range(4):
         speed = y[ROTOR + i]
-        acceleration = rotor_acceleration(p, armature_mv(p, s.duty[i] * s.supply_mv), speed)
+        acceleration = rotor_acceleration(p, i, armature_mv(p, s.duty[i] * s.supply_mv), speed)
+        if p.lawful != 0:
+            armature = armature_mv(p, s.duty[i] * s.supply_mv)
+            acceleration = lawful_motor(p, i, armature, speed, acceleration)
         dy[ROTOR + i] = acceleration
         square = p.strength[i] * speed * speed
         one = lift * square
@@ -118,6 +123,8 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         spin_sum += p.spin[i] * speed
         spin_acceleration += p.spin[i] * acceleration
 
+    if p.lawful != 0:
+        thrust, roll, pitch, yaw = lawful_rotors(p, y, dy, (thrust, roll, pitch, yaw))
     if p.rotor_inertia_gyro != 0.0:
         on_roll, on_pitch = gyroscopic_torque(p, roll_rate, pitch_rate, spin_sum)
         roll += on_roll
@@ -129,11 +136,11 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         roll += on_roll
         pitch += on_pitch
         yaw += on_yaw
-    if p.rate_damping != 0.0 or p.quadratic_damping != 0.0:
-        roll += damping_torque(p, roll_rate)
-        pitch += damping_torque(p, pitch_rate)
-    if p.yaw_damping != 0.0:
-        yaw -= p.yaw_damping * yaw_rate
+    if p.tilt_damping != 0.0 or p.quadratic_damping != 0.0:
+        roll += linear_damping(p, roll_rate) + quadratic_damping(p, roll_rate)
+        pitch += linear_damping(p, pitch_rate) + quadratic_damping(p, pitch_rate)
+    if p.turn_damping != 0.0:
+        yaw += turn_damping(p, yaw_rate)
     if p.gravity_x != 0.0 or p.gravity_y != 0.0:
         on_roll, on_pitch = gravity_offset_torque(p, thrust)
         roll += on_roll
@@ -145,7 +152,7 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
     force_z = thrust
     moment_x = 0.0
     moment_y = 0.0
-    if p.rotor_drag != 0.0 or p.velocity_moment != 0.0 or p.climb_inflow != 0.0:
+    if p.plane_drag != 0.0 or p.flapping != 0.0 or p.inflow != 0.0:
         forward = r11 * y[3] + r21 * y[4] + r31 * y[5]
         left = r12 * y[3] + r22 * y[4] + r32 * y[5]
         climb = r13 * y[3] + r23 * y[4] + r33 * y[5]
@@ -153,14 +160,18 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         moment_x, moment_y = flapping_acceleration(p, forward, left)
         force_z += p.mass * inflow_loss(p, climb)
     twist = 0.0
-    if p.law != 0:
-        own = own_acceleration(p, y, dy)
-        moment_x += own[0]
-        moment_y += own[1]
-        twist = own[2]
-        force_x += p.mass * own[3]
-        force_y += p.mass * own[4]
-        force_z += p.mass * own[5]
+    if p.lawful != 0:
+        turn = (
+            roll / p.inertia[0] + moment_x,
+            pitch / p.inertia[1] + moment_y,
+            yaw / p.inertia[2],
+        )
+        felt = (force_x / p.mass, force_y / p.mass, force_z / p.mass)
+        own, felt = lawful_body(p, y, dy, thrust, turn, felt)
+        moment_x += own[0] - turn[0]
+        moment_y += own[1] - turn[1]
+        twist = own[2] - turn[2]
+        force_x, force_y, force_z = p.mass * felt[0], p.mass * felt[1], p.mass * felt[2]
     if p.states > CORE_STATES:
         for i in range(4):
             dy[PHASE + i] = y[ROTOR + i]
@@ -229,6 +240,18 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
     s.force[2] = r13 * push_x + r23 * push_y + r33 * push_z
     if p.states > GYRO_LAG:
         filter_slopes(p, s, y, dy)
+
+
+@inner
+def rotor_acceleration(p: Record, rotor: int, armature: float, speed: float) -> float:
+    """The identified motor (thesis eq. 3.82) in rev/s^2, with what holds it back.
+
+    Below ``start_mv`` a motor at rest stays at rest (friction); one that turns goes on turning.
+    """
+    if armature < p.start_mv and speed < 1.0:
+        return -20.0 * speed
+    a0, a1, a2 = p.a0[rotor], p.a1[rotor], p.a2[rotor]
+    return braked(p, a0 * armature - a1 * speed - a2 * speed * speed)
 
 
 @inner

@@ -55,6 +55,7 @@ from firmware_sim.layout import (
     THRUST_HEIGHT,
     THRUST_OFF,
 )
+from groundstation.documents import decode_toml, read_document
 
 TICK_S = PILOT_PASSES * PASS_NS * 1e-9
 
@@ -107,8 +108,8 @@ def load_programme(source: str) -> Programme:
             f"pilot programme {source!r}: neither built in ({', '.join(BUILT_IN)}) nor a file"
         )
     try:
-        programme = msgspec.toml.decode(path.read_bytes(), type=Programme)
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        programme = decode_toml(read_document(path), Programme)
+    except (OSError, ValueError) as error:
         raise ValueError(f"pilot programme {path}: {error}; correct the file") from error
     if not programme.segment or any(not s.seconds >= TICK_S for s in programme.segment):
         raise ValueError(f"pilot programme {path}: needs segments of at least {TICK_S} s")

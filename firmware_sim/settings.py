@@ -8,7 +8,11 @@ from typing import Any, Literal
 
 import msgspec
 
+from groundstation.documents import decode_toml, read_document
+
 DLPF_SETTINGS = (1, 2, 3, 4, 5, 6)
+PROTOCOLS = (7, 8, 9, 10, 12)
+"""Versions of CRTP that firmware was released with since 2023."""
 
 
 def _require(owner: Any, limits: dict[str, tuple[float, float]]) -> None:
@@ -115,6 +119,10 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     land_when_low: the pilot lands on a low battery and the cell is changed.
     altitude_hold: initial ``flightmode.althold``: the pilot holds height under a client.
     resume_s: a client silent for so long gives the craft back to the pilot.
+    firmware: whose loops fly: ``2014`` or ``2.x``; None: the vehicle's.
+    protocol: CRTP version of a craft with today's firmware, 7 (2023) to 12 (2026); one of 2014
+        speaks its own.
+    rotor_speed_deck: today's craft measures its rotor speeds.
     substeps: Runge-Kutta steps per pass.
     truth: keep the log of what really happened.
     """
@@ -141,6 +149,9 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     land_when_low: bool = True
     altitude_hold: bool = False
     resume_s: float = 30.0
+    firmware: Literal["2014", "2.x"] | None = None
+    protocol: int = 10
+    rotor_speed_deck: bool = False
     substeps: int = 4
     truth: bool = False
 
@@ -162,6 +173,8 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
                 "substeps": (1, 1000),
             },
         )
+        if self.protocol not in PROTOCOLS:
+            raise ValueError(f"protocol is {self.protocol}, must be one of {PROTOCOLS}")
         for name, value in self.gains.items():
             if not math.isfinite(value):
                 raise ValueError(f"gains: {name} is {value}, must be finite")
@@ -173,12 +186,12 @@ def load_settings(path: Path) -> StandInSettings:
     Raises ValueError with the key that is wrong.
     """
     try:
-        return parse_settings(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        return parse_settings(read_document(path))
+    except (OSError, ValueError) as error:
         raise ValueError(f"stand-in settings {path}: {error}; correct the file") from error
 
 
-def parse_settings(text: str) -> StandInSettings:
-    """The same from the text of a file. Raises msgspec.DecodeError."""
-    table = msgspec.toml.decode(text)
+def parse_settings(text: bytes) -> StandInSettings:
+    """The same from the content of a file. Raises ValueError."""
+    table = decode_toml(text, dict[str, Any])
     return msgspec.convert(table.get("stand_in", table), StandInSettings)

@@ -1,9 +1,21 @@
-"""Text that every format can carry."""
+"""Text that every format can carry, and every terminal show."""
 
 from __future__ import annotations
 
+import re
+
+_CONTROLS = re.compile(
+    r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""C0 and C1 (escape sequences, new lines), what turns the direction of writing, and surrogates."""
+
 
 def printable(text: str) -> str:
+    r"""One line for people: what would command a terminal, or UTF-8 cannot carry, is escaped."""
+    return _CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def encodable(text: str) -> str:
     r"""The text with whatever UTF-8 cannot carry escaped.
 
     The bytes of a file name that is not UTF-8 are lone surrogates in Python: ``\udcff``.

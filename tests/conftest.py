@@ -1,15 +1,30 @@
 """Settings for every test."""
 
+import atexit
 import os
+import shutil
 import signal
+import tempfile
 
 # Before numpy is there: its matrices are small here, and more threads spend their time waiting.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from hypothesis import HealthCheck, settings
+from programs import start_guard
 
-# Under nohup every program started here would keep on ignoring what the tests send it.
+# What tests consent to is not remembered for whoever runs them, and tests run effects of their own.
+os.environ.update(
+    XDG_CONFIG_HOME=tempfile.mkdtemp(prefix="groundstation-tests-"), GROUNDSTATION_TRUST_EFFECTS="1"
+)
+atexit.register(shutil.rmtree, os.environ["XDG_CONFIG_HOME"], ignore_errors=True)
+
+# Under nohup, and in the background of a script, every program started here would keep on ignoring
+# what the tests send it.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+start_guard()
 
 # A deadline measures the machine, not the code, and examples may be slow on a loaded one.
 # The same examples every time: some behaviour has stated odds (docs/telemetry.md), and a change

@@ -57,7 +57,7 @@ def main() -> int:
     make.add_argument("case")
     make.add_argument("-o", "--output", type=Path, required=True, help="a new folder")
     make.add_argument("--open", action="store_true", help="print what is hidden")
-    table = commands.add_parser("table", help="the tables of docs/discrepancy.md")
+    table = commands.add_parser("table", help="the tables of RESULTS.md")
     zero = commands.add_parser("zero", help="estimates of every candidate on clean flights")
     zero.add_argument("--seeds", type=int, default=10)
     zero.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")

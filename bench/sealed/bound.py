@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.sealed.signals import DT, Array, Columns, G, Signals, base_signals, effect_signals
-from firmware_sim.effects.present import present_effects
+from firmware_sim.effects.catalogue import present_effects
 from firmware_sim.physics import parameters
 from firmware_sim.settings import StandInSettings
 from groundstation.telemetry.samples import SampleBatch
@@ -158,7 +158,7 @@ def _shaken(settings: StandInSettings, channel: str, frequency: Array) -> Array:
 
 def _bench(labels: list[str], p: Any, covariance: Array | None) -> Array:
     """What the motor bench knows: information of a0, a1, a2 in shares of their values."""
-    scale = np.array([p["a0"], p["a1"], p["a2"]])
+    scale = np.array([np.mean(p[name]) for name in ("a0", "a1", "a2")])  # of the four rotors
     if covariance is None:
         covariance = np.diag((1e-3 * scale) ** 2)
     relative = covariance / np.outer(scale, scale)

@@ -22,8 +22,7 @@ from bench.sealed.bound import significances
 from bench.sealed.cases import Case
 from bench.sealed.hidden import planted, scaled
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.drawn import draw
-from firmware_sim.effects.present import present_effects
+from firmware_sim.effects.catalogue import draw, present_effects
 from firmware_sim.physics import parameters
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.recording_file import RecordingFile, session_metadata

@@ -1,11 +1,11 @@
-"""What is hidden: names, and where each one shows. Sizes: ``firmware_sim.effects.drawn``."""
+"""What is hidden: names, and where each one shows. Sizes: ``firmware_sim.effects.catalogue``."""
 
 from __future__ import annotations
 
 from firmware_sim.effects.catalogue import EFFECTS
 
-LISTED = tuple(name for name, effect in EFFECTS.items() if effect.listed)
-"""The 23 names of the design."""
+LISTED = tuple(name for name, effect in EFFECTS.items() if effect.listed and name != "mass_change")
+"""The 23 names of the design; a changed mass is told by what becomes of the base constants."""
 OUTSIDE = ("slung_load", "cracked_arm", "bent_propeller", "side_gust")
 ROTOR_TORQUES = ("rotor_gyroscopic_torque", "rotor_acceleration_torque")
 ALWAYS_FAITHFUL = (

@@ -1,4 +1,4 @@
-"""The tables of docs/discrepancy.md, in Markdown, from a folder of results."""
+"""The tables of bench/sealed/RESULTS.md, in Markdown, from a folder of results."""
 
 from __future__ import annotations
 

@@ -57,8 +57,8 @@ def command(arguments: list[str]) -> None:
 def names_alone(arguments: list[str]) -> None:
     """What ``discrepancy`` names; of its report only that is written."""
     from groundstation.discrepancy.engine import find_effects
-    from groundstation.discrepancy.recordings import flights_of
     from groundstation.dynamics.model import load_model
+    from groundstation.identification.recordings import flights_of
     from groundstation.recording.open_recording import open_recording
 
     at = {key: arguments.index(key) for key in ("--model", "--validate", "--json")}

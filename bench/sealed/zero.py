@@ -46,9 +46,9 @@ def run(results: Path, seeds: range) -> Iterator[dict[str, Any]]:
 def _estimates(folder: Path) -> dict[str, float]:
     """Estimate less the value that means absent, over its standard error, by parameter."""
     from groundstation.discrepancy.engine import find_effects
-    from groundstation.discrepancy.recordings import flights_of
-    from groundstation.discrepancy.unknowns import ABSENT
     from groundstation.dynamics.model import load_model
+    from groundstation.identification.likelihood.parameters import ABSENT
+    from groundstation.identification.recordings import flights_of
     from groundstation.recording.open_recording import open_recording
 
     flights, held = (

@@ -20,6 +20,7 @@ from groundstation.cli import (
     run,
     simulate,
 )
+from groundstation.cli.terminal import show
 
 app = typer.Typer(
     name="groundstation",
@@ -36,7 +37,7 @@ app = typer.Typer(
 
 def _show_version(value: bool) -> None:
     if value:
-        typer.echo(f"groundstation {__version__}")
+        show(f"groundstation {__version__}")
         raise typer.Exit
 
 
@@ -45,8 +46,14 @@ def _options(
     version: bool = typer.Option(
         False, "--version", callback=_show_version, is_eager=True, help="Show the version."
     ),
+    trust_effects: bool = typer.Option(
+        False, "--trust-effects", help="Run the Python files that models name, now and from now on."
+    ),
 ) -> None:
-    pass
+    if trust_effects:
+        from groundstation.trust import consent
+
+        consent()
 
 
 for module in (

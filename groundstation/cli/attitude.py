@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import typer
 
 from groundstation.cli.model_files import AS_JSON, open_one, require_new, write_table
+from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 
@@ -63,15 +63,13 @@ def attitude(
         table = np.column_stack([time, *(np.degrees(values) for values in angles.values())])
         write_table(output, head, table)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
         return
-    typer.echo("end minus start, deg      roll     pitch       yaw")
+    show("end minus start, deg      roll     pitch       yaw")
     for name, values in moved.items():
-        typer.echo(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
+        show(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
     if bias is None:
-        typer.echo(
-            "no rest at the start: the gyro's offset was not subtracted from the Kalman input"
-        )
+        show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
 
 
 def axes(
@@ -100,11 +98,11 @@ def axes(
         "attitude_against_gyro": agreement,
     }
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
         return
-    typer.echo(f"{check.verdict.replace('_', ' ')}")
+    show(f"{check.verdict.replace('_', ' ')}")
     for line in (*report["findings"], *report["unclear"]):
-        typer.echo(f"  {line}")
-    typer.echo("attitude against gyro:")
+        show(f"  {line}")
+    show("attitude against gyro:")
     for line in agreement:
-        typer.echo(f"  {line}")
+        show(f"  {line}")

@@ -13,13 +13,14 @@ from groundstation.cli.flights import (
     MODEL,
     STRETCH,
     VEHICLE,
-    flights_from,
     marked_in,
     model_for,
+    read_flights,
     require_apart,
 )
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
+from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation.discrepancy.report_json import Gap, StretchReport, WhereRow
@@ -52,7 +53,7 @@ def compare(
     """
     import msgspec
 
-    from groundstation.discrepancy.comparison import compare as judge
+    from groundstation.comparison.comparison import compare as judge
     from groundstation.discrepancy.report_json import (
         CompareReport,
         gap_of,
@@ -65,9 +66,9 @@ def compare(
     require_apart(recordings, [])
     loaded = model_for(model, vehicle)
     with shown("reading") as progress:
-        parts = flights_from(recordings, loaded, vehicle)
-        asked = marked_in(recordings, parts, stretch or [], marked)
-        flights = [run for part in parts for run in part]
+        read = read_flights(recordings, loaded, vehicle)
+        asked = marked_in(read, stretch or [], marked)
+        flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
         found = judge(flights, loaded)
         names = [path.name for path in recordings]
@@ -81,8 +82,7 @@ def compare(
             progress(0.8, "drawing the report")
             compare_page(found, report).write(html)
     if as_json:
-        text = msgspec.json.format(msgspec.json.encode(report), indent=2)
-        typer.echo(text.decode())
+        show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return
     say_stretches(report.stretches)
     say_gap(report.gap)
@@ -92,28 +92,28 @@ def compare(
 def say_stretches(stretches: list[StretchReport]) -> None:
     """Each stretch that was asked for, and where in it the model is wrong."""
     for one in stretches:
-        typer.echo(f"{one.recording} from {one.begin_s:.2f} to {one.end_s:.2f} s ({one.why}):")
+        show(f"{one.recording} from {one.begin_s:.2f} to {one.end_s:.2f} s ({one.why}):")
         later = "" if one.gap.after is None else f", after {one.gap.after:.2f}"
-        typer.echo(f"  gap {one.gap.before:.2f}{later}")
+        show(f"  gap {one.gap.before:.2f}{later}")
         clear = [row for row in one.where if row.significance >= CLEAR][:STRETCH_ROWS]
         for row in clear:
-            typer.echo(f"  {_row(row)}")
+            show(f"  {_row(row)}")
         if not clear:
-            typer.echo("  nowhere clearly worse than noise")
+            show("  nowhere clearly worse than noise")
 
 
 def say_gap(gap: Gap) -> None:
     """The gap of each channel, in words for a terminal."""
     level = gap.validation
     after = "" if level.after is None else f", after {level.after:.2f}"
-    typer.echo(f"gap over all channels: {level.before:.2f}{after} (1.00: noise alone)")
+    show(f"gap over all channels: {level.before:.2f}{after} (1.00: noise alone)")
     head = "before" if level.after is not None else "gap"
-    typer.echo(f"  {'channel':<16}{head:>8}{'' if level.after is None else '   after'}   error")
+    show(f"  {'channel':<16}{head:>8}{'' if level.after is None else '   after'}   error")
     for name, channel in gap.channels.items():
         own = channel.own_unit
         later = "" if channel.after is None else f"{channel.after:8.2f}"
         error = own.before if own.after is None else own.after
-        typer.echo(
+        show(
             f"  {name:<16}{channel.before:8.2f}{later}   {error:.3g} {own.unit},"
             f" noise {own.noise_floor:.3g}"
         )
@@ -123,11 +123,11 @@ def say_where(rows: list[WhereRow], most: int = ROWS) -> None:
     """The places that are clearly worse than noise."""
     clear = [row for row in rows if row.significance >= CLEAR][:most]
     if not clear:
-        typer.echo("nowhere clearly worse than noise")
+        show("nowhere clearly worse than noise")
         return
-    typer.echo("worst, most significant first:")
+    show("worst, most significant first:")
     for row in clear:
-        typer.echo(f"  {_row(row)}")
+        show(f"  {_row(row)}")
 
 
 def _row(row: WhereRow) -> str:

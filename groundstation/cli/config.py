@@ -9,6 +9,8 @@ from typing import Any
 
 import typer
 
+from groundstation.cli import terminal
+from groundstation.documents import decode_toml
 from groundstation.service.client import ask
 from groundstation.service.config import ConfigSource, settings, socket_path
 
@@ -37,27 +39,32 @@ def config(
         raise typer.BadParameter("give one of --show and --reload")
     if reload:
         answer = ask(socket_path(), "POST", "/config/reload")
-        typer.echo(json.dumps(answer, indent=2) if as_json else _told(answer))
+        if as_json:
+            terminal.show_json(answer)
+            return
+        terminal.show(f"taken over: {', '.join(answer['applied']) or 'nothing has changed'}")
+        if answer["restart_needed"]:
+            terminal.show(f"only after a new start: {', '.join(answer['restart_needed'])}")
         return
     found = settings(ConfigSource(file, assignments(assign)).load())
     if as_json:
         keys = {each.name: {"value": each.value, "default": each.default, "text": each.text}
                 for each in found}  # fmt: skip
-        typer.echo(json.dumps(keys, indent=2))
+        terminal.show_json(keys)
         return
     table = ""
     for each in found:
         if isinstance(each.value, dict):
-            typer.echo(f"\n# {each.text}\n[{each.name}]")
-            for line in _assigned(each.value):
-                typer.echo(line)
+            for line in ("", f"# {each.text}", f"[{each.name}]", *_assigned(each.value)):
+                terminal.show(line)
             continue
         place, _, key = each.name.rpartition(".")
         if place != table:
             table = place
-            typer.echo(f"\n[{table}]")
+            terminal.show()
+            terminal.show(f"[{table}]")
         usual = "" if each.value == each.default else f" (default {_toml(each.default)})"
-        typer.echo(f"{key + ' = ' + _toml(each.value):<32}  # {each.text}{usual}")
+        terminal.show(f"{key + ' = ' + _toml(each.value):<32}  # {each.text}{usual}")
 
 
 def assignments(given: list[str]) -> dict[str, Any]:
@@ -79,19 +86,11 @@ def assignments(given: list[str]) -> dict[str, Any]:
 
 def _value(text: str) -> Any:
     """A TOML value where it is one, otherwise the text itself."""
-    import msgspec
 
     try:
-        return msgspec.toml.decode(f"value = {text}")["value"]
-    except msgspec.DecodeError:
+        return decode_toml(f"value = {text}".encode(), dict[str, Any])["value"]
+    except ValueError:
         return text
-
-
-def _told(answer: dict[str, list[str]]) -> str:
-    lines = [f"taken over: {', '.join(answer['applied']) or 'nothing has changed'}"]
-    if answer["restart_needed"]:
-        lines.append(f"only after a new start: {', '.join(answer['restart_needed'])}")
-    return "\n".join(lines)
 
 
 def _assigned(table: dict[str, Any]) -> Iterator[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import config, recordings
+from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
 from groundstation.service.config import socket_path
+from groundstation.text import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -51,10 +53,10 @@ def status(
         return
     answer = ask(socket_path(), "GET", "/status")
     if as_json:
-        typer.echo(json.dumps(answer, indent=2))
+        show_json(answer)
         return
     for name, text in status_rows(answer):
-        typer.echo(f"{name:<11}{text}")
+        show(f"{name:<11}{text}")
 
 
 def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -106,11 +108,11 @@ def events(as_json: bool = JSON_OPTION) -> None:
     """
     answer = ask(socket_path(), "GET", "/events")
     if as_json:
-        typer.echo(json.dumps(answer, indent=2))
+        show_json(answer)
         return
     for event in answer:
         moment = time.strftime("%H:%M:%S", time.localtime(event["time_ns"] * 1e-9))
-        typer.echo(f"{moment}  {event['link']:<24} {event['kind']:<11}{event['text']}")
+        show(f"{moment}  {event['link']:<24} {event['kind']:<11}{event['text']}")
 
 
 def link(
@@ -128,9 +130,9 @@ def link(
         name = f"replay:{Path(file).absolute()}"
     answer = ask(socket_path(), "POST", "/link", {"name": name})
     if as_json:
-        typer.echo(json.dumps(answer, indent=2))
+        show_json(answer)
         return
-    typer.echo(f"{answer['link']['name']}  {answer['link']['state']}")
+    show(f"{answer['link']['name']}  {answer['link']['state']}")
 
 
 @record.command("start")
@@ -158,7 +160,10 @@ def record_mark(text: str = typer.Argument(help="The note."), as_json: bool = JS
     Example: [bold]groundstation record mark "new propellers"[/bold]
     """
     answer = ask(socket_path(), "POST", "/record/mark", {"text": text})
-    typer.echo(json.dumps(answer) if as_json else "marked")
+    if as_json:
+        show_json(answer, indent=None)
+    else:
+        show("marked")
 
 
 def _watch(as_json: bool) -> None:
@@ -168,9 +173,16 @@ def _watch(as_json: bool) -> None:
     with Client(socket_path()) as client:
         if as_json:
             while True:
-                typer.echo(json.dumps(client.ask("GET", "/status")))
+                show_json(client.ask("GET", "/status"), indent=None)
                 time.sleep(WATCH_S)
-        with Live(_screen(client.ask("GET", "/status")), auto_refresh=False) as screen:
+        if not sys.stdout.isatty():
+            while True:
+                rows = status_rows(client.ask("GET", "/status"))
+                show("; ".join(f"{name} {text}" for name, text in rows if text))
+                time.sleep(WATCH_S)
+        first = _screen(client.ask("GET", "/status"))
+        # an end while the screen is being set up would leave stderr turned to the screen
+        with Live(first, auto_refresh=False, redirect_stderr=False) as screen:
             while True:
                 time.sleep(WATCH_S)
                 screen.update(_screen(client.ask("GET", "/status")), refresh=True)
@@ -186,12 +198,15 @@ def _screen(answer: dict[str, Any]) -> Table:
     healthy = answer["health"]["healthy"]
     for name, text in status_rows(answer):
         style = ("green" if healthy else "bold red") if name == "health" else ""
-        table.add_row(name, Text(text, style=style))
+        table.add_row(name, Text(printable(text), style=style))
     return table
 
 
 def _report(recording: dict[str, Any], as_json: bool) -> None:
-    typer.echo(json.dumps(recording, indent=2) if as_json else _recording_line(recording))
+    if as_json:
+        show_json(recording)
+    else:
+        show(_recording_line(recording))
 
 
 def _recording_line(recording: dict[str, Any]) -> str:

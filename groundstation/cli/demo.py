@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from itertools import chain, count
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation.cli.terminal import show_json
 from groundstation.errors import GroundStationError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def demo(
 
     Measures a motor, fits a body, designs a controller and flies it; then something is hidden in
     the craft, the twin notices, the search names it, and the improved model flies like the craft.
-    Takes about three minutes and leaves one report, with every file and command behind it.
+    Takes three to seven minutes and leaves one report, with every file and command behind it.
 
     Example: [bold]groundstation demo --seed 3 -o story[/bold]
     """
@@ -49,9 +49,8 @@ def demo(
     console = Console(stderr=as_json, highlight=False, markup=False, soft_wrap=True)
     columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, _interrupt)
     with Shell(folder, inputs(seed), lambda line: console.print(f"  {line}")) as shell, bar:
         task = bar.add_task("", total=len(STAGES) + 1)
 
@@ -73,7 +72,7 @@ def demo(
             "seconds": round(spent.wall_s, 1),
             "report": str(folder / REPORT),
         }
-        typer.echo(json.dumps(whole, indent=2))
+        show_json(whole)
     else:
         console.print("\nThe seal is opened.")
         for reason in told.skipped.values():

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import stat
 from pathlib import Path
 from typing import Any
 
 import typer
+
+from groundstation.cli.terminal import show, show_json
+from groundstation.errors import BadInputError
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -20,7 +22,7 @@ def devices(
     config: Path | None = typer.Option(None, help="TOML file whose \\[usb] names the bridge."),
     as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
 ) -> None:
-    """Serial ports and USB devices: what is plugged in, usable or why not.
+    """Serial ports, USB devices and the craft in reach: usable or why not.
 
     Example: [bold]groundstation devices[/bold]
     """
@@ -28,19 +30,40 @@ def devices(
     from groundstation.service.config import load_config
 
     usb, problem = usb_devices(load_config(config).usb.device)
-    rows = [*serial_ports(), *usb]
+    craft, unseen = craft_in_reach(usb)
+    rows = [*serial_ports(), *usb, *craft]
+    problem = "; ".join(filter(None, (problem, unseen)))
     if as_json:
-        typer.echo(json.dumps({"devices": rows, "usb_problem": problem or None}, indent=2))
+        show_json({"devices": rows, "usb_problem": problem or None})
         return
     for row in rows:
         state = f"usable: --link {row['link']}" if row["usable"] else row["why"]
-        typer.echo(f"{row['kind']:<8}{row['name']:<20}{state}")
+        show(f"{row['kind']:<8}{row['name']:<20}{state}")
         if row["description"]:
-            typer.echo(f"{'':<28}{row['description']}")
+            show(f"{'':<28}{row['description']}")
     if not any(row["link"] for row in rows):
-        typer.echo("no serial port and no telemetry bridge is plugged in")
+        show("no serial port and no telemetry bridge is plugged in")
     if problem:
-        typer.echo(f"usb     {problem}")
+        show(f"usb     {problem}")
+
+
+def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str]:
+    """Stock craft that answer a dongle or cable among ``usb``, and why they cannot be looked for.
+    Keys as ``usb_devices``."""
+    from groundstation.cli.usb_devices import CRAZYFLIE
+    from groundstation.links.crazyflie_connection import in_reach
+
+    if not any(row["name"] in CRAZYFLIE for row in usb):
+        return [], ""
+    try:
+        found = in_reach()
+    except BadInputError as error:
+        return [], str(error)
+    rows = [
+        {"kind": "craft", "name": uri, "link": uri, "description": "", "usable": True, "why": ""}
+        for uri in found
+    ]
+    return rows, ""
 
 
 def serial_ports() -> list[dict[str, Any]]:

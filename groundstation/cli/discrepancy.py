@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,29 +16,29 @@ from groundstation.cli.flights import (
     MODEL,
     STRETCH,
     VEHICLE,
-    flights_from,
     marked_in,
     model_for,
+    read_flights,
     require_apart,
 )
 from groundstation.cli.model_files import require_new
 from groundstation.cli.progress import shown
+from groundstation.cli.terminal import show
 
 if TYPE_CHECKING:
-    from groundstation.discrepancy.comparison import Comparison
-    from groundstation.discrepancy.findings import Findings
-    from groundstation.discrepancy.proof import Proof
-    from groundstation.discrepancy.report_json import DiscrepancyReport, StretchReport
-    from groundstation.discrepancy.stretches import Marked
+    from groundstation.discrepancy.engine import Discrepancy
+    from groundstation.discrepancy.report_json import DiscrepancyReport
     from groundstation.dynamics.model import Model
-    from groundstation.identification.runs import Run
+    from groundstation.identification.likelihood.parameters import Variant
 
 VALIDATE = typer.Option(
     None, "--validate", help="Recordings that no fit sees (default: the last third of each REC)."
 )
 OUTPUT = typer.Option(None, "-o", "--output", help="Write the improved model to this new file.")
 EFFECTS = typer.Option(
-    None, "--effects", help="A Python file with effects of your own, as further candidates."
+    None,
+    "--effects",
+    help="A Python file with effects of your own to search as well; it is run.",
 )
 JSON = typer.Option(None, "--json", help="Write the report for programs to this new file.")
 RERUN = typer.Option(
@@ -81,97 +82,53 @@ def discrepancy(
     Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
     --validate flight3.mcap -o improved.json --html report.html[/bold]
     """
-    from groundstation.discrepancy.comparison import compare
-    from groundstation.discrepancy.engine import find_effects
-    from groundstation.discrepancy.own_candidates import own_effects
-    from groundstation.discrepancy.proof import divide, prove
-    from groundstation.discrepancy.refusals import require_channels
+    from groundstation import __version__
+    from groundstation.discrepancy.engine import find_discrepancy
+    from groundstation.discrepancy.report_json import discrepancy_report
 
     files = _Outputs(output, json, html, rerun)
     files.require_new()
     require_apart(recordings, validate or [])
     loaded = model_for(model, vehicle)
-    own = own_effects(effects) if effects is not None else []
+    own = _own(effects)
     with shown("reading") as progress:
-        flights = flights_from(recordings, loaded, vehicle)
-        held = flights_from(validate or [], loaded, vehicle)
-        paths = [*recordings, *(validate or [])]
-        asked = marked_in(paths, [*flights, *held], stretch or [], marked)
-        fit_on, held_out, judged = divide(flights, held)
-        progress(0.05, "comparing")
-        train = compare(fit_on, loaded)
-        whole = [run for part in (*flights, *held) for run in part]
-        asked_before = _before(asked, whole, train)
-        require_channels(held_out)
-        findings = find_effects(
-            fit_on,
+        fitted = read_flights(recordings, loaded, vehicle)
+        held = read_flights(validate or [], loaded, vehicle)
+        found = find_discrepancy(
+            [one.runs for one in fitted],
             loaded,
-            held_out,
+            [one.runs for one in held],
             own=own,
-            seed=seed,
-            progress=lambda what, share: progress(0.1 + 0.7 * max(share, 0.0), what),
+            asked=marked_in([*fitted, *held], stretch or [], marked),
+            progress=lambda what, share: progress(share, what),
         )
-        progress(0.8, "proving it on held-out rows")
-        proof = prove(findings, train, judged)
-        looked = _after(asked, asked_before, findings.model)
-        report = _report(findings, proof, model, recordings, validate, seed, looked)
-        _write(files, findings, proof, report)
+        report = discrepancy_report(
+            found,
+            recordings=[path.name for path in recordings],
+            validation=[path.name for path in validate] if validate else found.held_out,
+            model=model,
+            seed=seed,
+            created_by=f"groundstation {__version__}",
+        )
+        _write(files, found, report)
     _say(report)
     for path in (files.model, files.json, files.html, files.rerun):
         if path is not None:
-            typer.echo(f"written: {path}")
+            show(f"written: {path}")
 
 
-def _before(asked: list[Marked], flights: list[Run], train: Comparison) -> Comparison | None:
-    """The given model on the recordings of the stretches that were asked for.
+def _own(path: Path | None) -> list[Variant]:
+    from groundstation.identification.likelihood.parameters import own_effects
+    from groundstation.trust import consent
 
-    Raises BadInputError, before anything is searched, for one in which nothing flew.
-    """
-    from groundstation.discrepancy.comparison import compare
-    from groundstation.discrepancy.stretches import within
-
-    if not asked:
-        return None
-    names = {one.recording for one in asked}
-    before = compare([run for run in flights if run.name in names], train.model, train.black_box)
-    for one in asked:
-        within(before, one)
-    return before
+    if path is None:
+        return []
+    with contextlib.suppress(OSError):  # whoever reads it says why it cannot be read
+        consent(path)
+    return own_effects(path)
 
 
-def _after(asked: list[Marked], before: Comparison | None, model: Model) -> list[StretchReport]:
-    """The given and the improved model on these stretches."""
-    from groundstation.discrepancy.report_json import stretch_report
-
-    after = None if before is None else before.with_model(model)
-    return [stretch_report(one, before, after) for one in asked if before is not None]
-
-
-def _report(
-    findings: Findings,
-    proof: Proof,
-    model: str,
-    recordings: list[Path],
-    validate: list[Path] | None,
-    seed: int,
-    looked: list[StretchReport],
-) -> DiscrepancyReport:
-    from groundstation import __version__
-    from groundstation.discrepancy.report_json import findings_report
-
-    return findings_report(
-        findings,
-        proof,
-        recordings=[path.name for path in recordings],
-        validation=[path.name for path in validate] if validate else "last third",
-        model=model,
-        seed=seed,
-        created_by=f"groundstation {__version__}",
-        stretches=looked,
-    )
-
-
-def _write(files: _Outputs, findings: Findings, proof: Proof, report: DiscrepancyReport) -> None:
+def _write(files: _Outputs, found: Discrepancy, report: DiscrepancyReport) -> None:
     import msgspec
 
     from groundstation.errors import BadInputError
@@ -179,7 +136,7 @@ def _write(files: _Outputs, findings: Findings, proof: Proof, report: Discrepanc
     if files.model is not None:
         from groundstation.dynamics.model import save_model
 
-        save_model(_improved(findings.model, report), files.model)
+        save_model(_improved(found.findings.model, report), files.model)
     if files.json is not None:
         text = msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n"
         try:
@@ -190,12 +147,12 @@ def _write(files: _Outputs, findings: Findings, proof: Proof, report: Discrepanc
     if files.html is not None:
         from groundstation.discrepancy.report_html import discrepancy_page
 
-        discrepancy_page(findings, proof, report).write(files.html)
+        discrepancy_page(found.findings, found.proof, report).write(files.html)
     if files.rerun is not None:
         from groundstation.discrepancy.rerun_overlay import overlay_of
         from groundstation.viewer.overlay import write_overlay
 
-        write_overlay(overlay_of(proof, report), files.rerun)
+        write_overlay(overlay_of(found.proof, report), files.rerun)
 
 
 def _improved(model: Model, report: DiscrepancyReport) -> Model:
@@ -224,36 +181,42 @@ def _say(report: DiscrepancyReport) -> None:
     count = len(report.effects)
     verdict = {
         "effects_found": f"{count} effect{'s' if count != 1 else ''} found",
-        "no_discrepancy": "no discrepancy: the model explains what these recordings show",
+        "no_discrepancy": "no discrepancy: the model explains what these recordings show"
+        if not report.base_changes
+        else "no effect is missing, but constants of the model are others",
         "unexplained": "unexplained: something acts that no effect in the list describes",
     }[report.verdict]
-    typer.echo(verdict)
+    show(verdict)
+    for change in report.base_changes:
+        show(f"changed: {change.words}")
     for effect in report.effects:
-        typer.echo(f"{effect.order}. {effect.name}: {effect.adds}")
+        show(f"{effect.order}. {effect.name}: {effect.adds}")
         for name, estimate in effect.parameters.items():
             spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
-            typer.echo(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip())
-        typer.echo(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
+            show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip())
+        show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
         for other in effect.alternatives:
-            typer.echo(f"     could also be {other.name}; to tell: {other.manoeuvre}")
-    left = report.residual_detail
+            show(f"     could also be {other.name}; to tell: {other.manoeuvre}")
     if report.residual == "structured":
+        left = report.residual_detail
         where = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
-        typer.echo(
+        show(
             f"left over: structure in {left.channel}"
             + (f" at {where} Hz" if where else "")
             + (f", like {left.signal}" if left.signal else "")
         )
+    for one in report.left:
+        show(f"left in {one.words}")
     say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
     if report.not_shown:
-        typer.echo("these recordings cannot show (and would, if you fly):")
+        show("these recordings cannot show (and would, if you fly):")
         for manoeuvre in dict.fromkeys(one.manoeuvre for one in report.not_shown):
             names = [one.name for one in report.not_shown if one.manoeuvre == manoeuvre]
-            typer.echo(f"     {', '.join(dict.fromkeys(names))}: {manoeuvre}")
+            show(f"     {', '.join(dict.fromkeys(names))}: {manoeuvre}")
     for reason in dict.fromkeys(report.lost.values()):
         lost = ", ".join(name for name, why in report.lost.items() if why == reason)
-        typer.echo(f"not looked for ({why_lost(reason)}): {lost}")
+        show(f"not looked for ({why_lost(reason)}): {lost}")
     for line in report.warnings:
-        typer.echo(f"warning: {line}")
+        show(f"warning: {line}")

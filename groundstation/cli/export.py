@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.terminal import show
 from groundstation.errors import BadInputError
 
 export = typer.Typer(
@@ -36,7 +37,8 @@ def header(
 
     text = c_header()
     if output is None:
-        typer.echo(text, nl=False)
+        for line in text.splitlines():
+            show(line)
         return
     try:
         output.write_text(text)

@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.errors import BadInputError, DamagedRecordingError
+from groundstation.cli.model_files import require_new
+from groundstation.cli.terminal import show, show_json
+from groundstation.errors import DamagedRecordingError
+from groundstation.text import printable
 
 if TYPE_CHECKING:
     from groundstation.recording.session import Recording
 
 GAPS_SHOWN = 5
+TABLE_WIDTH = 72
+"""A narrower terminal wraps the lines: names cut to the same letters tell nothing."""
+
+
+def _list_columns(asked: bool) -> None:
+    if not asked:
+        return
+    from groundstation.recording.column_map import NAMED, load_column_map
+
+    for name, path in NAMED.items():
+        show(f"{name:<14}{load_column_map(path).title}")
+    raise typer.Exit
+
+
+COLUMNS = typer.Option(
+    None,
+    metavar="MAP",
+    help="Columns of any other CSV: a name of 'convert --list-columns', or TOML.",
+)
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -27,7 +48,7 @@ def add_commands(app: typer.Typer) -> None:
 
 def inspect(
     file: Path = typer.Argument(help="A recording: .mcap, .csv, .rrd or a microSD log."),
-    columns: Path | None = typer.Option(None, help="Column map (TOML) for any other CSV."),
+    columns: str | None = COLUMNS,
     as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
 ) -> None:
     """What is in a recording, its quality and its gaps.
@@ -39,7 +60,7 @@ def inspect(
     recording = _open(file, columns)
     report = inspect_recording(recording)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
     else:
         _print_report(report)
     _raise_damage(recording)
@@ -48,7 +69,10 @@ def inspect(
 def convert(
     source: Path = typer.Argument(metavar="IN", help="Any readable recording."),
     target: Path = typer.Argument(metavar="OUT", help="A new .mcap, .csv or .rrd file."),
-    columns: Path | None = typer.Option(None, help="Column map (TOML) for any other CSV."),
+    columns: str | None = COLUMNS,
+    list_columns: bool = typer.Option(
+        False, "--list-columns", is_eager=True, callback=_list_columns, help="Name the known maps."
+    ),
     physical: bool = typer.Option(
         False, "--physical", help="CSV in physical units instead of the packet's integers."
     ),
@@ -57,13 +81,14 @@ def convert(
 
     Example: [bold]groundstation convert flight.mcap flight.csv --physical[/bold]
     """
-    writer = _writer(target, physical)
-    if target.exists():
-        raise BadInputError(f"{target} exists already; nothing is ever overwritten")
+    from groundstation.recording.formats import writer_of
+
+    writer = writer_of(target, physical=physical)
+    require_new(target)
     recording = _open(source, columns)
     with _progress(f"writing {target}"):
         writer(recording, target)
-    typer.echo(f"{target}: {len(recording.samples)} samples")
+    show(f"{target}: {len(recording.samples)} samples")
     if target.suffix.lower() == ".csv" and not physical:
         _warn_of_zeros(recording)
     _raise_damage(recording)
@@ -87,42 +112,23 @@ def recover(
     with _progress(f"reading {file}"):
         report = recover_file(file, output)
     if as_json:
-        typer.echo(json.dumps(asdict(report), default=str, indent=2))
+        show_json(asdict(report))
     elif report.sound:
-        typer.echo(f"{file}: sound, {report.messages} messages; nothing to do")
+        show(f"{file}: sound, {report.messages} messages; nothing to do")
     else:
         for line in report.damage:
-            typer.echo(f"  {line}")
-        typer.echo(
+            show(f"  {line}")
+        show(
             f"{report.output}: {report.messages} messages kept; {report.bytes_lost} bytes and at "
             f"most {report.seconds_lost:.2f} s inside damaged places lost"
         )
 
 
-def _open(path: Path, columns: Path | None) -> Recording:
+def _open(path: Path, columns: str | None) -> Recording:
     from groundstation.recording.open_recording import open_recording
 
     with _progress(f"reading {path}"):
         return open_recording(path, raw=True, column_map=columns)
-
-
-def _writer(target: Path, physical: bool) -> Callable[[Recording, Path], None]:
-    kind = target.suffix.lower()
-    if physical and kind != ".csv":
-        raise BadInputError(f"{target}: --physical is for CSV files")
-    if kind == ".mcap":
-        from groundstation.recording.recording_file import write_mcap
-
-        return write_mcap
-    if kind == ".csv":
-        from groundstation.recording.csv_file import write_csv, write_table_csv
-
-        return write_table_csv if physical else write_csv
-    if kind == ".rrd":
-        from groundstation.viewer.rrd import write_rrd
-
-        return write_rrd
-    raise BadInputError(f"{target}: the name must end in .mcap, .csv or .rrd")
 
 
 def _warn_of_zeros(recording: Recording) -> None:
@@ -132,10 +138,10 @@ def _warn_of_zeros(recording: Recording) -> None:
     carried = [channel for channel in CHANNELS if channel.field != "rotor_rev_s"]
     missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
     if missing:
-        typer.echo(
+        show(
             f"groundstation: {recording.path} has no {', '.join(missing)}: written as 0; "
             "--physical leaves them out",
-            err=True,
+            error=True,
         )
 
 
@@ -155,8 +161,9 @@ def _progress(text: str) -> Iterator[None]:
         yield
         return
     from rich.console import Console
+    from rich.text import Text
 
-    with Console(stderr=True).status(text):
+    with Console(stderr=True).status(Text(printable(text))):
         yield
 
 
@@ -170,8 +177,10 @@ def _packets_line(report: dict[str, Any]) -> str:
 def _print_report(report: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console()
+    console.width = max(console.width, TABLE_WIDTH)
     facts = [
         ("file", f"{report['file']} ({report['kind']}, link {report['link']})"),
         ("verdict", report["verdict"]),
@@ -191,8 +200,8 @@ def _print_report(report: dict[str, Any]) -> None:
     facts += [("table", f"{name}: {rows} rows") for name, rows in report["tables"].items()]
     facts += [(each["link"], f"{each['kind']}: {each['text']}") for each in report["marks"]]
     for name, text in facts:
-        console.print(f"[bold]{name:<14}[/bold]", end="", highlight=False)
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
+        line = Text(f"{printable(name):<14}", "bold").append(printable(text), "not bold")
+        console.print(line, highlight=False, soft_wrap=True)
     table = Table("channel", "unit", box=None, header_style="bold")
     for heading in ("min", "mean", "max", "clipped"):
         table.add_column(heading, justify="right")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,18 +18,20 @@ from groundstation.cli.model_files import (
     bridged_runs_in,
     effect_names,
     model_before,
+    motor_runs_in,
     open_one,
     require_new,
     runs_in,
     vehicle_of,
 )
 from groundstation.cli.progress import shown
+from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
     from groundstation.dynamics.vehicle import Vehicle
-    from groundstation.identification.evidence import Identified, Progress
+    from groundstation.identification.fit_record import Identified, Progress
     from groundstation.identification.runs import Run
     from groundstation.identification.segments import Selection
     from groundstation.recording.session import Recording
@@ -79,12 +82,13 @@ def fit_motor(
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
-    """Fit a0, a1, a2 on recordings of the motor bench, or with measured rotor speed.
+    """Fit a0, a1, a2 on recordings of the motor bench, or of each rotor on flights with recorded
+    rotor speeds.
 
     Example: [bold]groundstation fit motor bench.mcap -o motor.json
     --with battery_reading_lag,supply_sag[/bold]
     """
-    from groundstation.identification.motor_workflow import identify_motor
+    from groundstation.identification.motor.workflow import identify_motor
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return identify_motor(
@@ -99,6 +103,7 @@ def fit_motor(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
         *(vehicle, model, select, segment),
+        motor_runs_in,
     )
 
 
@@ -123,7 +128,7 @@ def fit_body(
     Example: [bold]groundstation fit body flight1.mcap flight2.mcap --model motor.json
     -o body.json --with dead_time,rotor_acceleration_torque[/bold]
     """
-    from groundstation.identification.body_workflow import identify_body
+    from groundstation.identification.body.workflow import identify_body
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return identify_body(
@@ -163,8 +168,8 @@ def fit_arx(
 
     Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
-    from groundstation.identification.arx import Criterion
-    from groundstation.identification.arx_workflow import identify_arx
+    from groundstation.identification.arx.fit import Criterion
+    from groundstation.identification.arx.workflow import identify_arx
 
     chosen = criterion or ("prediction" if gyro else "free_run")
     if chosen not in tuple(Criterion):
@@ -214,7 +219,7 @@ def _carry_out(
     segment: list[str] | None,
     read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
 ) -> None:
-    from groundstation.dynamics.vehicle import load_vehicle
+    from groundstation.dynamics.model import model_vehicle
     from groundstation.identification.segments import parse_selection
 
     require_new(files.output)
@@ -224,14 +229,8 @@ def _carry_out(
     selection = parse_selection(select, tuple(segment or ()))
     with shown("reading") as progress:
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
-        craft = vehicle_of([*fit_on, *held], vehicle)
-        task = _Task(
-            read(fit_on),
-            read(held),
-            model_before(model, craft),
-            load_vehicle(craft),
-            selection,
-        )
+        before = model_before(model, vehicle_of([*fit_on, *held], vehicle))
+        task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
         found = identify(task, progress)
         rows = sum(map(len, task.runs))
         lost = rows - sum(len(one.samples) for one in fit_on)
@@ -259,7 +258,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         progress(0.9, "drawing the report")
         report(whole, account, found.evidence).write(files.html)
     if files.as_json:
-        typer.echo(files.output.read_text(), nl=False)
+        show_json(json.loads(files.output.read_bytes()))
     else:
         _print_account(account, files.output)
 
@@ -276,29 +275,30 @@ def _fingerprint(path: Path) -> dict[str, str]:
 
 
 def _print_account(account: dict[str, Any], output: Path) -> None:
-    echo: Callable[[str], None] = typer.echo
-    echo(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
+    show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
     estimates = account.get("estimates")
     if estimates:
         width = max(map(len, estimates["names"]))
         for name, value, error in zip(
             estimates["names"], estimates["values"], estimates["stderr"], strict=True
         ):
-            echo(f"  {name:<{width}}{value:14.6g} +- {error:.2g}")
+            show(f"  {name:<{width}}{value:14.6g} +- {error:.2g}")
     for axis, one in account.get("axes", {}).items():
         tests = ", ".join(
             f"{test.replace('_', ' ')} {'passes' if one[test]['passes'] else 'fails'}"
             for test in ("whiteness", "cross_correlation")
         )
-        echo(f"  {axis:<6}{one['chosen']}; residuals: {tests}")
+        show(f"  {axis:<6}{one['chosen']}; residuals: {tests}")
+    for line in account.get("findings", ()):
+        show(f"  {line}")
     held = account.get("validation")
     if isinstance(held, dict):
         for name, value in held.items():
-            echo(f"  held out: {name:<30}{value:10.4g}{_unit_of(name)}")
+            show(f"  held out: {name:<30}{value:10.4g}{_unit_of(name)}")
     for one in held if isinstance(held, list) else []:
-        echo(
+        show(
             f"  held out: {one['recording']}: fit {one['rotor_fit_percent']:.1f} %,"
             f" RMS {one['rotor_rms_rev_s']:.2f} rev/s"
         )
     for line in account["warnings"]:
-        echo(f"  warning: {line}")
+        show(f"  warning: {line}")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -12,7 +13,7 @@ from groundstation.cli.model_files import open_one
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
-    from groundstation.discrepancy.stretches import Marked
+    from groundstation.comparison.stretches import Marked
     from groundstation.dynamics.model import Model
     from groundstation.identification.runs import Run
 
@@ -47,13 +48,22 @@ def model_for(source: str, vehicle: str | None) -> Model:
     return msgspec.structs.replace(model, vehicle_profile=profile)
 
 
-def flights_from(paths: Sequence[Path], model: Model, vehicle: str | None) -> list[list[Run]]:
-    """The flights of each recording, lost rows as NaN.
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """One recording: its flights, lost rows as NaN, and what happened while it was recorded."""
+
+    name: str
+    runs: list[Run]
+    events: Sequence[Mapping[str, Any]]
+
+
+def read_flights(paths: Sequence[Path], model: Model, vehicle: str | None) -> list[Flights]:
+    """Each recording, opened once.
 
     Raises BadInputError where a recording says that it is of another vehicle than the model's,
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s.
     """
-    from groundstation.discrepancy.recordings import flights_of
+    from groundstation.identification.recordings import flights_of
 
     found = []
     for path in paths:
@@ -61,35 +71,34 @@ def flights_from(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
         recorded = recording.metadata.get("vehicle", {}).get("profile", model.vehicle)
         if vehicle is None and recorded != model.vehicle:
             raise _other_vehicle(path.name, recorded, model)
-        found.append(flights_of(recording.samples, path.name))
+        runs = flights_of(recording.samples, path.name)
+        found.append(Flights(path.name, runs, recording.events))
     return found
 
 
-def marked_in(
-    paths: Sequence[Path], flights: Sequence[Sequence[Run]], spans: Sequence[str], by_twin: bool
-) -> list[Marked]:
+def marked_in(flights: Sequence[Flights], spans: Sequence[str], by_twin: bool) -> list[Marked]:
     """The stretches that ``--stretch`` and ``--marked`` ask for.
 
     Raises BadInputError for a span that is none, one in which no recording has a flight, and where
     the twin marked nothing.
     """
-    from groundstation.discrepancy import stretches
+    from groundstation.comparison import stretches
     from groundstation.identification.segments import span_of
 
     typed = [span_of(text, "--stretch") for text in spans]
-    names = [path.name for path in paths]
+    names = [one.name for one in flights]
     if (typed or by_twin) and len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise BadInputError(f"two recordings are called {twice}: a stretch fits both; rename one")
     found: list[Marked] = []
     for span in typed:
         there = [
-            path.name
-            for path, runs in zip(paths, flights, strict=True)
+            one.name
+            for one in flights
             if any(
                 run.time_s[0] - run.recording_start_s < span[1]
                 and span[0] < run.time_s[-1] - run.recording_start_s
-                for run in runs
+                for run in one.runs
             )
         ]
         if not there:
@@ -100,9 +109,9 @@ def marked_in(
         found += stretches.by_hand([span], there)
     if by_twin:
         marks: list[Marked] = []
-        for path, runs in zip(paths, flights, strict=True):
-            first, last = runs[0].recording_start_s, float(runs[-1].time_s[-1])
-            marks += stretches.by_twin(open_one(path).events, path.name, first, last)
+        for one in flights:
+            first, last = one.runs[0].recording_start_s, float(one.runs[-1].time_s[-1])
+            marks += stretches.by_twin(one.events, one.name, first, last)
         if not marks:
             raise BadInputError(
                 f"{', '.join(names)}: the live twin marked nothing; record with 'groundstation run"

@@ -1,4 +1,4 @@
-"""``groundstation install udev``: the rule that lets a user without root read the bridge."""
+"""``groundstation install udev``: rules that let a user without root read bridge and radio."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def udev(
     config: Path | None = typer.Option(None, help="TOML configuration file with a \\[usb] table."),
     show: bool = typer.Option(False, "--print", help="Only print the rule."),
 ) -> None:
-    """Allow users at this machine, and the group plugdev, to read the bridge (needs root).
+    """Allow users at this machine, and the group plugdev, to use the bridge, a Crazyradio and a
+    Crazyflie's cable (needs root).
 
     Example: [bold]groundstation install udev --print | sudo tee
     /etc/udev/rules.d/70-groundstation.rules[/bold]
@@ -49,11 +50,18 @@ def udev(
     print(f"wrote {RULE_FILE}; now run 'udevadm control --reload' and plug the device in again")
 
 
+CRAZYFLIE = ((0x1915, 0x7777), (0x35F0, 0xBAD2), (0x0483, 0x5740))
+"""Crazyradio, Crazyradio 2, a Crazyflie's own cable."""
+
+
 def udev_rule(vendor_id: int, product_id: int) -> str:
-    """The rule of one device. Its file must sort before 73-seat-late.rules, which acts on it."""
-    return (
-        "# Crazyflie telemetry bridge: for whoever sits at the machine, and for group plugdev\n"
+    """The rules of the bridge and of what a stock Crazyflie needs. The file must sort before
+    73-seat-late.rules, which acts on it."""
+    lines = [
         'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
-        f'ATTR{{idVendor}}=="{vendor_id:04x}", ATTR{{idProduct}}=="{product_id:04x}", '
-        'MODE="0660", GROUP="plugdev", TAG+="uaccess"\n'
-    )
+        f'ATTR{{idVendor}}=="{vendor:04x}", ATTR{{idProduct}}=="{product:04x}", '
+        'MODE="0660", GROUP="plugdev", TAG+="uaccess"'
+        for vendor, product in ((vendor_id, product_id), *CRAZYFLIE)
+    ]
+    head = "# Telemetry bridge, Crazyradio, Crazyflie: for whoever sits at the machine, and plugdev"
+    return "\n".join([head, *lines, ""])

@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import warnings
+from types import FrameType
 from typing import NoReturn
 
 from groundstation.errors import GroundStationError
+from groundstation.kernel_cache import provide_cache
+from groundstation.text import printable
 
 
 def main() -> NoReturn:
-    """Run the command line; what went wrong becomes one line and exit status 1."""
-    status = 1
+    """Run the command line; what went wrong becomes one line and exit status 1.
+
+    SIGTERM ends it as Ctrl-C does: a script's background job ignores SIGINT.
+    """
+    status, interrupted = 1, 128 + signal.SIGINT
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = 128 + number
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    signal.signal(signal.SIGTERM, terminate)
+    warnings.showwarning = lambda message, *_, **__: _complain(str(message))
     try:
         _hold_streams()
+        if (cache := provide_cache()) is not None and not cache.exists():
+            _complain(f"compiled code is kept in {cache}, for neither its own nor your cache folder"
+                      " can be written")  # fmt: skip
         # here, for importing takes long enough to be interrupted
         from groundstation.cli.app import app
 
@@ -21,9 +40,11 @@ def main() -> NoReturn:
     except GroundStationError as error:
         _complain(str(error))
     except KeyboardInterrupt:
-        status = 130
+        status = interrupted
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        if status == 128 + signal.SIGINT:  # typer knows Ctrl-C only
+            status = interrupted
     except BrokenPipeError:
         pass
     except OSError as error:
@@ -31,9 +52,12 @@ def main() -> NoReturn:
     _leave(status)
 
 
+_INTERRUPTIONS = {128 + signal.SIGINT: "interrupted", 128 + signal.SIGTERM: "terminated"}
+
+
 def _leave(status: int) -> NoReturn:
-    if status == 130:
-        _complain("interrupted")
+    if status in _INTERRUPTIONS:
+        _complain(_INTERRUPTIONS[status])
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -42,16 +66,16 @@ def _leave(status: int) -> NoReturn:
             if status == 0:  # /dev/full tells at the end
                 status = 1
                 _complain(f"output: {error.strerror}")
-    from groundstation.background import left_behind
-
-    if left_behind():
+    # not imported here: an import that was interrupted halfway cannot always be begun again
+    background = sys.modules.get("groundstation.background")
+    if background is not None and background.left_behind():
         os._exit(status)
     sys.exit(status)
 
 
 def _complain(text: str) -> None:
     try:
-        print(f"groundstation: {text}", file=sys.stderr, flush=True)
+        print(f"groundstation: {printable(text)}", file=sys.stderr, flush=True)
     except OSError:
         _discard(2)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.errors import BadInputError
+from groundstation.paths import taken
 
 if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
@@ -19,8 +20,8 @@ AS_JSON = typer.Option(False, "--json", help="Print JSON for programs.")
 VEHICLE = typer.Option(
     None,
     "--vehicle",
-    help="Vehicle profile: built in, or a TOML file (default: what the recordings say, else"
-    " crazyflie1).",
+    help="Vehicle profile: built in, or a TOML file (default: what the recordings say, else the"
+    " model, else crazyflie1).",
 )
 
 
@@ -43,7 +44,7 @@ def runs_in(recordings: Sequence[Recording]) -> list[Run]:
 def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
     """The same with short gaps bridged on straight lines, for what a radio's losses would cut to
     pieces."""
-    from groundstation.discrepancy.recordings import flights_of, without_gaps
+    from groundstation.identification.recordings import flights_of, without_gaps
 
     return [
         without_gaps(run)
@@ -52,8 +53,16 @@ def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
     ]
 
 
-def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str:
-    """The profile that the user gave, or the one that the recordings name.
+def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
+    """Runs of the motor bench as they are, flights with recorded rotor speeds bridged."""
+    import numpy as np
+
+    flown = any(np.isfinite(one.samples.rotor_rev_s).any() for one in recordings)
+    return bridged_runs_in(recordings) if flown else runs_in(recordings)
+
+
+def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str | None:
+    """The profile that the user gave, or the one that the recordings name; None where neither does.
 
     Raises BadInputError where they name several.
     """
@@ -67,20 +76,25 @@ def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str:
             f"recordings of several vehicles ({listed}); fit one at a time, or, if a label is"
             " wrong, say --vehicle"
         )
-    return labels.pop() if labels else "crazyflie1"
+    return labels.pop() if labels else None
 
 
 def effect_names(effects: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in effects.split(",") if name.strip())
 
 
-def model_before(model: str | None, vehicle: str) -> Model:
-    """What a fit changes: a given model, or the base model of the profile."""
+def model_before(model: str | None, vehicle: str | None) -> Model:
+    """What a fit changes: a given model, or the base model of the profile.
+
+    vehicle: the profile; None: the model's own, or crazyflie1 where no model is given.
+    """
     import msgspec
 
     from groundstation.dynamics.model import load_model, vehicle_model
     from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 
+    if vehicle is None:
+        return load_model(model) if model is not None else vehicle_model(load_vehicle("crazyflie1"))
     profile = load_vehicle(vehicle)
     before = load_model(model) if model is not None else vehicle_model(profile)
     return msgspec.structs.replace(
@@ -92,7 +106,7 @@ def model_before(model: str | None, vehicle: str) -> Model:
 
 def require_new(path: Path) -> None:
     if path.exists():
-        raise BadInputError(f"{path} exists already; nothing is ever overwritten")
+        raise BadInputError(taken(path))
     if not path.absolute().parent.is_dir():
         raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
 

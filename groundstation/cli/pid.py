@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +10,13 @@ import typer
 from groundstation.cli import pid_fly
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown
-from groundstation.cli.terminal import say
+from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
+from groundstation.paths import taken
 
 if TYPE_CHECKING:
-    from groundstation.control.cascade_design import AxisDesign, Robustness
     from groundstation.control.design import Design
+    from groundstation.control.firmware_design import AxisDesign, Robustness
     from groundstation.control.pid import PidGains
     from groundstation.dynamics.model import Model
 
@@ -64,7 +64,6 @@ def evaluate(
     from groundstation.control.evaluate import evaluate as evaluate_gains
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import PidGains
-    from groundstation.control.plant import plant_of_model
     from groundstation.control.report import (
         METRICS_HEAD,
         evaluation_page,
@@ -87,25 +86,23 @@ def evaluate(
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
     loaded = load_model(model)
     results = evaluate_gains(loaded, given, chosen, seconds, delay)
-    left_out = plant_of_model(loaded).left_out if chosen == "firmware" else ()
-    if left_out:
-        say(f"left out, not acting on rotation alone: {', '.join(left_out)}", error=True)
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)
     if as_json:
         axes = {one.axis: one.as_dict() for one in results}
-        typer.echo(json.dumps({"loop": chosen, "model": model, "axes": axes}, indent=2))
+        show_json({"loop": chosen, "model": model, "axes": axes})
         return
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
-        typer.echo(line)
+        show(line)
 
 
 def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
     import numpy as np
 
-    from groundstation.control.direct import run_direct
-    from groundstation.control.printed import (
+    from groundstation.control.linear_loop import run_direct
+    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
+    from groundstation.control.thesis_tables import (
         DELAYS,
         FINDING,
         GAINS,
@@ -113,7 +110,6 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         printed_cases,
         printed_plant,
     )
-    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
 
     delays = DELAYS if delay is None else (delay,)
     cases = printed_cases(delays)
@@ -128,36 +124,34 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
             responses[key] = run_direct(plant, gains, np.ones(rows)).y
         thesis_page(cases, responses).write(html)
     if as_json:
-        typer.echo(
-            json.dumps(
-                {
-                    "finding": FINDING,
-                    "cases": [
-                        {
-                            "axis": case.axis,
-                            "controller": case.controller,
-                            "delay_samples": case.delay,
-                            "stable": case.stable,
-                            "most_delay_samples": case.most_delay,
-                            **case.metrics.as_dict(),
-                            "printed": dict(
-                                zip(
-                                    ("rms", "overshoot_pct", "settling_s"),
-                                    case.printed,
-                                    strict=True,
-                                )
-                            ),
-                        }
-                        for case in cases
-                    ],
-                },
-                indent=2,
-            )
+        show_json(
+            {
+                "finding": FINDING,
+                "cases": [
+                    {
+                        "axis": case.axis,
+                        "controller": case.controller,
+                        "delay_samples": case.delay,
+                        "stable": case.stable,
+                        "most_delay_samples": case.most_delay,
+                        **case.metrics.as_dict(),
+                        "printed": dict(
+                            zip(
+                                ("rms", "overshoot_pct", "settling_s"),
+                                case.printed,
+                                strict=True,
+                            )
+                        ),
+                    }
+                    for case in cases
+                ],
+            },
         )
         return
     for line in table_lines(THESIS_HEAD, thesis_rows(cases)):
-        typer.echo(line)
-    typer.echo(f"\n{FINDING}")
+        show(line)
+    show()
+    show(FINDING)
 
 
 def design(
@@ -217,11 +211,11 @@ def design(
     if html is not None:
         page.write(html)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
         return
     _print_design(report)
     if output is not None:
-        typer.echo(f"{output}: to fly them: pid fly --model {model} --gains {output}")
+        show(f"{output}: to fly them: pid fly --model {model} --gains {output}")
 
 
 def _design_firmware(
@@ -233,8 +227,8 @@ def _design_firmware(
     seed: int,
     name: str,
 ) -> tuple[dict[str, Any], dict[str, float], Any]:
-    from groundstation.control.cascade_design import cascade_limits, design_cascade, robustness
     from groundstation.control.design_report import firmware_page, firmware_report
+    from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
 
     done: dict[str, float] = {}
     with shown("designing") as show:
@@ -264,7 +258,7 @@ def _design_thesis(
 ) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
     from groundstation.control.design import Limits, design_direct, rounding_corners
     from groundstation.control.design_report import thesis_design_page, thesis_report
-    from groundstation.control.direct import axis_plant
+    from groundstation.control.linear_loop import axis_plant
 
     found: dict[str, tuple[PidGains, Design, Any, Any]] = {}
     limits = Limits(sensitivity=sensitivity, delay_s=spare_s)
@@ -285,18 +279,18 @@ def _design_thesis(
 
 def _print_design(report: dict[str, Any]) -> None:
     for axis, one in report["axes"].items():
-        typer.echo(f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()))
+        show(f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()))
         settling = one["settling_s"]
-        typer.echo(
+        show(
             f"  settles in {settling:.3f} s, overshoot {one['overshoot_pct']:.1f} %,"
             f" RMS {one['rms']:.3f} of the step, maximum sensitivity {one['max_sensitivity']:.2f},"
             f" gain x{one['gain_up'] or float('inf'):.1f},"
             f" delay +{1e3 * one['delay_margin_s']:.1f} ms"
         )
         for line in (*one["reasons"], *one["notes"]):
-            typer.echo(f"  {line}")
+            show(f"  {line}")
     for line in report["notes"]:
-        typer.echo(line)
+        show(line)
 
 
 def _write_new(path: Path, text: str) -> None:
@@ -304,6 +298,6 @@ def _write_new(path: Path, text: str) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError as error:
-        raise BadInputError(f"{path} exists already; nothing is ever overwritten") from error
+        raise BadInputError(taken(path)) from error
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error

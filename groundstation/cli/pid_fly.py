@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import signal
 import threading
 import time
@@ -23,14 +22,14 @@ from groundstation.cli.left_changed import (
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
 from groundstation.cli.sticks import StandInPilot, open_sticks
-from groundstation.cli.terminal import say
+from groundstation.cli.terminal import say, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
-    from groundstation.control.flown import Flown
     from groundstation.control.programme import Programme
+    from groundstation.control.step_analysis import Flown
 
 CLIENT = "pid fly"
 LEAST_REST_V = 3.5
@@ -76,7 +75,7 @@ def fly(
 
     Example: [bold]groundstation pid fly --gains gains.toml --model body.json --restore[/bold]
     """
-    from groundstation.control.cascade import require_gains
+    from groundstation.control.firmware_loop import require_gains
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import AXES, PidGains
     from groundstation.control.plant import plant_of_model
@@ -124,19 +123,19 @@ def fly(
 def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None:
     plan = {**programme.as_dict(), "seconds": programme.seconds, "reach_m": programme.reach_m}
     if as_json:
-        typer.echo(json.dumps({"programme": plan, "gains": wanted}, indent=2))
+        show_json({"programme": plan, "gains": wanted})
         return
-    typer.echo(
+    show(
         f"{programme.repeats} {programme.shape}s an axis ({', '.join(programme.axes)}):"
         f" {programme.angle_deg:g} deg, yaw {programme.yaw_dps:g} deg/s,"
         f" held {programme.hold_s:g} s"
     )
-    typer.echo(
+    show(
         f"{programme.seconds:.0f} s with {programme.reach_m:.1f} m to either side at most,"
         " if nothing slows the craft down"
     )
     for name, value in wanted.items():
-        typer.echo(f"  {name} = {value:g}")
+        show(f"  {name} = {value:g}")
 
 
 def _flight(
@@ -166,21 +165,22 @@ def _flight(
             saved = {name: former.get(name, before[name]) for name in changed}
             if changed:
                 note_changes(uri, {**former, **saved}, {**written, **changed})
-            aborted, motors = "an unforeseen error", ""
+            aborted, motors, stopped = "an unforeseen error", "", False
             try:
                 _write(pilot, changed)
                 details = {"programme": programme.as_dict(), "gains": wanted, "saved": saved}
                 pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
                 say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
                 aborted = fly_programme(pilot, programme, sticks)
-            except KeyboardInterrupt:
-                aborted = "Ctrl-C"
-                say("stopping the motors", error=True)
+            except KeyboardInterrupt as stop:
+                aborted, stopped = str(stop) or "Ctrl-C", True
             except GroundStationError as error:
                 aborted = str(error)
             finally:
                 # motors first: parameters may take a while
                 with _patient():
+                    if stopped:  # said where another Ctrl-C can no longer prevent it
+                        say("stopping the motors", error=True)
                     motors = stop_motors(pilot)
                 stays = {} if restore or aborted else wanted
                 back = {name: value for name, value in saved.items() if name not in stays}
@@ -239,8 +239,8 @@ def kept(pilot: Pilot) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _patient() -> Iterator[None]:
-    """One Ctrl-C more does not keep the motors from being stopped, a second one does: then the
-    end of the lease stops them."""
+    """One Ctrl-C or SIGTERM more does not keep the motors from being stopped, a second one does:
+    then the end of the lease stops them."""
     asked = 0
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -250,11 +250,12 @@ def _patient() -> Iterator[None]:
             raise KeyboardInterrupt
         say("the motors are being stopped; Ctrl-C again leaves it to the daemon", error=True)
 
-    before = signal.signal(signal.SIGINT, handle)
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _await_connection(path: Path) -> None:
@@ -374,7 +375,7 @@ def _tell_left(uri: str, left: dict[str, Any], present: dict[str, float]) -> Non
 def _undo() -> None:
     crafts = crafts_left()
     if not crafts:
-        typer.echo("nothing was left changed")
+        show("nothing was left changed")
         return
     path = socket_path()
     _await_connection(path)
@@ -389,7 +390,7 @@ def _undo() -> None:
         _tell_left(uri, left, pilot.parameters())
         _write(pilot, left["saved"])
     forget_changes(uri)
-    typer.echo("the former values are back: " + ", ".join(left["saved"]))
+    show("the former values are back: " + ", ".join(left["saved"]))
 
 
 def _judge(
@@ -402,8 +403,7 @@ def _judge(
     """Metrics of the recording, beside the model's."""
     flown: Flown | None = None
     if programme.shape != "level":
-        from groundstation.control.flown_recording import analyse_recording
-        from groundstation.control.plant import plant_of_model
+        from groundstation.control.step_recording import analyse_recording
         from groundstation.dynamics.model import load_model
         from groundstation.recording.open_recording import open_recording
 
@@ -413,9 +413,6 @@ def _judge(
                 " pid fly where it can read the daemon's recordings"
             )
         loaded = None if model is None else load_model(model)
-        left_out = () if loaded is None else plant_of_model(loaded).left_out
-        if left_out:
-            say(f"the prediction leaves out: {', '.join(left_out)}", error=True)
         recording = open_recording(Path(report["recording"]))
         try:
             flown = analyse_recording(recording, loaded, report["gains"], CLIENT)
@@ -430,12 +427,12 @@ def _judge(
 
             flight_page(flown, Path(report["recording"]).name, model).write(html)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
         return
-    typer.echo(f"recording: {report['recording']}")
+    show(f"recording: {report['recording']}")
     if flown is None:
         return
     from groundstation.control.report import flight_lines
 
     for line in flight_lines(flown):
-        typer.echo(line)
+        show(line)

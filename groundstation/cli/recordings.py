@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 import typer
+
+from groundstation.cli.terminal import show, show_json
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -27,10 +28,12 @@ def recordings(
     """
     found = _found(folder, config)
     if as_json:
-        typer.echo(json.dumps(found, indent=2))
+        show_json(found)
         return
+    if not found:
+        show(f"no recordings in {folder or 'the recordings folder'}")
     for entry in found:
-        typer.echo(_line(entry))
+        show(_line(entry))
 
 
 def _found(folder: Path | None, config: Path | None) -> list[dict[str, Any]]:
@@ -55,7 +58,7 @@ def _found(folder: Path | None, config: Path | None) -> list[dict[str, Any]]:
 def _line(entry: dict[str, Any]) -> str:
     size = f"{entry['bytes'] / 1e6:8.1f} MB"
     if entry["state"] != "finished":
-        hint = "; see 'groundstation recover'" if entry["state"] == "torn" else ""
+        hint = "" if entry["state"] == "recording" else "; see 'groundstation recover'"
         return f"{entry['file']:<44} {size}  {entry['state']}{hint}"
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry["start_ns"] * 1e-9))
     samples = "" if entry["samples"] is None else f", {entry['samples']} samples"

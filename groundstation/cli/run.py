@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from groundstation.service.station import Station
 
 DISPLAY_S = 0.5
+LONGEST_S = 10 * 365 * 86400.0
+"""Ten years: what is longer is a slip of the keyboard."""
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -33,13 +35,21 @@ def add_commands(app: typer.Typer) -> None:
 def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
     link: str | None = typer.Option(
-        None, help="stand-in (default), usb, serial:PORT or replay:FILE."
+        None,
+        help="stand-in (default), usb, serial:PORT, replay:FILE, or a stock craft: radio://...,"
+        " usb://0, udp://HOST:PORT.",
     ),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
     ),
+    rate_hz: int | None = typer.Option(
+        None, "--rate", help="Rows a second of a stock craft: 50 to 1000 (default: 100)."
+    ),
+    log: str | None = typer.Option(
+        None, metavar="VARIABLE,...", help="Further log variables of a stock craft."
+    ),
     duration_s: float | None = typer.Option(
-        None, "--for", min=0.0, help="Stop after so many seconds."
+        None, "--for", min=0.0, max=LONGEST_S, help="Stop after so many seconds."
     ),
     recordings: Path | None = typer.Option(None, help="Folder for recordings (default: sessions)."),
     record: bool | None = typer.Option(None, "--record/--no-record", help="Record at once."),
@@ -74,6 +84,8 @@ def run(
         "viewer.port": viewer_port,
         "viewer.web_port": web_port,
         "command": command,
+        "radio.rate_hz": rate_hz,
+        "radio.log": log,
         **assignments(assign),
     }
     changes = {key: value for key, value in options.items() if value is not None}
@@ -112,7 +124,14 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
         station.sessions.wait()
         control.path.unlink(missing_ok=True)
 
-    with stopped_by_signals(station.stop, last_resort):
+    interrupted = False
+
+    def stop() -> None:
+        nonlocal interrupted
+        interrupted = True
+        station.stop()
+
+    with stopped_by_signals(stop, last_resort):
         try:
             await server.start()
             tasks.append(asyncio.create_task(pat_watchdog(), name="watchdog"))
@@ -126,12 +145,14 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
             for task in tasks:
                 task.cancel()
             if live:
-                say("\r\033[K", end="")
+                say("", end="", clear=True)
             await server.stop()
             if port is not None:
                 port.close()
             control.close()
     _conclude(station)
+    if not interrupted:
+        _require_something(station)
 
 
 def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None:
@@ -172,6 +193,21 @@ def _conclude(station: Station) -> None:
         )
 
 
+def _require_something(station: Station) -> None:
+    """A run that ended by itself and never did what it was asked to has failed."""
+    troubles = {event.link: event.text for event in station.events if event.kind in _TROUBLES}
+    if station.newest() is None and troubles:
+        texts = "; ".join(f"{link}: {text}" for link, text in troubles.items())
+        raise GroundStationError(f"nothing was received: {texts}")
+    command = station.config.command
+    connected = any(event.link == command and event.kind == "connected" for event in station.events)
+    if command in troubles and not connected:
+        raise GroundStationError(f"{command} was never connected: {troubles[command]}")
+
+
+_TROUBLES = ("waiting", "fault")
+
+
 async def _stop_after(station: Station, duration_s: float) -> None:
     """Preparing the link does not count."""
     await station.tried.wait()
@@ -188,10 +224,11 @@ async def _display(station: Station) -> None:
             continue
         latency = "" if statistics.latency_ms is None else f"{statistics.latency_ms:6.1f} ms late"
         say(
-            f"\r\033[K{station.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
+            f"{station.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
             f"{statistics.loss_pct:6.2f} % lost {latency}   "
             f"{recording['state']} {recording['bytes'] / 1e6:.1f} MB",
             end="",
+            clear=True,
         )
 
 
@@ -211,15 +248,14 @@ def _configure_log(live: bool, *, as_json: bool) -> None:
         return
 
     def render(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
-        clear = "\r\033[K" if live else ""
         moment = time.strftime("%H:%M:%S")
         text = event.pop("event")
         source, kind = event.pop("source", ""), event.pop("kind", "")
         rest = "".join(f" {key}={value}" for key, value in event.items())
         mark = "!" if method == "warning" else " "
-        return f"{clear}{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
+        return f"{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
 
-    structlog.configure(processors=[render], logger_factory=lambda *names: Log())
+    structlog.configure(processors=[render], logger_factory=lambda *names: Log(live))
 
 
 def _speed(text: str | None) -> float | str | None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, runs_from, write_table
+from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ HEAD = (
     "roll_deg,pitch_deg,yaw_deg"
 )
 NAMES = HEAD.split(",")[5:]
+LONGEST_WINDOW_S = 60.0
+"""An unstable craft's free run says nothing after a few seconds."""
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -39,7 +41,9 @@ def simulate(
     ),
     output: Path = typer.Option(..., "-o", "--output", help="A new CSV file."),
     window: float = typer.Option(
-        0.5, help="On a recording: start afresh from the observed state after so many seconds."
+        0.5,
+        max=LONGEST_WINDOW_S,
+        help="On a recording: start afresh from the observed state after so many seconds.",
     ),
     supply_v: float = typer.Option(3.7, help="Along a reference: steady supply voltage."),
     html: Path | None = typer.Option(None, "--html", help="A new page with figures."),
@@ -70,12 +74,12 @@ def simulate(
     else:
         report = _along_reference(loaded, str(reference), output, supply_v, html)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        show_json(report)
         return
     effects = ", ".join(term.name for term in loaded.effects) or "none"
-    typer.echo(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
+    show(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
     for name, value in report["rms"].items():
-        typer.echo(f"  RMS error {name:<20}{value:10.3f}")
+        show(f"  RMS error {name:<20}{value:10.3f}")
 
 
 def _on_recording(
@@ -129,8 +133,8 @@ def _along_reference(
     import numpy as np
 
     from groundstation.dynamics.reference import load_reference
-    from groundstation.dynamics.reference_flight import fly_reference
     from groundstation.identification.replayed_report import channels_of, reference_page
+    from groundstation.prediction.reference_flight import fly_reference
 
     reference = load_reference(source)
     made = fly_reference(model, reference, supply_v)

@@ -1,20 +1,37 @@
-"""What the daemon prints: nothing that happens to the terminal may stop a recording."""
+"""What the program prints: every line of it passes through here, and commands no terminal."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+from typing import Any
+
+from groundstation.text import printable
+
+_CLEAR = "\r\033[K"
 
 
-def say(text: str, *, end: str = "\n", error: bool = False) -> None:
-    """Print at once to stdout, or stderr for ``error``.
+def show(text: str = "", *, error: bool = False) -> None:
+    """Print one line of a command's answer. Raises OSError where that is not possible."""
+    print(printable(text), file=sys.stderr if error else sys.stdout, flush=True)
+
+
+def show_json(value: Any, indent: int | None = 2) -> None:
+    """Print an answer for programs, in ASCII."""
+    print(json.dumps(value, indent=indent, default=str), flush=True)
+
+
+def say(text: str, *, end: str = "\n", error: bool = False, clear: bool = False) -> None:
+    """Print a line of the daemon at once to stdout, or stderr for ``error``: nothing that happens
+    to the terminal may stop a recording.
 
     Where the reader has gone away (``| tee log`` ends first on Ctrl-C) or the log's disk is
-    full, this and all that follows is thrown away.
+    full, this and all that follows is thrown away. clear: over the line that is there.
     """
     stream = sys.stderr if error else sys.stdout
     try:
-        print(text, end=end, file=stream, flush=True)
+        print(_CLEAR * clear + printable(text), end=end, file=stream, flush=True)
     except OSError:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -22,9 +39,12 @@ def say(text: str, *, end: str = "\n", error: bool = False) -> None:
 
 
 class Log:
-    """Where structlog's lines go: stderr."""
+    """Where structlog's lines go: stderr. clear: over the line that is there."""
+
+    def __init__(self, clear: bool = False) -> None:
+        self._clear = clear
 
     def msg(self, text: str) -> None:
-        say(text, error=True)
+        say(text, error=True, clear=self._clear)
 
     info = warning = msg

@@ -8,6 +8,8 @@ from typing import Any
 
 from groundstation.telemetry.bridge_usb import INTERFACE
 
+CRAZYFLIE = {"1915:7777": "Crazyradio", "35f0:bad2": "Crazyradio 2", "0483:5740": "Crazyflie"}
+"""What reaches a stock craft."""
 HUB = 0x09
 """Device class of hubs, which nobody looks for."""
 
@@ -49,6 +51,8 @@ def _backend() -> Any:
 def _row(device: Any, bridge: str) -> dict[str, Any]:
     identity = f"{device.idVendor:04x}:{device.idProduct:04x}"
     why = _why_not(device) if identity == bridge else "not a telemetry bridge"
+    if identity in CRAZYFLIE:
+        why = f"{CRAZYFLIE[identity]}: what it reaches is listed as craft"
     return {
         "kind": "usb",
         "name": identity,

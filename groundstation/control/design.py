@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.direct import DirectJudge, direct_margins
+from groundstation.control.linear_loop import DirectJudge, direct_margins
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
 from groundstation.control.search import Archive, Budget, pareto_front, search

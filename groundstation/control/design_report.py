@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.cascade_design import WINDOW_S, AxisDesign, Robustness
 from groundstation.control.design import (
     COMPLIANCE,
     OFFSET,
@@ -20,13 +19,13 @@ from groundstation.control.design import (
     Design,
     Limits,
 )
-from groundstation.control.direct import DirectJudge
 from groundstation.control.evaluate import AxisResult, evaluate
+from groundstation.control.firmware_design import WINDOW_S, AxisDesign, Robustness
+from groundstation.control.linear_loop import DirectJudge
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
-from groundstation.control.plant import plant_of_model
-from groundstation.control.printed import GAINS, RESULTS
 from groundstation.control.report import LOOP_NAMES, front_figure, step_figure
+from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.report.figure import IMPROVED, figure
@@ -77,11 +76,6 @@ def firmware_report(
                 )
             )
         axes[one.axis] = entry
-    left_out = plant_of_model(model).left_out
-    if left_out:
-        notes.append(
-            f"effects that do not act on rotation alone are left out: {', '.join(left_out)}"
-        )
     if not estimates_of(model):
         notes.append("the model carries no covariance: what its uncertainty does is not known")
     return {"form": "firmware", "vehicle": model.vehicle, "axes": axes, "notes": notes}

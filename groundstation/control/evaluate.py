@@ -10,14 +10,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.cascade import (
+from groundstation.control.firmware_loop import (
     STEP_RAD,
     STOCK,
     cascade_margins,
     gain_names,
     step_response,
 )
-from groundstation.control.direct import (
+from groundstation.control.linear_loop import (
     axis_plant,
     direct_margins,
     is_stable,
@@ -28,7 +28,7 @@ from groundstation.control.margins import Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import plant_of_model
-from groundstation.control.whole import Body, run_whole, whole_margins
+from groundstation.control.thesis_loop import Body, run_whole, whole_margins
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S

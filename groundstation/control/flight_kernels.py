@@ -1,7 +1,5 @@
-"""Compiled closed loops with motors: the thesis's Figure 8.10, and the firmware's cascade.
-
-One file, because the compiler's cache looks at the entry point's own file only. The body's state
-is quaternion 0-3 (body to inertial), rates 4-6 in rad/s, rotors 7-10 in rev/s.
+"""Compiled closed loops with the craft of ``simulate``: the thesis's Figure 8.10, and the
+firmware's cascade.
 """
 
 from __future__ import annotations
@@ -10,79 +8,44 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from groundstation.dynamics import quaternion
+from groundstation.dynamics.attitude_filter import fuse, smoothed
+from groundstation.dynamics.compiled import kernel, spliced
+from groundstation.dynamics.craft import SENSOR_STATES
+from groundstation.dynamics.kernels import craft_step, normalise
+from groundstation.dynamics.motor_kernels import armature
+from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
+from groundstation.dynamics.sensing import begin, follow, sense
 
 DEGREES = 180.0 / math.pi
-STATES = 11
-RATE, ROTOR = 4, 7
 PWM_FULL = 4096.0
+ROTOR, RATE = 13, 10
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
-def _slope(p: Any, volts: Any, y: Any, dy: Any) -> None:
-    """Motors (eq. 3.82), mixer (7.19), rotation (3.49-3.53, 3.18) and the effects of ``plant``."""
-    roll, pitch, yaw, lift, spin, gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    sign = 1.0  # M1 and M3 counter-clockwise
-    for i in range(4):
-        n = y[ROTOR + i]
-        slope = p.a0 * max(volts[i] - p.dead_mv, 0.0) - (p.a1 + p.a2 * n) * n
-        if slope < 0.0:
-            slope *= p.braking
-        dy[ROTOR + i] = slope
-        square = p.strength[i] * n * n
-        roll += p.mix[0, i] * square
-        pitch += p.mix[1, i] * square
-        yaw += p.mix[2, i] * square
-        lift += square
-        spin -= sign * n
-        gain -= sign * slope
-        sign = -sign
-    w, a, b, c = y[0], y[1], y[2], y[3]
-    rp, rq, rr = y[4], y[5], y[6]
-    dy[0] = 0.5 * (-a * rp - b * rq - c * rr)
-    dy[1] = 0.5 * (w * rp + b * rr - c * rq)
-    dy[2] = 0.5 * (w * rq + c * rp - a * rr)
-    dy[3] = 0.5 * (w * rr + a * rq - b * rp)
-    dy[4] = p.c[0] * roll + p.coupling[0] * rq * rr + p.gyroscopic[0] * rq * spin
-    dy[5] = p.c[1] * pitch + p.coupling[1] * rp * rr - p.gyroscopic[1] * rp * spin
-    dy[6] = p.c[2] * yaw + p.coupling[2] * rp * rq + p.spin_up * gain - p.damping[2] * rr
-    dy[4] += p.offset[0] * lift - (p.damping[0] + p.quadratic[0] * abs(rp)) * rp
-    dy[5] += p.offset[1] * lift - (p.damping[1] + p.quadratic[1] * abs(rq)) * rq
+@spliced
+def _move(p: Any, duty: Any, supply: Any, k: int, period: float, y: Any, work: Any) -> Any:
+    """The craft over one period on duties (4); the armature voltages."""
+    n = (y[13], y[14], y[15], y[16])
+    volts = armature(p, duty, supply[k], supply[max(k - 1, 0)], period, n)
+    craft_step((p, volts, STILL), period, len(y), y, work[0], work[1], work[2])
+    normalise(y)
+    return volts
 
 
-@njit(nogil=True, error_model="numpy")
-def _step(p: Any, volts: Any, h: float, y: Any, work: Any) -> None:
-    """One Runge-Kutta step (order 4) with inputs held."""
-    start, slope, total = work[0], work[1], work[2]
-    for i in range(STATES):
-        start[i] = y[i]
-    _slope(p, volts, y, total)
-    for i in range(STATES):
-        y[i] = start[i] + 0.5 * h * total[i]
-    _slope(p, volts, y, slope)
-    for i in range(STATES):
-        total[i] += 2.0 * slope[i]
-        y[i] = start[i] + 0.5 * h * slope[i]
-    _slope(p, volts, y, slope)
-    for i in range(STATES):
-        total[i] += 2.0 * slope[i]
-        y[i] = start[i] + h * slope[i]
-    _slope(p, volts, y, slope)
-    for i in range(STATES):
-        y[i] = start[i] + h / 6.0 * (total[i] + slope[i])
+@spliced
+def _body(p: Any, volts: Any, y: Any, dy: Any) -> Any:
+    """The body at a state, its rotors on armature voltages (4)."""
+    n = (y[13], y[14], y[15], y[16])
+    return body_slope(p, n, motor_slopes(p, volts, n, ALL), STILL, y, dy, ALL)
 
 
-@njit(nogil=True, error_model="numpy")
-def _euler(w: float, a: float, b: float, c: float, out: Any) -> None:
-    """Roll, pitch (nose down positive), yaw in rad of a quaternion (eq. 3.6)."""
-    out[0] = math.atan2(2.0 * (w * a + b * c), 1.0 - 2.0 * (a * a + b * b))
-    out[1] = math.asin(min(max(2.0 * (w * b - a * c), -1.0), 1.0))
-    out[2] = math.atan2(2.0 * (w * c + a * b), 1.0 - 2.0 * (b * b + c * c))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def whole_run(
-    p: Any,
+    craft: Any,
+    mixer: Any,
+    start: Any,
     arx_a: Any,
     arx_b: Any,
     arx_nk: Any,
@@ -94,7 +57,6 @@ def whole_run(
     supply_mv: Any,
     reference: Any,
     period: float,
-    start_rev_s: float,
     delay: int,
     angles: Any,
     controls: Any,
@@ -103,19 +65,18 @@ def whole_run(
     """The whole simulation of thesis Figure 8.10, as long as ``reference`` (k, 3) in rad.
 
     body: 0 ARX (arx_a (3, na), arx_b (3, nb), arx_nk (3,), the delays inside), 1 grey box
-    (decoupled accelerations, thesis 3.58-3.60), 2 rigid body. delay: samples from angle to
-    controller, for bodies 1 and 2. gains (3, 3): kp, ki, kd per axis in PWM counts; thrust (k,)
-    counts, supply (k,) mV. Fills angles (k, 3) as the controller hears them, controls (k, 3) and
-    pwm (k, 4) in counts.
+    (decoupled accelerations, thesis 3.58-3.60), 2 rigid body. mixer: (3, 4). start: the state.
+    delay: samples from angle to controller, for bodies 1 and 2. gains (3, 3): kp, ki, kd per axis
+    in PWM counts; thrust (k,) counts, supply (k,) mV. Fills angles (k, 3) as the controller hears
+    them, controls (k, 3) and pwm (k, 4) in counts.
     """
-    rows = len(reference)
-    y, work = np.zeros(STATES), np.zeros((3, STATES))
-    y[0] = 1.0
-    y[ROTOR : ROTOR + 4] = start_rev_s
+    p, rows = physics(craft), len(reference)
+    half = 1.0 if mixer[0, 0] == 0.0 else 0.5  # in X two rotors on a side share roll and pitch
+    y, work = start.copy(), np.zeros((3, len(start)))
     grey = np.zeros(3)
     torque = np.zeros((rows, 3))
     true = np.zeros((rows, 3))
-    integral, before, volts = np.zeros(3), np.zeros(3), np.zeros(4)
+    integral, before, duty = np.zeros(3), np.zeros(3), np.zeros(4)
     na, nb = arx_a.shape[1], arx_b.shape[1]
     for k in range(rows):
         if body == 0:
@@ -133,7 +94,8 @@ def whole_run(
                 for axis in range(3):
                     true[k, axis] = grey[axis]
             else:
-                _euler(y[0], y[1], y[2], y[3], true[k])
+                turned = quaternion.angles((y[6], y[7], y[8], y[9]))
+                true[k, 0], true[k, 1], true[k, 2] = turned
             for axis in range(3):
                 angles[k, axis] = true[k - delay, axis] if k >= delay else 0.0
         for axis in range(3):
@@ -146,23 +108,20 @@ def whole_run(
             before[axis] = error
             controls[k, axis] = given
         for i in range(4):
-            shared = p.mix[0, i] * controls[k, 0] + p.mix[1, i] * controls[k, 1]
-            if p.airframe_x != 0:
-                shared *= 0.5
-            counts = thrust[k] + shared + p.mix[2, i] * controls[k, 2]
+            shared = half * (mixer[0, i] * controls[k, 0] + mixer[1, i] * controls[k, 1])
+            counts = thrust[k] + shared + mixer[2, i] * controls[k, 2]
             pwm[k, i] = min(max(counts, 0.0), PWM_FULL)
-            volts[i] = pwm[k, i] / PWM_FULL * supply_mv[k]
+            duty[i] = pwm[k, i] / PWM_FULL
         for axis in range(3):
             for i in range(4):
-                square = y[ROTOR + i] * y[ROTOR + i] * p.strength[i]
-                torque[k, axis] += p.mix[axis, i] * square
-        _step(p, volts, period, y, work)
-        if body == 1:
-            for axis in range(3):
-                grey[axis] += 0.5 * period * (work[0, RATE + axis] + y[RATE + axis])
+                torque[k, axis] += mixer[axis, i] * y[ROTOR + i] * y[ROTOR + i]
+            grey[axis] += 0.5 * period * y[RATE + axis]
+        _move(p, (duty[0], duty[1], duty[2], duty[3]), supply_mv, k, period, y, work)
+        for axis in range(3):
+            grey[axis] += 0.5 * period * y[RATE + axis]
 
 
-@njit(nogil=True, error_model="numpy")
+@spliced
 def _update(
     f: Any, kind: int, axis: int, error: float, dt: float, limit: float, kp: float, ki: float,
     kd: float,
@@ -176,7 +135,7 @@ def _update(
     return float(output)
 
 
-@njit(nogil=True, error_model="numpy")
+@spliced
 def _rate_pid(f: Any, axis: int, error: float) -> float:
     """A rate PID as the clamp macro evaluates it: up to three times, truncated to 16 bits."""
     output = 0.0
@@ -194,35 +153,30 @@ def _rate_pid(f: Any, axis: int, error: float) -> float:
     return float(int(output)) if f.quantised != 0 else output
 
 
-@njit(nogil=True, error_model="numpy")
-def _fuse(f: Any, gx: float, gy: float, gz: float, out: Any) -> None:
-    """The firmware's Mahony update at 250 Hz; the accelerometer feels thrust, along body z."""
-    q0, q1, q2, q3 = f.quaternion[0], f.quaternion[1], f.quaternion[2], f.quaternion[3]
-    ex, ey = -(q0 * q1 + q2 * q3), q1 * q3 - q0 * q2
-    if f.fusion_ki > 0.0:
-        f.feedback[0] += f.fusion_ki * ex * 0.004
-        f.feedback[1] += f.fusion_ki * ey * 0.004
-    gx += f.feedback[0] + f.fusion_kp * ex
-    gy += f.feedback[1] + f.fusion_kp * ey
-    n0 = q0 + 0.002 * (-q1 * gx - q2 * gy - q3 * gz)
-    n1 = q1 + 0.002 * (q0 * gx + q2 * gz - q3 * gy)
-    n2 = q2 + 0.002 * (q0 * gy - q1 * gz + q3 * gx)
-    n3 = q3 + 0.002 * (q0 * gz + q1 * gy - q2 * gx)
-    size = 1.0 / math.sqrt(n0 * n0 + n1 * n1 + n2 * n2 + n3 * n3)
-    f.quaternion[0], f.quaternion[1] = n0 * size, n1 * size
-    f.quaternion[2], f.quaternion[3] = n2 * size, n3 * size
-    _euler(f.quaternion[0], f.quaternion[1], f.quaternion[2], f.quaternion[3], out)
+@spliced
+def _fuse(f: Any, gyro: Any, felt: Any) -> Any:
+    """The firmware's Mahony update at 250 Hz; returns its quaternion."""
+    q, kept = f.quaternion, f.feedback
+    gains = (0.5 * f.fusion_kp, 0.5 * f.fusion_ki)
+    integral = (kept[0], kept[1], kept[2])
+    turned, integral = fuse((q[0], q[1], q[2], q[3]), integral, gyro, felt, gains, 0.004)
+    q[0], q[1], q[2], q[3] = turned
+    kept[0], kept[1], kept[2] = integral
+    return turned
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def cascade_run(
-    p: Any,
+    craft: Any,
+    sensor: Any,
+    airframe_x: bool,
+    fusion: bool,
+    start: Any,
     f: Any,
     setpoints: Any,
     thrust: Any,
     supply_mv: Any,
     period: float,
-    start_rev_s: float,
     angles: Any,
     gyro: Any,
     compare: Any,
@@ -232,26 +186,35 @@ def cascade_run(
     setpoints (k, 3): roll, pitch (nose down) in rad, yaw rate (counter-clockwise) in rad/s;
     thrust (k,) 16-bit; supply (k,) mV. Fills angles (k, 3) as the firmware estimates them (rad,
     nose down), gyro (k, 3) as it measures them (rad/s), compare (k, 4) PWM steps of 512.
+    start: the state. fusion: the angles are the firmware's filter's, otherwise the true ones.
     ``f`` holds the firmware's state and is changed.
     """
-    rows = len(setpoints)
-    y, work = np.zeros(STATES), np.zeros((3, STATES))
-    y[0] = 1.0
-    y[ROTOR : ROTOR + 4] = start_rev_s
-    late = p.delay_s / period
+    p, rows = physics(craft), len(setpoints)
+    y, work, z = start.copy(), np.zeros((3, len(start))), np.zeros((4, SENSOR_STATES))
+    late = sensor.delay / period
     depth = int(late) + 2
-    past = np.zeros((depth, 7))
-    lagged, volts, found = np.zeros(3), np.zeros(4), np.zeros(3)
-    mixed, desired = np.zeros(4), np.zeros(3)
-    share = math.exp(-period / p.lag_s) if p.lag_s > 0.0 else 0.0
+    past = np.zeros((depth, 10))
+    mount = (sensor.mount[0], sensor.mount[1], sensor.mount[2], sensor.mount[3])
+    found, mixed, desired, duty = np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(4)
     angle_dt = 0.002 if f.quirk_attitude_dt != 0 else 0.004
+    n = (y[13], y[14], y[15], y[16])
+    still = (0.0, 0.0, 0.0, 0.0)
+    before = body_slope(p, n, still, STILL, y, work[0], ALL)
+    begin(craft, before, z[0])
+    felt, volts = before.force, still
     for k in range(rows):
         now = past[k % depth]
+        if k > 0:
+            after = _body(p, volts, y, work[0])
+            follow(craft, before, after, period, z)
+            before = after
+        reading = sense(p, before, z[0], z[1])
+        felt = smoothed(felt, reading.accelerometer, period)
         for i in range(4):
-            now[i] = y[i]
+            now[i] = y[6 + i]
         for axis in range(3):
-            lagged[axis] = share * lagged[axis] + (1.0 - share) * y[RATE + axis]
-            now[4 + axis] = lagged[axis]
+            now[4 + axis] = reading.gyro[axis] - sensor.zero[axis]
+            now[7 + axis] = felt[axis]
         at = max(k - late, 0.0)
         first = min(int(at), k)
         part = at - first
@@ -260,10 +223,13 @@ def cascade_run(
             value = past[low, 4 + axis]
             gyro[k, axis] = value + part * (past[high, 4 + axis] - value)
         if k % 2 == 0:
-            if p.fusion != 0:
-                _fuse(f, gyro[k, 0], gyro[k, 1], gyro[k, 2], found)
+            if fusion:
+                rate = (gyro[k, 0], gyro[k, 1], gyro[k, 2])
+                q = _fuse(f, rate, (past[low, 7], past[low, 8], past[low, 9]))
             else:
-                _euler(past[low, 0], past[low, 1], past[low, 2], past[low, 3], found)
+                q = (past[low, 0], past[low, 1], past[low, 2], past[low, 3])
+                q = quaternion.product(q, mount)
+            found[0], found[1], found[2] = quaternion.angles(q)
             # the firmware's degrees, pitch nose up
             for axis in range(2):
                 sign = 1.0 if axis == 0 else -1.0
@@ -280,7 +246,7 @@ def cascade_run(
         yaw = -_rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
         if yaw > 32767.0:
             yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
-        if p.airframe_x != 0:
+        if airframe_x:
             roll, pitch = 0.5 * roll, 0.5 * pitch
             if f.quantised != 0:
                 roll, pitch = math.floor(roll), math.floor(pitch)
@@ -294,16 +260,18 @@ def cascade_run(
             if f.quantised != 0:
                 steps = float(int(steps))
             compare[k, i] = steps
-            volts[i] = steps / 512.0 * supply_mv[k]
-        _step(p, volts, period, y, work)
-        size = 1.0 / math.sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2] + y[3] * y[3])
-        for i in range(4):
-            y[i] *= size
+            duty[i] = steps / 512.0
+        driven = (duty[0], duty[1], duty[2], duty[3])
+        volts = _move(p, driven, supply_mv, k, period, y, work)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def cascade_many(
-    p: Any,
+    craft: Any,
+    sensor: Any,
+    airframe_x: bool,
+    fusion: bool,
+    start: Any,
     rest: Any,
     f: Any,
     axis: int,
@@ -322,7 +290,6 @@ def cascade_many(
     thrust: Any,
     supply_mv: Any,
     period: float,
-    start_rev_s: float,
     peak: Any,
     effort: Any,
     compliance: Any,
@@ -386,7 +353,10 @@ def cascade_many(
         f.rate_kp[axis], f.rate_ki[axis] = gains[m, 0], gains[m, 1]
         f.angle_kp[axis], f.angle_ki[axis] = gains[m, 2], gains[m, 3]
         f.angle_kd[axis] = gains[m, 4]
-        cascade_run(p, f, setpoints, thrust, supply_mv, period, start_rev_s, angles, gyro, compare)
+        cascade_run(
+            craft, sensor, airframe_x, fusion, start, f, setpoints, thrust, supply_mv, period,
+            angles, gyro, compare,
+        )  # fmt: skip
         largest = 0.0
         for k in range(rows):
             y[m, k] = (gyro[k, axis] if axis == 2 else angles[k, axis]) / size

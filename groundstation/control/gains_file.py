@@ -7,29 +7,31 @@ kd = 1.0e4
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from groundstation.control.cascade import require_gains
+from groundstation.control.firmware_loop import require_gains
 from groundstation.control.pid import AXES, PidGains, require_finite
+from groundstation.documents import decode_toml, explained, read_document, seems
 from groundstation.errors import BadInputError
 
 
-def load_gains(path: Path) -> dict[str, PidGains] | dict[str, float]:
+def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
     """Gains by axis (thesis) or by parameter (firmware).
 
     Raises BadInputError naming what is wrong: no file, no TOML, an unknown name, a number that
     no gain can be.
     """
     where = f"gains {path}"
+    content = b""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BadInputError(f"{where}: cannot be read: {error}") from error
+        content = read_document(Path(path))
+        table = decode_toml(content, dict[str, Any])
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{where}: cannot be read: {error}{seems(content)}") from error
     if not table:
         raise BadInputError(f"{where}: holds no gains")
     if any(name in table for name in AXES):
@@ -65,6 +67,6 @@ def _of_axis(value: Any, where: str) -> PidGains:
     try:
         gains = msgspec.convert(value, PidGains, strict=False)
     except msgspec.ValidationError as error:
-        raise BadInputError(f"{where}: {error}") from error
+        raise BadInputError(f"{where}: {explained(error, PidGains)}") from error
     require_finite(gains, where)
     return gains

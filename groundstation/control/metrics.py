@@ -50,7 +50,7 @@ def step_metrics(response: ArrayLike, period_s: float, step: float = 1.0) -> Ste
     y = np.asarray(response, np.float64)
     if y.ndim != 1 or len(y) < 10 or step == 0:
         raise ValueError(f"response {y.shape} to a step of {step}: need 10 samples and a step")
-    from groundstation.control.kernels import BAND, measure
+    from groundstation.control.linear_loop_kernels import BAND, measure
 
     out = np.empty(4)
     measure(np.ascontiguousarray(y / step), period_s, BAND, out)

@@ -1,129 +1,105 @@
-"""The craft as the closed-loop simulations turn it: motors, torques, rotation, sensor delay.
+"""The craft as the closed-loop simulations turn it: that of ``simulate``, with the same effects.
 
-Rotation only: none of the torques of the base model depends on place or velocity, so a 6-DOF
-craft turns exactly like this. Of a model's effects those that act on rotation are taken along;
-``plant_of_model`` says which are not.
+A record of ``dynamics/craft.py``, and what lies between the craft and its controller. It begins
+level, in a hover far from the ground.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
+from groundstation.dynamics.hover import hover_duty, hover_rev_s
+from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.mixer import MIXERS
-from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.dynamics.motor import REVOLUTION
-from groundstation.errors import BadInputError
-from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.sensors import SENSORS, sensors_of_model
+from groundstation.dynamics.simulation import accelerations, with_states
+from groundstation.dynamics.state import RATE, ROTOR, craft_state
 
 Array = NDArray[np.float64]
-
-PLANT = np.dtype(
-    [
-        ("a0", "f8"),
-        ("a1", "f8"),
-        ("a2", "f8"),
-        ("c", "f8", (3,)),  # rad/s^2 per (rev/s)^2 of the mixer (eq. 7.12-7.14)
-        ("mix", "f8", (3, 4)),  # the mixer (eq. 7.19)
-        ("strength", "f8", (4,)),  # thrust and drag of each rotor, 1: as modelled
-        ("coupling", "f8", (3,)),  # of qr, pr, pq (eq. 3.51-3.53), 0: absent
-        ("gyroscopic", "f8", (2,)),  # of q w and p w, w in rev/s
-        ("spin_up", "f8"),  # of dw/dt on yaw
-        ("damping", "f8", (3,)),  # 1/s
-        ("quadratic", "f8", (2,)),  # 1/rad
-        ("offset", "f8", (2,)),  # rad/s^2 per (rev/s)^2 of all rotors (centre of gravity)
-        ("dead_mv", "f8"),
-        ("braking", "f8"),  # factor on negative dn/dt
-        ("delay_s", "f8"),  # of everything that is measured
-        ("lag_s", "f8"),  # first-order lag of the gyro
-        ("airframe_x", "i8"),
-        ("fusion", "i8"),  # 1: angles from the Mahony filter, 0: the true ones
-    ]
-)
+HOVER_REV_S = 230.0
+"""Where a model without a body is flown: it does not say what carries the craft."""
+NUDGE_RATE, NUDGE_SPEED = 1e-3, 1e-2
+"""rad/s and rev/s, of the differences by which a hover is linearised."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """record: ``PLANT``, shape (1,). hover_rev_s: rotor speed that carries the craft.
-    hover_mv: the armature voltage for it. left_out: effects of the model that are not simulated.
+    """craft, sensor: records of shape (1,). hover_rev_s: rotor speed that carries the craft.
+    mixer: (3, 4). fusion: the controller hears the firmware's attitude filter, not the truth.
     """
 
-    record: NDArray[np.void]
+    craft: Crafts
+    sensor: NDArray[np.void]
     hover_rev_s: float
-    hover_mv: float
-    left_out: tuple[str, ...]
+    mixer: Array
+    fusion: bool
 
-    def changed(self, **values: float) -> Plant:
-        """The same with scalar fields of the record replaced."""
-        record = self.record.copy()
-        for name, value in values.items():
-            record[name] = value
-        return Plant(record, self.hover_rev_s, self.hover_mv, self.left_out)
+    @property
+    def start(self) -> Array:
+        """The state that a simulation begins in, (17 + those of effects,)."""
+        state = craft_state((0.0, 0.0, FAR_M), rotor_rev_s=self.hover_rev_s)
+        return np.array(with_states(self.craft, state[None])[0])
+
+    @property
+    def airframe_x(self) -> bool:
+        return bool((self.mixer[0] != 0.0).all())
+
+    def hover_duty(self, supply_mv: ArrayLike) -> Array:
+        """Duty 0..1 (k,), mean of the rotors, that holds the hover at supplies (k,) in mV."""
+        return hover_duty(self.craft, self.hover_rev_s, supply_mv)
+
+    def slopes(self, axis: int) -> tuple[float, float, float]:
+        """Around the hover, of the angular acceleration of an axis: damping in 1/s, by the speed of
+        all rotors moved as the mixer says in (rad/s^2) per rev/s, and by their slope."""
+        moved = np.sign(self.mixer[axis])
+
+        def turn(rate: float, speed: float, slope: float) -> float:
+            state = self.start[None, : RATE.stop + 4].copy()
+            state[0, RATE.start + axis] = rate
+            state[0, ROTOR] += speed * moved
+            found = accelerations(self.craft, state, slope * moved[None])
+            return float(found[0, axis])
+
+        by_rate = (turn(NUDGE_RATE, 0, 0) - turn(-NUDGE_RATE, 0, 0)) / (2 * NUDGE_RATE)
+        by_speed = (turn(0, NUDGE_SPEED, 0) - turn(0, -NUDGE_SPEED, 0)) / (2 * NUDGE_SPEED)
+        return -by_rate, by_speed, 0.5 * (turn(0, 0, 1.0) - turn(0, 0, -1.0))
+
+    def gyro_response(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """What the gyro makes of a rate at s (n,) in 1/s, without the delay."""
+        if not self.craft[0]["sensor_states"]:
+            return np.ones_like(s)
+        from groundstation.dynamics.sensing import gyro_step
+
+        shown = np.empty(round(RESPONSE_S / RESPONSE_STEP_S))
+        gyro_step(self.craft[0], RESPONSE_STEP_S, shown)
+        time = RESPONSE_STEP_S * (np.arange(len(shown)) + 0.5)
+        left = shown[-1] - shown
+        lost = (np.exp(-np.outer(s, time)) @ left) * RESPONSE_STEP_S
+        return np.asarray(shown[-1] - s * lost)
+
+
+RESPONSE_S, RESPONSE_STEP_S = 0.5, 1e-4
+"""Length and step of the sensors' step response."""
 
 
 def plant_of_model(model: Model, fusion: bool = True) -> Plant:
-    """A fitted model with its effects.
+    """A fitted model with all its effects.
 
     fusion: the controller hears the firmware's attitude filter; otherwise the true angles.
 
     Raises BadInputError for a model without a body.
     """
-    if model.body is None:
-        raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
-            " fit a body ('groundstation fit body')"
-        )
-    vehicle, body, motor = model_vehicle(model), model.body, model.motor
-    record = np.zeros(1, PLANT)
-    p = record[0]
-    p["a0"], p["a1"], p["a2"] = motor.a0, motor.a1, motor.a2
-    p["c"] = body.c0, body.c1, body.c2
-    p["mix"] = MIXERS[vehicle.configuration]
-    p["strength"], p["braking"], p["fusion"] = 1.0, 1.0, fusion
-    p["airframe_x"] = vehicle.configuration == "x"
-    ixx, iyy, izz = vehicle.inertia_kg_m2
-    left_out = []
-    for term in model.effects:
-        value = {name: estimate.value for name, estimate in term.parameters.items()}
-        match term.name:
-            case "dead_time":
-                p["delay_s"] += value["delay_s"]
-            case "gyro_low_pass":
-                p["lag_s"] = 1 / (2 * math.pi * value["bandwidth_hz"])
-            case "inertia_coupling":
-                share = value["fraction"]
-                p["coupling"] = (
-                    share * (iyy - izz) / ixx,
-                    share * (izz - ixx) / iyy,
-                    share * (ixx - iyy) / izz,
-                )
-            case "rotor_gyroscopic_torque":
-                momentum = REVOLUTION * value["rotor_inertia_kg_m2"]
-                p["gyroscopic"] = momentum / ixx, momentum / iyy
-            case "rotor_acceleration_torque":
-                p["spin_up"] = REVOLUTION * value["rotor_inertia_kg_m2"] / izz
-            case "rate_damping":
-                p["damping"][:2] = value["damping_n_m_s"] / ixx, value["damping_n_m_s"] / iyy
-            case "quadratic_rate_damping":
-                damping = value["damping_n_m_s2"]
-                p["quadratic"] = damping / ixx, damping / iyy
-            case "yaw_damping":
-                p["damping"][2] = value["damping_n_m_s"] / izz
-            case "centre_of_gravity_offset":
-                thrust = vehicle.mass_kg * body.thrust_per_mass
-                p["offset"] = -value["y_m"] * thrust / ixx, value["x_m"] * thrust / iyy
-            case "rotor_mismatch":
-                p["strength"][round(value["rotor"]) - 1] += value["excess"]
-            case "motor_dead_voltage":
-                p["dead_mv"] = value["voltage_mv"]
-            case "motor_braking_asymmetry":
-                p["braking"] = value["factor"]
-            case "attitude_filter_lean":
-                pass
-            case other:
-                left_out.append(other)
-    hover = math.sqrt(STANDARD_GRAVITY / (4 * body.thrust_per_mass))
-    return Plant(record, hover, motor.armature_mv(hover) + float(p["dead_mv"]), tuple(left_out))
+    craft, mixer = craft_of_model(model), MIXERS[model_vehicle(model).configuration]
+    return Plant(craft, sensors_of_model(model), hover_rev_s(craft), mixer, fusion)
+
+
+def motors_of_model(model: Model) -> Plant:
+    """The motors of a model without a body."""
+    craft = craft_of_motors(rotor_motors(model), {})
+    mixer = MIXERS[model_vehicle(model).configuration]
+    return Plant(craft, np.zeros(1, SENSORS), HOVER_REV_S, mixer, False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.control.pid import AXES
-from groundstation.dynamics.model import BodyConstants, Estimate, Model
+from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 
@@ -152,7 +152,7 @@ def moved(model: Model, differences: dict[str, float]) -> Model:
             parameters[name] = Estimate(value, estimate.stderr, estimate.unit)
         effects.append(msgspec.structs.replace(term, parameters=parameters))
     return msgspec.structs.replace(
-        model, motor=MotorConstants(**motor), body=body, effects=tuple(effects)
+        with_motor(model, MotorConstants(**motor)), body=body, effects=tuple(effects)
     )
 
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.control.flown import Flown
-from groundstation.control.flown_recording import analyse_recording
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import UNITS
+from groundstation.control.step_analysis import Flown
+from groundstation.control.step_recording import analyse_recording
 from groundstation.demo.outcome import Distance, channels, flight, flights_apart, watched
-from groundstation.discrepancy.findings import CHANNELS
-from groundstation.discrepancy.gap import UNITS
 from groundstation.discrepancy.report_figures import label
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.dynamics.model import load_model
-from groundstation.identification.evidence import liveliest
-from groundstation.identification.motor import bench_run, simulate_run
+from groundstation.identification.fit_record import liveliest
+from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.identification.runs import hold_out
 from groundstation.recording.open_recording import open_recording
 from groundstation.report.figure import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES, figure

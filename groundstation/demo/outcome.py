@@ -12,10 +12,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.comparison.gap import PER_SI
 from groundstation.demo.story import CRAFT_FILE, FLIGHT_S, PID_FLIGHTS, SEALED, Told, only
-from groundstation.discrepancy.gap import PER_SI
 from groundstation.discrepancy.report_json import DiscrepancyReport
-from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.runs import Run, runs_of
 from groundstation.recording.open_recording import open_recording
 

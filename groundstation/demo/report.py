@@ -20,7 +20,7 @@ from groundstation.demo.outcome import Outcome, said_found, said_hidden, watched
 from groundstation.demo.shell import LOG, SCRIPT
 from groundstation.demo.story import CRAFT_FILE, FLIGHT, SEALED
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
-from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.report.page import Page
 
 REPORT = "report.html"

@@ -7,7 +7,6 @@ import os
 import resource
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -183,6 +182,11 @@ class Shell:
             raise GroundStationError(f"{self.folder / word}: no such file")
         return found
 
+    def remark(self, text: str) -> None:
+        """Say something beside the commands, and keep it in the script."""
+        self._say(f"# {text}")
+        self._note(f"# {text}")
+
     def _tell(self, line: str) -> int:
         """Show and log a command; where in the log its own words begin."""
         self._say(f"$ {line}")
@@ -201,9 +205,9 @@ class Shell:
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """Ask a program to end, as Ctrl-C would; its status."""
+    """Ask a program to end; its status."""
     if process.poll() is None:
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         try:
             process.wait(END_S)
         except BaseException as error:  # a second Ctrl-C, too

@@ -140,6 +140,7 @@ def _controller_flies(shell: Shell, seed: int) -> None:
             if "flight aborted" not in str(error):
                 raise
             why = str(error).partition("flight aborted: ")[2].partition(";")[0]
+            shell.remark(f"flown again, for the first flight was aborted: {why}")
     else:
         raise SkippedError(
             f"not flown to the end, twice ({why}); try again when the machine is less busy"

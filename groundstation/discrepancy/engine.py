@@ -1,45 +1,53 @@
-"""Find what a model is missing: the entry of the search."""
+"""Find what a model is missing: ``find_discrepancy`` is the entry, ``Search`` the procedure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import Comparison, compare
+from groundstation.comparison.consistency import broken_rotor_sensors, require_consistent
+from groundstation.comparison.refusals import require_channels
+from groundstation.comparison.stretches import Marked, within
+from groundstation.discrepancy.acceptance import Stage, Trial, refusal
+from groundstation.discrepancy.base_constants import base_changes
+from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
-    CHANNELS,
     Alternative,
     Candidate,
     ChannelResidual,
     Findings,
     FoundEffect,
-    Leftover,
     NotShown,
     Verdict,
 )
-from groundstation.discrepancy.flight import Flight, prepare
-from groundstation.discrepancy.judge import negligible
-from groundstation.discrepancy.leftover import leftover
-from groundstation.discrepancy.own_candidates import OwnEffect, joined, own_terms
-from groundstation.discrepancy.physics import spin_rotors
-from groundstation.discrepancy.problem import BASE_KEYS, Fit, Problem, bounded
-from groundstation.discrepancy.search import Accepted, Outcome, Scored, search
-from groundstation.discrepancy.unknowns import (
+from groundstation.discrepancy.prediction_gate import Predicted
+from groundstation.discrepancy.proof import HeldOut, Proof, prove
+from groundstation.discrepancy.screening import Scored
+from groundstation.discrepancy.search import Accepted, Outcome, Search
+from groundstation.dynamics.model import Estimate, Model, model_vehicle
+from groundstation.dynamics.registry import EFFECTS
+from groundstation.errors import BadInputError
+from groundstation.identification.flight import Flight, prepare
+from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
-    LOW_PASS,
+    MOTOR_KEYS,
+    RENAMES,
     VARIANTS,
+    Point,
     Variant,
     absent,
     estimates_of,
+    joined,
     model_of,
-    own_variant,
+    own_of,
     point_of,
 )
-from groundstation.dynamics.effects.catalogue import EFFECTS
-from groundstation.dynamics.model import Estimate, Model
-from groundstation.errors import BadInputError
-from groundstation.identification.estimate import inverse
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run, hold_out
 
 Array = NDArray[np.float64]
@@ -47,49 +55,96 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
 
 AXES = ("roll", "pitch", "yaw")
+MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
-OTHER_CRAFT, OTHER_ROTORS_DEG = 1.4, 25.0
-"""c0 and c1 so far from the profile's (in the logarithm), or axes turned so far, are another
-craft's."""
-DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
-"""An effect that explains less than this share of the structure that is left in the channels it
-touches, or in all of them, is not believed."""
-USUAL: dict[str, float] = {
-    LOW_PASS: 1 / (2 * np.pi * 30.0),
-    "motor_braking_asymmetry.factor": 0.4,
-    **{f"rotor_mismatch.{i}": 0.05 for i in (1, 2, 3, 4)},
-    **{f"centre_of_gravity_offset.{a}_m": 5e-4 for a in "xy"},
-    **{f"gyro_bias.{a}_dps": 1.0 for a in "xyz"},
-    **{f"accelerometer_bias.{a}_g": 0.03 for a in "xyz"},
-    **{f"imu_misalignment.{a}_deg": 2.0 for a in ("roll", "pitch", "yaw")},
-    **{f"imu_lever_arm.{a}_m": 0.003 for a in "xyz"},
-}
-"""Sizes worth finding where the catalogue's default is not one."""
-NEEDS_ACCELEROMETER = (
-    "accelerometer_bias",
-    "rotor_drag",
-    "velocity_moment",
-    "climb_inflow",
-    "imu_lever_arm",
-    "ground_effect",
-    "attitude_filter_lean",
-)
-NEEDS_ATTITUDE = (
-    "gyro_bias",
-    "attitude_filter_lean",
-    "rotor_drag",
-    "velocity_moment",
-    "climb_inflow",
-)
-NEEDS_MODELLED_ROTORS = (
-    "motor_dead_voltage",
-    "motor_braking_asymmetry",
-    "supply_sag",
-    "battery_reading_lag",
-)
+
+
+@dataclass(frozen=True, slots=True)
+class Discrepancy:
+    """What a model is missing, with the proof.
+
+    held_out: which rows no fit saw, in words; empty where whole recordings were given for it.
+    stretches: those that were asked for, with the given and the improved model on their recordings.
+    """
+
+    findings: Findings
+    proof: Proof
+    held_out: str = ""
+    stretches: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
+
+
+def find_discrepancy(
+    recordings: Sequence[Sequence[Run]],
+    model: Model,
+    validation: Sequence[Sequence[Run]] = (),
+    *,
+    own: Sequence[Variant] = (),
+    asked: Sequence[Marked] = (),
+    progress: Progress | None = None,
+) -> Discrepancy:
+    """Find, name and add what ``model`` is missing, and prove it on rows that no fit saw.
+
+    recordings: the runs of each (``recordings.flights_of``). validation: recordings that no fit
+    sees; none: a third of each of the others. own: effects of the user's own as further candidates.
+    asked: stretches to look at.
+
+    Raises BadInputError where there is no gyro, PWM or battery voltage, no flight, no motion, or
+    where the model is of another craft.
+    """
+    report: Progress = progress or (lambda what, share: None)
+    report("comparing", 0.05)
+    (recordings, validation), broken = _without_broken_sensors((recordings, validation), model)
+    parts = divide(recordings, validation, model_vehicle(model).configuration)
+    train = compare(parts.fit_on, model)
+    judged = HeldOut(compare(parts.judged, model, train.black_box))
+    names = {one.recording for one in asked}
+    runs = [run for part in (*recordings, *validation) for run in part if run.name in names]
+    given = compare(runs, model, train.black_box) if runs else None
+    if given is not None:
+        for one in asked:
+            within(given, one)  # says, before anything is searched, where nothing of it flew
+    require_channels(parts.held_out)
+    findings = find_effects(
+        parts.fit_on,
+        model,
+        parts.held_out,
+        judged=judged,
+        own=own,
+        progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
+    )
+    report("proving it on held-out rows", 0.8)
+    findings = replace(findings, warnings=(*broken, *findings.warnings))
+    findings, proof = prove(findings, train, judged)
+    looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
+    if given is not None:
+        better = given.with_model(findings.model)
+        looked = tuple((one, given, better) for one in asked)
+    return Discrepancy(findings, proof, parts.what, looked)
+
+
+def _without_broken_sensors(
+    groups: Sequence[Sequence[Sequence[Run]]], model: Model
+) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without rotor speeds that do not follow PWM and voltage, and what was left out."""
+    warnings: dict[str, str] = {}
+
+    def mended(run: Run) -> Run:
+        broken = broken_rotor_sensors(run, model)
+        if not broken:
+            return run
+        motors = " and ".join(f"M{rotor + 1}" for rotor in broken)
+        warnings[run.name] = (
+            f"{run.name}: the measured speed of {motors} does not follow its PWM and voltage (a"
+            " dead sensor, or its column is another motor's): rotor speeds are taken from the motor"
+            " model"
+        )
+        return replace(run, rotor_rev_s=np.full_like(run.rotor_rev_s, np.nan))
+
+    mended_groups = [[[mended(run) for run in part] for part in group] for group in groups]
+    return mended_groups, list(warnings.values())
 
 
 def find_effects(
@@ -97,15 +152,16 @@ def find_effects(
     model: Model,
     validation: Sequence[Run] | None = None,
     *,
-    own: Sequence[OwnEffect] = (),
-    seed: int = 0,
+    judged: HeldOut | None = None,
+    own: Sequence[Variant] = (),
     progress: Progress | None = None,
 ) -> Findings:
     """Find, name and fit the effects that ``model`` is missing in ``flights``.
 
     flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
-    validation: rows that no fit sees; None: the last third of the flights. own: effects of the
-    user's own as further candidates. seed: kept for what is drawn; nothing in the search is.
+    validation: rows that no fit sees; None: the last third of the flights. judged: the given model
+    on these rows; what makes its predictions worse is taken back. own: effects of the user's own as
+    further candidates.
 
     Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
     craft.
@@ -115,99 +171,66 @@ def find_effects(
         flights, validation = hold_out(flights)
     report("preparing the flights", 0.0)
     fit_on, held = prepare(flights), prepare(validation)
+    if judged is None:  # or else the comparison has asked
+        require_consistent([*flights, *validation], model)
     start = point_of(model)
-    theirs, _ = own_terms(model)
+    theirs = own_of(model)
     every_own = joined(theirs, own)
     problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
     lost = _lost([*fit_on, *held])
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
-    known += [own_variant(one) for one in theirs]
+    known += theirs
     there = {v.effect for v in known}
-    candidates = [*VARIANTS, *map(own_variant, every_own)]
-    candidates = [v for v in candidates if v.effect not in lost and v.effect not in there]
-    outcome = search(problem, held, known, candidates, report)
+    candidates = [*VARIANTS, *every_own]
+    candidates = [v for v in candidates if v.effect not in {*lost, *there} and v not in RENAMES]
+    search = Search(problem, held, known, candidates, report)
+    if judged is not None:
+        given = tuple(key for variant in known for key in variant.keys)
+        tried = [*candidates, *(one for one in RENAMES if one not in known)]
+
+        def judge(point: Point) -> Predicted:
+            keys = (*given, *(key for one in tried for key in one.keys if key in point))
+            return judged.judge(model_of(point, {}, keys, model, every_own))
+
+        search.judge = judge
+    outcome = search.run()
     warnings = _require_told(outcome, problem)
-    report("judging what is left", 0.95)
-    residual = _what_is_left(outcome, problem, held, known)
-    return _findings(outcome, problem, held, model, known, lost, residual, warnings)
-
-
-def _what_is_left(
-    outcome: Outcome, problem: Problem, held: Sequence[Flight], known: Sequence[Variant]
-) -> Leftover:
-    """Judge the residual; effects that are small beside an unexplained structure are taken back.
-
-    A pendulum under the craft, say, also looks a little like a lever arm: a name for a hundredth
-    of what is wrong is no explanation.
-    """
-    vehicle = problem.frame.vehicle
-    while True:
-        final = outcome.final
-        speeds = [spin_rotors(f, final.point, vehicle).end[f.rows].mean() for f in problem.flights]
-        residual, slow = leftover(problem, final, held, float(np.mean(speeds)))
-        drowned = [one for one in outcome.accepted if _drowned(one, slow)]
-        if not drowned:
-            return residual
-        for one in drowned:
-            outcome.accepted.remove(one)
-            outcome.reasons[one.variant.label] = "small beside a structure that nothing explains"
-        gone = {key for one in drowned for key in one.variant.keys}
-        point = {key: number for key, number in final.point.items() if key not in gone}
-        outcome.final = problem.fit(point, [key for key in final.keys if key not in gone])
-
-
-def _drowned(one: Accepted, slow: dict[int, float]) -> bool:
-    touched = sum(slow.get(channel, 0.0) for channel in one.evidence.channels)
-    return one.evidence.drop < max(DROWNED * touched, DROWNED_ANYWHERE * sum(slow.values()))
+    return _findings(outcome, problem, held, model, known, lost, warnings)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:
     """Effects that no recording can show for want of a channel."""
-    lost: dict[str, str] = {}
-    if not any(f.has_accelerometer for f in flights):
-        lost |= dict.fromkeys(NEEDS_ACCELEROMETER, "accelerometer")
-    if not any(f.attitude is not None for f in flights):
-        lost |= dict.fromkeys(NEEDS_ATTITUDE, "attitude")
-    if all(f.rotor_measured for f in flights):
-        lost |= dict.fromkeys(
-            NEEDS_MODELLED_ROTORS, "rotor speeds are measured: the motors' part is in them"
-        )
-    return lost
+    there = {
+        "accelerometer": any(f.has_accelerometer for f in flights),
+        "attitude": any(f.attitude is not None for f in flights),
+        "modelled rotors": not all(f.rotor_measured for f in flights),
+    }
+    missing = [name for name, is_there in there.items() if not is_there]
+    return {
+        effect.name: MEASURED_ROTORS if name == "modelled rotors" else name
+        for name in missing
+        for effect in EFFECTS.values()
+        if name in effect.needs
+    }
 
 
 def _require_told(outcome: Outcome, problem: Problem) -> list[str]:
-    """Refuse recordings without motion, and a model of another craft; what is only weak is
-    returned as warnings."""
+    """Refuse recordings without motion; what is only weak is returned as warnings."""
     names = ", ".join(sorted({f.run.name for f in problem.flights}))
-    total, linear = outcome.first_quadratic, outcome.first_linear
-    at = linear.place(BASE_KEYS)
-    errors = np.sqrt(np.diag(inverse(total.normal[np.ix_(at, at)])))
+    first = outcome.first
+    errors = np.sqrt(np.diag(first.covariance(BASE_KEYS)))
     still = [
         axis
         for axis, key in zip(AXES, BODY_KEYS[:3], strict=True)
-        if errors[BASE_KEYS.index(key)] > HARDLY_MOVED * abs(linear.point[key])
+        if errors[BASE_KEYS.index(key)] > HARDLY_MOVED * abs(first.point[key])
     ]
     if len(still) == len(AXES):
         raise BadInputError(
             f"{names}: the craft hardly moved about any axis; these recordings cannot show what"
             " the model is missing: fly doublets or random steps about every axis"
         )
-    # A fit of every effect at once: one alone may bend the constants to imitate another.
-    moved = bounded(linear.point, linear.keys, inverse(total.normal) @ total.gradient)
-    usual = problem.frame.vehicle.body_constants
-    ratios = {k: moved[k] / c for k, c in zip(BODY_KEYS[:2], usual[:2], strict=True)}
-    turned = abs(moved["imu_misalignment.yaw_deg"])
-    if all(abs(np.log(max(r, 1e-3))) > OTHER_CRAFT for r in ratios.values()):
-        words = ", ".join(f"{key} is {r:.2f} of the profile's" for key, r in ratios.items())
-    elif turned > OTHER_ROTORS_DEG:
-        words = f"roll and pitch are {turned:.0f} deg away from where its rotors would be"
-    else:
-        return [f"{axis} hardly moved: what acts on it cannot be told" for axis in still]
-    raise BadInputError(
-        f"{names}: the model does not belong to this craft ({words}); give the model that was"
-        f" fitted for it, and the right --vehicle (now {problem.frame.vehicle.name})"
-    )
+    return [f"{axis} hardly moved: what acts on it cannot be told" for axis in still]
 
 
 def _findings(
@@ -217,16 +240,18 @@ def _findings(
     model: Model,
     known: Sequence[Variant],
     lost: dict[str, str],
-    residual: Leftover,
     warnings: list[str],
 ) -> Findings:
-    final, errors = outcome.final, outcome.final.stderr()
-    keys = tuple(key for v in known for key in v.keys)
+    final, errors, residual = outcome.final, outcome.errors, outcome.residual
+    keys = given = tuple(key for v in known for key in v.keys)
     effects: list[FoundEffect] = []
     for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
-        if not negligible(one.variant, final.point):
-            effects.append(_effect(one, len(effects) + 1, final, keys, model, problem.frame.own))
+        why = refusal(Stage.NAMED, Trial(one.variant, final))
+        if why is not None:
+            outcome.refused[one.variant.label] = why
+        else:
+            effects.append(_effect(one, len(effects) + 1, outcome, keys, model, problem.frame.own))
     if not problem.known_motor:
         warnings.append(
             "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
@@ -237,13 +262,23 @@ def _findings(
         verdict = Verdict.UNEXPLAINED
     elif not effects:
         verdict = Verdict.NO_DISCREPANCY
+    changed = dict(final.point)
+    for one in outcome.accepted:
+        rename = one.variant.definition.renames
+        if rename is not None:
+            size = final.point[one.variant.sizes[0]]
+            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
     return Findings(
         verdict=verdict,
         effects=tuple(effects),
         base=model,
+        moved=model_of(final.point, errors, given, model, problem.frame.own),
+        base_changes=base_changes(
+            problem.start, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
+        ),
         model=model_of(final.point, errors, keys, model, problem.frame.own),
-        candidates=_candidates(outcome, {effect.name for effect in effects}),
-        not_shown=tuple(_not_shown(outcome.first)),
+        candidates=_candidates(outcome),
+        not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
         lost=lost,
         channels=_channels(problem, outcome, held),
         residual=residual,
@@ -254,16 +289,17 @@ def _findings(
 def _effect(
     one: Accepted,
     order: int,
-    final: Fit,
+    outcome: Outcome,
     keys: tuple[str, ...],
     model: Model,
-    own: Sequence[OwnEffect],
+    own: Sequence[Variant],
 ) -> FoundEffect:
     name, evidence = one.variant.effect, one.evidence
+    point, errors = outcome.final.point, outcome.errors
     return FoundEffect(
         name=name,
         order=order,
-        parameters=estimates_of(one.variant, final.point, final.stderr()),
+        parameters=estimates_of(one.variant, point, errors),
         evidence={
             "likelihood_ratio": evidence.drop,
             "t": evidence.t,
@@ -271,21 +307,21 @@ def _effect(
             "held_out_expected": evidence.expected,
             "axes": evidence.spread(1)[0],
             "recordings": evidence.spread(0)[0],
+            "whitened_before": evidence.gap[0],
+            "whitened_after": evidence.gap[1],
         },
         alternatives=tuple(
             Alternative(other, margin, _manoeuvre(name, other, own)) for other, margin in one.rivals
         ),
-        gap_before=one.gap[0],
-        gap_after=one.gap[1],
         channels=tuple(CHANNELS[c] for c in evidence.channels),
         adds=one.variant.definition.adds,
-        model=model_of(one.fit.point, one.fit.stderr(), keys, model, own),
+        model=model_of(point, errors, keys, model, own),
     )
 
 
-def _manoeuvre(name: str, other: str, own: Sequence[OwnEffect]) -> str:
+def _manoeuvre(name: str, other: str, own: Sequence[Variant]) -> str:
     """What separates two effects, from the catalogue, whichever of the two knows it."""
-    effects = {**EFFECTS, **{one.effect.name: one.effect for one in own}}
+    effects = {**EFFECTS, **{one.effect: one.definition for one in own}}
     for one, two in ((name, other), (other, name)):
         for confusion in effects[one].confused_with:
             if confusion.other == two:
@@ -293,49 +329,35 @@ def _manoeuvre(name: str, other: str, own: Sequence[OwnEffect]) -> str:
     return effects[other].excited_by
 
 
-def _candidates(outcome: Outcome, named: set[str]) -> tuple[Candidate, ...]:
-    fitted = {one.variant.label: one.variant.effect for one in outcome.accepted}
-    accepted = {label for label, effect in fitted.items() if effect in named}
+def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
+    fitted = {one.variant.label for one in outcome.accepted}
     found = []
-    for one in outcome.first:
+    for one in outcome.scores:
         label = one.variant.label
         parameters = {
             key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
-            for key, size, error in zip(one.variant.keys, one.values, one.errors, strict=False)
+            for key, size, error in zip(one.variant.sizes, one.values, one.errors, strict=True)
         }
-        reason = "" if label in accepted else outcome.reasons.get(label, "")
-        if label in fitted and label not in accepted:
-            reason = "within the rounding of the firmware's own bias: fitted, not an effect"
-        found.append(
-            Candidate(
-                label,
-                parameters,
-                one.drop,
-                one.t,
-                outcome.held_out.get(label, 0.0),
-                label in accepted,
-                reason,
-            )
-        )
+        why = outcome.refused.get(label)
+        held_out = outcome.held_out.get(label, 0.0)
+        accepted = label in fitted and why is None
+        found.append(Candidate(label, parameters, one.drop, one.t, held_out, accepted, why))
     return tuple(found)
 
 
-def _not_shown(scores: Sequence[Scored]) -> list[NotShown]:
-    """Effects whose usual size would be lost in the noise of these recordings."""
+def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown]:
+    """Effects whose usual size would be lost in the noise of these recordings; no named ones."""
     found = []
     for one in scores:
+        if one.variant.effect in named:
+            continue
         effect = one.variant.definition
-        for key, error in zip(one.variant.keys, one.errors.tolist(), strict=False):
-            name = key.partition(".")[2]
-            usual = USUAL.get(key)
-            if usual is None:
-                usual = effect.parameter(name).default
-            if SHOWN * error > usual:
-                units = {p.name: p.unit for p in effect.parameters}
+        sizes = (unknown for unknown in one.variant.unknowns if unknown.parameter.kind == "size")
+        for unknown, error in zip(sizes, one.errors.tolist(), strict=True):
+            if SHOWN * error > unknown.worth:
+                name, unit = unknown.key.partition(".")[2], unknown.unit
                 found.append(
-                    NotShown(
-                        effect.name, name, error, usual, units.get(name, ""), effect.excited_by
-                    )
+                    NotShown(effect.name, name, error, unknown.worth, unit, effect.excited_by)
                 )
     return found
 
@@ -358,8 +380,8 @@ def _channels(
 
 def _saturated(problem: Problem, outcome: Outcome, rows: Sequence[Flight]) -> dict[int, float]:
     """Whitened power of each channel with every effect at once, as fitted to the fitted rows."""
-    change = inverse(outcome.quadratic.normal) @ outcome.quadratic.gradient
-    linear = problem.linear(outcome.linear.point, problem.every_key, rows)
+    change = outcome.last.best()
+    linear = problem.linear(outcome.last.point, problem.every_key, rows)
     power: dict[int, float] = {}
     for s in linear.spectra:
         left = s.residual - change[s.place] @ s.columns

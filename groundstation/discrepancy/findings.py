@@ -1,29 +1,16 @@
 """What a search for missing effects found: the dataclasses that reports and commands read.
 
-``find_effects(flights, model, validation=None, *, seed=0, progress=None) -> Findings`` in
-``engine.py`` makes it; flights and validation are runs as ``recordings.flights_of`` gives them,
-progress is called with what is being done and the share done. Everything in it is plain numbers
-in the units of the model file, so that a report needs no knowledge of how it was found.
+``find_discrepancy`` in ``engine.py`` makes it. Everything in it is plain numbers in the units of
+the model file, so that a report needs no knowledge of how it was found.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from groundstation.dynamics.model import Estimate, Model
-
-CHANNELS = (
-    "gyro_x",
-    "gyro_y",
-    "gyro_z",
-    "accelerometer_x",
-    "accelerometer_y",
-    "accelerometer_z",
-    "roll",
-    "pitch",
-    "yaw",
-)
 
 
 class Verdict(StrEnum):
@@ -35,6 +22,45 @@ class Verdict(StrEnum):
     """Nothing is left to explain that these recordings could show."""
     UNEXPLAINED = "unexplained"
     """Residuals are structured and no known effect fits them."""
+
+
+class Reason(StrEnum):
+    """Why a candidate is not named; the gate that refused it (``acceptance.py``)."""
+
+    WEAK = "weak"
+    """Nothing significant is left for it."""
+    WRONG_SIGN = "wrong_sign"
+    """It fits only with a sign that physics does not allow."""
+    EXPLAINS_LESS = "explains_less"
+    """Another candidate explains the same better."""
+    IMPLAUSIBLE = "implausible"
+    """No small craft has it in that size."""
+    INSIGNIFICANT = "insignificant"
+    """Chance can do it."""
+    NOT_HELD_OUT = "not_held_out"
+    """Rows that no fit has seen are not predicted better."""
+    TRIED_BEFORE = "tried_before"
+    """The same set of effects has been accepted before."""
+    SUPERFLUOUS = "superfluous"
+    """It joined, and is not needed since others have."""
+    CHANNELS_DISAGREE = "channels_disagree"
+    """It joined, and channels tell different sizes in the end."""
+    RECORDINGS_DISAGREE = "recordings_disagree"
+    """It joined, and recordings tell different sizes in the end."""
+    DROWNED = "drowned"
+    """It is small beside a structure that nothing explains."""
+    PREDICTS_WORSE = "predicts_worse"
+    """With it a held-out channel is predicted worse, 20 and 50 ms ahead, than without."""
+    NEGLIGIBLE = "negligible"
+    """It is fitted along, and too small to be called an effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A reason for programs, and the same in words with its numbers."""
+
+    reason: Reason
+    words: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +83,11 @@ class FoundEffect:
     order: 1 for the first one accepted. parameters: by name, in the model file's units, from
     the last joint fit. evidence: ``likelihood_ratio`` (drop of -2 log L when it joined), ``t``
     (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on the validation
-    rows), ``axes`` and ``recordings`` (standard deviations by which parts disagree).
-    gap_before, gap_after: RMS of the whitened one-step residual on held-out rows over the
-    channels the effect touches, 1.0 being noise, before and after it joined. model: as it was
-    when this effect had joined. adds: its law in words.
+    rows), ``axes`` and ``recordings`` (standard deviations by which parts disagree),
+    ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual on held-out
+    rows over the channels the effect touches, 1.0 being noise, before and after it joined.
+    model: final constants, with the effects up to this one. adds: its law in words. gap_before,
+    gap_after: the gap of predictions over all channels, as in the report; NaN until it is proven.
     """
 
     name: str
@@ -68,11 +95,11 @@ class FoundEffect:
     parameters: dict[str, Estimate]
     evidence: dict[str, float]
     alternatives: tuple[Alternative, ...]
-    gap_before: float
-    gap_after: float
     channels: tuple[str, ...]
     model: Model
     adds: str = ""
+    gap_before: float = math.nan
+    gap_after: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +108,7 @@ class Candidate:
 
     score: drop of -2 log L when it alone joins the base (screening). t: its largest
     parameter over its standard error. held_out: drop of -2 log L on held-out rows in
-    the last round it took part in. reason: why it was refused, empty where accepted.
+    the last round it took part in. refused: why it is not named, None where it is.
     """
 
     name: str
@@ -90,7 +117,7 @@ class Candidate:
     t: float
     held_out: float
     accepted: bool
-    reason: str
+    refused: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +150,20 @@ class ChannelResidual:
 
 
 @dataclass(frozen=True, slots=True)
+class BaseChange:
+    """A constant of the given model that the search changed: name and unit as in the model file.
+
+    stderr: of the new value. percent: of the given one, None where that is zero.
+    """
+
+    name: str
+    given: float
+    value: float
+    stderr: float | None
+    percent: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class Leftover:
     """What is left after the last accepted effect.
 
@@ -142,15 +183,19 @@ class Leftover:
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. base: the model as it was given. model: base and effects fitted
-    jointly. candidates: every effect, strongest first. not_shown: excitation check. lost: effect
-    name -> the channel that is missing to show it. channels: by channel name. warnings: in words.
+    effects: accepted, in order. base: the model as it was given. base_changes: constants of it
+    that moved; those that these data cannot improve have not. moved: the given model with these
+    changes alone. model: moved constants and effects, fitted jointly. candidates: every effect,
+    strongest first. not_shown: excitation check. lost: effect name -> the channel that is missing
+    to show it. channels: by channel name. warnings: in words.
     """
 
     verdict: Verdict
     effects: tuple[FoundEffect, ...]
     base: Model
+    moved: Model
     model: Model
+    base_changes: tuple[BaseChange, ...]
     candidates: tuple[Candidate, ...]
     not_shown: tuple[NotShown, ...]
     lost: dict[str, str]

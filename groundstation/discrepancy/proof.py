@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from groundstation.discrepancy.comparison import Comparison, Judged, compare
-from groundstation.discrepancy.findings import Findings
-from groundstation.identification.runs import Run, hold_out
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.gap import AheadErrors
+from groundstation.discrepancy.findings import Findings, Verdict
+from groundstation.discrepancy.prediction_gate import Predicted
+from groundstation.dynamics.model import Model
+from groundstation.identification.recordings import filled
+
+Array = NDArray[np.float64]
+
+GIVEN, BASE = "given model", "base constants"
+"""Names of the first steps of a proof."""
+BLOCK_S = 1.0
+"""Errors of neighbouring rows share their rows; those of seconds apart do not."""
+WORSE_T, WORSE_SHARE = 1.0, 0.02
+"""A channel is predicted worse where the mean squared error grows by so many standard errors,
+from the spread of blocks, and the RMS by this share: a doubt counts against what was found, and
+what does not change a prediction is no doubt."""
+LEAST_BLOCKS = 3
+LEFT = 1.1
+"""A channel's gap from which something is left in it: what noise floors are off by (docs)."""
+BANDS_HZ = (0.0, 0.5, 2.0, 8.0, 30.0, 1000.0)
+"""Trim and drift, translation, attitude control, rotors and filters, vibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
     """The given and the improved model, on the rows they were fitted to and on others.
 
-    steps: (what joined, the gap on held-out rows with it): the given model, then each
-    effect in order.
+    steps: (what changed, the gap on held-out rows with it): the given model, the base constants
+    that the refit moved, if it moved any, then each effect in order.
     """
 
     train_before: Comparison
@@ -25,42 +48,124 @@ class Proof:
     steps: tuple[tuple[str, float], ...]
 
 
-def divide(
-    flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]]
-) -> tuple[list[Run], list[Run], list[Judged]]:
-    """(to fit on, held out, the same as parts of whole runs): what is held, or else the last third
-    of each recording."""
-    if held:
-        rest = [run for part in held for run in part]
-        fit_on = [run for part in flights for run in part]
-        return fit_on, rest, [Judged(run, 0, len(run)) for run in rest]
-    fit_on, rest, judged = [], [], []
-    for part in flights:
-        first, last = hold_out(part)
-        fit_on += first
-        rest += last
-        for piece in last:
-            whole = max((run for run in part if run.start_s <= piece.start_s), key=_start)
-            row = round((piece.start_s - whole.start_s) / whole.period_s)
-            judged.append(Judged(whole, row, row + len(piece)))
-    return fit_on, rest, judged
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What the improved model leaves in a channel, 50 ms ahead: gap, the band (Hz) in which most of
+    it lies, and that band's share of all that is beyond noise."""
+
+    channel: str
+    gap: float
+    band_hz: tuple[float, float]
+    share: float
 
 
-def _start(run: Run) -> float:
-    return run.start_s
+class HeldOut:
+    """The given model on rows that no fit saw, and others beside it, each predicted once."""
+
+    def __init__(self, before: Comparison) -> None:
+        self.before = before
+        self._known = {_numbers(before.model): before}
+
+    def of(self, model: Model) -> Comparison:
+        """Another model on the same rows."""
+        key = _numbers(model)
+        if key not in self._known:
+            self._known[key] = self.before.with_model(model)
+        return self._known[key]
+
+    def judge(self, model: Model) -> Predicted:
+        """The gap of another model, and the channels on which it is worse than the given one."""
+        after = self.of(model)
+        return Predicted(after.beside(self.before), _worse(self.before, after))
 
 
-def prove(findings: Findings, train: Comparison, judge_on: Sequence[Judged]) -> Proof:
-    """Judge the model given, and each step to the improved one.
+def _numbers(model: Model) -> bytes:
+    """All that a prediction depends on."""
+    effects = sorted(
+        (term.name, sorted((key, one.value) for key, one in term.parameters.items()))
+        for term in model.effects
+    )
+    return msgspec.json.encode((model.motor, model.motors, model.body, effects))
 
-    train: the model given on the rows that were fitted; the noise floor is learnt on them, and
-    is the same before and after.
+
+def prove(findings: Findings, train: Comparison, held: HeldOut) -> tuple[Findings, Proof]:
+    """Judge each step from the given model to the improved one; the findings with these gaps.
+
+    train: the model given on the rows that were fitted; the noise floor is learnt on them, and is
+    the same before and after.
     """
-    before = compare(judge_on, train.model, train.black_box)
-    after = before.with_model(findings.model)
-    steps = [("given model", before.gap)]
-    for number, found in enumerate(findings.effects, 1):
-        last = number == len(findings.effects)
-        joined = after if last else before.with_model(found.model)
-        steps.append((found.name, joined.beside(before)))
-    return Proof(train, train.with_model(findings.model), before, after, tuple(steps))
+    before, after = held.before, held.of(findings.model)
+    steps = [(GIVEN, before.gap)]
+    if findings.base_changes:
+        steps.append((BASE, held.of(findings.moved).beside(before)))
+    effects = []
+    for found in findings.effects:
+        gap = held.of(found.model).beside(before)
+        effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
+        steps.append((found.name, gap))
+    proof = Proof(train, train.with_model(findings.model), before, after, tuple(steps))
+    verdict = findings.verdict
+    if verdict is Verdict.NO_DISCREPANCY and steps[-1][1] > LEFT:
+        verdict = Verdict.UNEXPLAINED
+    return replace(findings, effects=tuple(effects), verdict=verdict), proof
+
+
+def _worse(before: Comparison, after: Comparison) -> dict[int, float]:
+    """Channels that are predicted worse: number -> by how many standard errors."""
+    growth = after.rms > (1.0 + WORSE_SHARE) * before.rms
+    blocks = np.concatenate(
+        [_block_sums(one, other) for one, other in zip(before.errors, after.errors, strict=True)]
+    )
+    found = {}
+    for channel in np.flatnonzero(growth).tolist():
+        sums = blocks[np.isfinite(blocks[:, channel]), channel]
+        if len(sums) < LEAST_BLOCKS:
+            continue
+        t = float(sums.mean() / max(sums.std(ddof=1) / np.sqrt(len(sums)), 1e-300))
+        if t > WORSE_T:
+            found[channel] = t
+    return found
+
+
+def what_is_left(after: Comparison) -> list[Left]:
+    """Channels whose errors are clearly beyond noise, the worst first."""
+    found = []
+    ratio = after.rms / after.noise_floor
+    for channel in np.flatnonzero(ratio > LEFT).tolist():
+        beyond = np.zeros(len(BANDS_HZ) - 1)
+        for error, floor in zip(after.errors, after.floors, strict=True):
+            power = (
+                _band_power(part.horizons[-1][:, channel], error.run.period_s)
+                for part in (error, floor)
+            )
+            beyond += np.subtract(*power)
+        beyond = np.maximum(beyond, 0.0)
+        band = int(np.argmax(beyond))
+        share = float(beyond[band] / max(beyond.sum(), 1e-300))
+        edges = (BANDS_HZ[band], BANDS_HZ[band + 1])
+        found.append(Left(CHANNELS[channel], float(ratio[channel]), edges, share))
+    return sorted(found, key=lambda one: -one.gap)
+
+
+def _band_power(values: Array, period_s: float) -> Array:
+    """Energy of errors (n,) in each of ``BANDS_HZ``; rows that were not judged are bridged."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2:
+        return np.zeros(len(BANDS_HZ) - 1)
+    rows = filled(values[known[0] : known[-1] + 1])
+    power = np.abs(np.fft.rfft(rows)) ** 2 / len(rows)
+    hz = np.fft.rfftfreq(len(rows), period_s)
+    place = np.clip(np.searchsorted(BANDS_HZ, hz, side="right") - 1, 0, len(BANDS_HZ) - 2)
+    return np.asarray(np.bincount(place, power, len(BANDS_HZ) - 1), np.float64)
+
+
+def _block_sums(before: AheadErrors, after: AheadErrors) -> Array:
+    """Growth of the squared error over both horizons, summed over blocks of time, (blocks, 9); NaN
+    where nothing was judged."""
+    growth = np.stack([b**2 - a**2 for a, b in zip(before.horizons, after.horizons, strict=True)])
+    known = np.isfinite(growth)
+    rows = np.where(known, growth, 0.0).sum(axis=0)
+    block = np.arange(len(rows)) * before.run.period_s // BLOCK_S
+    starts = np.flatnonzero(np.diff(block, prepend=-1.0))
+    counted = np.add.reduceat(known.any(axis=0), starts, axis=0)
+    return np.where(counted > 0, np.add.reduceat(rows, starts, axis=0), np.nan)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.comparison import Comparison
-from groundstation.discrepancy.findings import CHANNELS
-from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
-from groundstation.discrepancy.where import Place, Spectrum, Stretch, over_time
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
 from groundstation.report.figure import (
     GOOD,
     HEAT,

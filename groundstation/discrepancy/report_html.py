@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from groundstation.discrepancy.comparison import Comparison
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.localisation import spectrum_of, worst_stretch
 from groundstation.discrepancy.findings import Findings, Verdict
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_figures import (
@@ -25,7 +26,6 @@ from groundstation.discrepancy.report_json import (
     WhereRow,
     why_lost,
 )
-from groundstation.discrepancy.where import spectrum_of, worst_stretch
 from groundstation.report.page import Page
 
 CLEAR = 3.0
@@ -82,6 +82,8 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     _verdict(page, findings, report)
     _stretches(page, report.stretches)
     page.heading("What was found")
+    for change in report.base_changes:
+        page.text(f"The given model's constants moved: {change.words}.")
     _effects(page, report)
     page.heading("The gap closes")
     page.figure(
@@ -90,6 +92,8 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     )
     _channels(page, report.gap)
     page.figure(by_horizon(proof.before, proof.after), "Each channel, before and after.")
+    for one in report.left:
+        page.text(f"Left in {one.words}.")
     page.heading("Where")
     page.figure(
         where_map([("before", proof.before.places), ("after", proof.after.places)]), MAP_TEXT

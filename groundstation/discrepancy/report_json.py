@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.comparison import Comparison
-from groundstation.discrepancy.findings import CHANNELS, Candidate, Findings
-from groundstation.discrepancy.floor import SOURCE
-from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
-from groundstation.discrepancy.proof import Proof
-from groundstation.discrepancy.search import NOTHING_LEFT, WORTH
-from groundstation.discrepancy.stretches import Marked, within
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.noise_floor import SOURCE
+from groundstation.comparison.stretches import Marked, within
+from groundstation.discrepancy.acceptance import WORTH
+from groundstation.discrepancy.base_constants import in_words
+from groundstation.discrepancy.engine import Discrepancy
+from groundstation.discrepancy.findings import Candidate, Findings, Reason
+from groundstation.discrepancy.proof import BANDS_HZ, Left, Proof, what_is_left
 from groundstation.dynamics.model import Estimate
 
 Array = NDArray[np.float64]
@@ -105,8 +106,30 @@ class EffectFound(msgspec.Struct, frozen=True):
     channels: list[str]
 
 
+class LeftOver(msgspec.Struct, frozen=True):
+    """What is left in a channel: gap, the band with most of it, that band's share of the rest."""
+
+    channel: str
+    gap: float
+    band_hz: tuple[float, float]
+    share: float
+    words: str
+
+
+class Changed(msgspec.Struct, frozen=True):
+    """A constant of the given model that the search changed; null: zero before, or not known."""
+
+    name: str
+    given: float = msgspec.field(name="from")
+    value: float = msgspec.field(name="to")
+    stderr: float | None
+    percent: float | None
+    words: str
+
+
 class CandidateTried(msgspec.Struct, frozen=True):
-    """What came of one name."""
+    """What came of one name. reason: why it is not named, in words; refused_by: the same as one
+    of ``findings.Reason``, empty where it is named or nothing was asked of it."""
 
     name: str
     score: float
@@ -114,6 +137,7 @@ class CandidateTried(msgspec.Struct, frozen=True):
     held_out: float
     accepted: bool
     reason: str
+    refused_by: str = ""
 
 
 class CannotShow(msgspec.Struct, frozen=True):
@@ -164,11 +188,13 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
 
     verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
     effects: list[EffectFound]
+    base_changes: list[Changed]
     where: list[WhereRow]
     where_after: list[WhereRow]
     gap: Gap
     residual: Literal["white", "structured"]
     residual_detail: ResidualDetail
+    left: list[LeftOver]
     candidates: list[CandidateTried]
     not_shown: list[CannotShow]
     lost: dict[str, str]
@@ -257,35 +283,37 @@ def _at(before: Comparison, after: Comparison | None, horizon: int, channel: int
     return Level(float(error[channel]) * unit, later, float(floor[channel]) * unit)
 
 
-def findings_report(
-    findings: Findings,
-    proof: Proof,
+def discrepancy_report(
+    found: Discrepancy,
     *,
     recordings: list[str],
     validation: list[str] | str,
     model: str,
     seed: int,
     created_by: str,
-    stretches: Sequence[StretchReport] = (),
 ) -> DiscrepancyReport:
     """The whole report on a search. validation: files, or how rows were held out."""
+    findings, proof = found.findings, found.proof
     left = findings.residual
     gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after))
-    gaps = [gap for _, gap in proof.steps]
     return DiscrepancyReport(
         verdict=findings.verdict.value,
         effects=[
             EffectFound(
-                found.name,
-                found.order,
-                found.adds,
-                found.parameters,
-                found.evidence,
-                [AlternativeName(a.name, a.margin, a.manoeuvre) for a in found.alternatives],
-                Step(*step),
-                list(found.channels),
+                one.name,
+                one.order,
+                one.adds,
+                one.parameters,
+                one.evidence,
+                [AlternativeName(a.name, a.margin, a.manoeuvre) for a in one.alternatives],
+                Step(one.gap_before, one.gap_after),
+                list(one.channels),
             )
-            for found, step in zip(findings.effects, pairwise(gaps), strict=True)
+            for one in findings.effects
+        ],
+        base_changes=[
+            Changed(c.name, c.given, c.value, c.stderr, c.percent, in_words(c))
+            for c in findings.base_changes
         ],
         where=where_rows(proof.before),
         where_after=where_rows(proof.after, WORST),
@@ -294,8 +322,15 @@ def findings_report(
         residual_detail=ResidualDetail(
             left.channel, list(left.frequencies_hz), left.signal, left.excess
         ),
+        left=[
+            LeftOver(one.channel, one.gap, one.band_hz, one.share, _left_words(one))
+            for one in what_is_left(proof.after)
+        ],
         candidates=[
-            CandidateTried(c.name, c.score, c.t, c.held_out, c.accepted, _reason(c, findings))
+            CandidateTried(
+                *(c.name, c.score, c.t, c.held_out, c.accepted, _reason(c, findings)),
+                "" if c.refused is None else c.refused.reason.value,
+            )
             for c in sorted(findings.candidates, key=lambda c: -c.score)
         ],
         not_shown=[
@@ -309,16 +344,26 @@ def findings_report(
         model=model,
         seed=seed,
         created_by=created_by,
-        stretches=list(stretches),
+        stretches=[stretch_report(*one) for one in found.stretches],
     )
+
+
+def _left_words(left: Left) -> str:
+    low, high = left.band_hz
+    where = f"above {low:g} Hz" if low == BANDS_HZ[-2] else f"{low:g} to {high:g} Hz"
+    share = f"{100.0 * left.share:.0f} % of the excess {where}"
+    return f"{left.channel}: {left.gap:.2f} times noise, {share}"
 
 
 def _reason(candidate: Candidate, findings: Findings) -> str:
     """Why it was refused. What alone explains much may only have looked like what was found."""
+    why = candidate.refused
+    if why is None:
+        return ""
     taken = ", ".join(effect.name for effect in findings.effects[:2])
-    shared = candidate.reason == NOTHING_LEFT and candidate.score > WORTH and taken
     more = " and others" if len(findings.effects) > 2 else ""
-    return f"nothing is left for it beside {taken}{more}" if shared else candidate.reason
+    shared = why.reason is Reason.WEAK and candidate.score > WORTH and taken
+    return f"nothing is left for it beside {taken}{more}" if shared else why.words
 
 
 def why_lost(reason: str) -> str:

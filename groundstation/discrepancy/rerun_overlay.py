@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.findings import CHANNELS
-from groundstation.discrepancy.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.localisation import over_time
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_json import DiscrepancyReport
-from groundstation.discrepancy.where import over_time
 
 Array = NDArray[np.float64]
 

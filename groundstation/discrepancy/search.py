@@ -1,526 +1,419 @@
-"""The search: screen every effect, refit the few best, accept one, drop what became needless.
+"""The procedure: screen every effect, add the best one, drop what became needless, until stable.
 
-Starts from the model as it was given. In each round all columns are evaluated
-once and every effect is scored from one Gram matrix; the best few are fitted jointly with the
-base and what was accepted before; the best one that passes every test of ``judge`` joins. Then
-whatever the newcomer made superfluous leaves.
+``Search.run`` is the whole of it. Columns of every effect are evaluated once a round
+(``screening.py``), the best few are fitted jointly with the base and what was accepted before,
+and each stage has its gates (``acceptance.py``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundstation.discrepancy.flight import Flight
-from groundstation.discrepancy.judge import (
-    Evidence,
-    by_parts,
-    disagreement,
-    judge,
+from groundstation.discrepancy.acceptance import (
+    SHARE,
+    Stage,
+    Trial,
     plausible,
     refusal,
 )
-from groundstation.discrepancy.own_candidates import OwnEffect
-from groundstation.discrepancy.problem import BASE_KEYS, Fit, Linear, Problem, bounded
-from groundstation.discrepancy.spectra import Quadratic
-from groundstation.discrepancy.unknowns import (
-    ABSENT,
-    BODY_KEYS,
-    LOW_PASS,
-    TIMING,
-    VARIANTS,
-    Point,
-    Variant,
-    absent,
+from groundstation.discrepancy.base_constants import groups, not_improved
+from groundstation.discrepancy.evidence import Evidence, by_parts, gather
+from groundstation.discrepancy.findings import Leftover, Reason, Refusal
+from groundstation.discrepancy.prediction_gate import Judge, answer_to_predictions
+from groundstation.discrepancy.screening import (
+    PENALTY,
+    Scored,
+    Screening,
+    removal_cost,
+    screen,
+    settle,
+    sizes_at,
+    started,
+    without,
 )
-from groundstation.dynamics.effects.catalogue import EFFECTS
-from groundstation.identification.estimate import inverse
+from groundstation.discrepancy.whiteness import leftover
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
+from groundstation.identification.likelihood.problem import BASE_KEYS, Fit, Problem
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-WORTH = 16.0
-"""Drop of -2 log L in the screening from which an effect is worth a joint fit."""
-SHARE = 0.35
-"""An effect that explains less than this share of what the best one does is not fitted."""
-FITTED = 4
-"""Joint fits in a round, at most, and effects easily confused with the best one."""
-PENALTY = 8.0
-"""For each parameter, in -2 log L."""
-KEEP = 14.0
-"""An accepted effect whose removal costs less than this leaves."""
-BENT, SETTLINGS = 0.12, 8
-"""A body constant so far off (in the logarithm) is not where columns are evaluated; how often it
-is moved: by a factor of five at most each time."""
-CURVED = {
-    "dead_time.delay_s": 3e-4,
-    LOW_PASS: 3e-4,
-    "rotor_gyroscopic_torque.rotor_inertia_kg_m2": 1e-8,
-    "rotor_acceleration_torque.rotor_inertia_kg_m2": 1e-8,
-    "attitude_filter_lean.strength": 0.1,
-}
-"""Unknowns that others depend on, and how far from its place each may stay."""
 SURE = 100.0
 """Drop of -2 log L beside every other effect from which one is taken without a contest: 10
 standard errors, where no rival can be within reach."""
+FITTED, MORE_FITTED = 4, 2
+"""Joint fits in a turn, at most, and beside them effects easily confused with the best one."""
 TURNS = 3
 """How often the next best are tried where the best were refused."""
 RIVAL = 12.0
-"""An effect that explains so little less, in -2 log L, is an alternative."""
+"""An effect that explains so little less, in -2 log L, is an alternative: odds of one in 400."""
 ROUGHLY = 0.5
 """Drop of -2 log L at which a joint fit of a candidate ends."""
 MOST_ROUNDS = 16
-NOTHING_LEFT = "no significant improvement"
-"""Said of what the screening finds too weak, beside whatever was accepted before."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scored:
-    """What the screening says of a variant: drop of -2 log L, and estimates with errors."""
-
-    variant: Variant
-    drop: float
-    values: Array
-    errors: Array
-
-    @property
-    def t(self) -> float:
-        return float(np.max(np.abs(self.values) / np.maximum(self.errors, 1e-300)))
 
 
 @dataclass(slots=True)
 class Accepted:
+    """An effect that joined: rivals are (name, how much less it explains)."""
+
     variant: Variant
     evidence: Evidence
     rivals: list[tuple[str, float]]
-    fit: Fit
-    gap: tuple[float, float]
 
 
 @dataclass(slots=True)
 class Outcome:
-    """final: the joint fit. first: the screening before anything joined. reasons: variant label
-    -> why it was refused. linear, quadratic: at the final point; first_linear, first_quadratic:
-    at the model as it was given."""
+    """final: the joint fit. errors: standard errors by key, everything being free. residual: what
+    it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
+    -2 log L on held-out rows when it was weighed last. first, last: columns at the model as it was
+    given and at the end; scores: of the first."""
 
     final: Fit
+    errors: dict[str, float]
     accepted: list[Accepted]
-    first: list[Scored]
-    scores: list[Scored]
+    residual: Leftover
+    refused: dict[str, Refusal]
     held_out: dict[str, float]
-    reasons: dict[str, str]
-    linear: Linear
-    quadratic: Quadratic
-    first_linear: Linear
-    first_quadratic: Quadratic
-    trials: list[Fit] = field(default_factory=list)
+    first: Screening
+    scores: list[Scored]
+    last: Screening
 
 
-def search(
-    problem: Problem,
-    validation: Sequence[Flight],
-    known: Sequence[Variant],
-    candidates: Sequence[Variant],
-    progress: Progress,
-) -> Outcome:
-    """Find the effects among ``candidates`` that the flights show. known: effects of the model,
-    fitted along and never dropped."""
-    every = problem.every_key
-    base_keys = (*BASE_KEYS, *(key for variant in known for key in variant.keys))
-    # The base is not fitted alone first: bent to imitate what is missing, it would be a poor place
-    # to linearise at. A centre of gravity off its place makes c0 vanish, for one.
-    progress("screening", 0.1)
-    first_linear, first_quadratic = _settled(problem, every)
-    origin, seen = _without_effects(first_linear, first_quadratic, base_keys)
-    first = screen(origin, seen, base_keys, candidates)
-    reasons: dict[str, str] = {}
-    held_out: dict[str, float] = {}
-    now, accepted = _sure(
-        problem, validation, first_linear, first_quadratic, base_keys, candidates, reasons, progress
-    )
-    held_out |= {one.variant.label: one.evidence.held_out for one in accepted}
-    tried: set[frozenset[str]] = {frozenset(one.variant.label for one in accepted)}
-    banned: set[str] = set()
-    for number in range(MOST_ROUNDS):
-        progress(
-            "screening" if not accepted else f"screening after {len(accepted)} effects",
-            min(0.9, 0.1 + 0.2 * number),
-        )
-        linear = problem.linear(now.point, every, problem.flights)
-        linear = problem.learn_noise(linear)
-        total = problem.with_prior(linear)
-        dropped = _needless(linear, total, now.keys, accepted)
-        if dropped is not None:
-            accepted.remove(dropped)
-            reasons[dropped.variant.label] = "superfluous once another effect had joined"
-            now = problem.fit(_without(now.point, dropped.variant), _keys(base_keys, accepted))
-            continue
-        joined = {one.variant.effect for one in accepted} | {one.effect for one in known}
-        able = [v for v in candidates if v.effect not in joined and v.label not in banned]
-        scores = screen(linear, total, now.keys, able)
-        newcomer = _round(
-            problem,
-            validation,
-            now,
-            scores,
-            accepted,
-            reasons,
-            held_out,
-            tried,
-            base_keys,
-            progress,
-        )
-        if newcomer is None:
-            offender = _offender(problem, now, accepted)
-            if offender is None:
+class Search:
+    """One search: what has joined so far, and why others have not."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        validation: Sequence[Flight],
+        known: Sequence[Variant],
+        candidates: Sequence[Variant],
+        progress: Progress,
+    ) -> None:
+        """known: effects of the model, fitted along and never dropped."""
+        self.problem, self.validation, self.progress = problem, validation, progress
+        self.judge: Judge | None = None
+        self.candidates = list(candidates)
+        free = [variant for variant in known if not variant.definition.renames]
+        self.base_keys = (*BASE_KEYS, *(key for variant in free for key in variant.keys))
+        self.groups = groups(problem.start, [variant.keys for variant in free])
+        self.renames = [variant for variant in RENAMES if variant not in known]
+        self.held: set[str] = set()
+        self.errors: dict[str, float] = {}
+        self.accepted: list[Accepted] = []
+        self.refused: dict[str, Refusal] = {}
+        self.held_out: dict[str, float] = {}
+        self.tried: set[frozenset[str]] = set()
+        self.banned: set[str] = set()
+        self.first: Screening
+        self.last: Screening
+        self.now: Fit
+
+    def run(self) -> Outcome:
+        """From the model as it was given to a set of effects that stays."""
+        # The base is not fitted alone first: bent to imitate what is missing, it would be a poor
+        # place to linearise at. A centre of gravity off its place makes c0 vanish, for one.
+        self.progress("screening", 0.1)
+        self.first = settle(self.problem)
+        plain = self.first.without_effects(self.base_keys)
+        scores = plain.scores(self.base_keys, self.candidates)
+        self.join_what_is_sure(plain)
+        for number in range(MOST_ROUNDS):
+            count = len(self.accepted)
+            what = f"screening after {count} effects" if count else "screening"
+            self.progress(what, min(0.9, 0.1 + 0.2 * number))
+            self.last = screen(self.problem, self.now.point)
+            if not (self.drop_needless() or self.join_best() or self.drop_disputed()):
                 break
-            one, why = offender
-            accepted.remove(one)
-            banned.add(one.variant.label)
-            reasons[one.variant.label] = why
-            now = problem.fit(_without(now.point, one.variant), _keys(base_keys, accepted))
-            continue
-        accepted.append(newcomer)
-        reasons.pop(newcomer.variant.label, None)
-        tried.add(frozenset(one.variant.label for one in accepted))
-        now = newcomer.fit
-    now = problem.fit(now.point, now.keys)
-    return Outcome(
-        now,
-        accepted,
-        first,
-        scores,
-        held_out,
-        reasons,
-        linear,
-        total,
-        first_linear,
-        first_quadratic,
-    )
+        self.now = self.problem.fit(self.now.point, self.now.keys)
+        residual = self.drop_drowned()
+        self.hold_base()
+        self.name_base_changes()
+        if self.judge is not None and answer_to_predictions(self, self.judge):
+            residual, _ = leftover(self.problem, self.now, self.validation)
+        final, accepted = self.now, self.accepted
+        return Outcome(
+            *(final, self.errors, accepted, residual, self.refused, self.held_out),
+            *(self.first, scores, self.last),
+        )
 
+    # Forward.
 
-def _settled(problem: Problem, every: Sequence[str]) -> tuple[Linear, Quadratic]:
-    """All columns where a fit of every effect at once says that they mean something.
+    def join_what_is_sure(self, plain: Screening) -> None:
+        """Join what is beyond doubt beside every other effect, all at once.
 
-    A base that was fitted to the affected flights may be bent so far that no column evaluated
-    there means anything; delays, lags and the rotors' inertia multiply each other, and yaw
-    torque behind a lag looks like the rotors' acceleration. So the body's constants and
-    what is far from linear move to what all effects together say, until they stay.
-    """
-    point = dict(problem.start)
-    for _ in range(SETTLINGS):
-        linear = problem.linear(point, every, problem.flights)
-        linear = problem.learn_noise(linear)
-        total = problem.with_prior(linear)
-        change = _within_reason(linear, total)
-        at = linear.place(BODY_KEYS)
-        moved = bounded(point, BODY_KEYS, change[at])
-        bent = any(abs(np.log(moved[key] / point[key])) > BENT for key in BODY_KEYS)
-        goals = bounded(point, list(CURVED), change[linear.place(list(CURVED))])
-        far = [key for key, near in CURVED.items() if _away(point, goals, key) > near]
-        if not bent and not far:
-            break
-        if bent or any(key in point for key in far):
-            point = moved
-        point |= {key: goals[key] for key in far}
-    return linear, total
+        One by one, the first to join would have to stand for those that are still missing.
+        Evidence is gathered by taking the weakest away again and again; the order is the reverse.
+        """
+        best: dict[str, Scored] = {}
+        for one in self.first.beside_all(self.candidates):
+            margin = one.drop - PENALTY * (len(one.variant.sizes) - 1)
+            known = margin > SURE and bool(np.isfinite(one.errors).all())
+            rival = best.get(one.variant.effect)
+            first = known and (rival is None or one.drop > rival.drop)
+            if first and plausible(one.variant, _placed(plain, one)):
+                best[one.variant.effect] = one
+        sure = list(best.values())
+        point = dict(plain.point)
+        for one in sure:
+            point = started(point, one)
+        keys = (*self.base_keys, *(key for one in sure for key in one.variant.keys))
+        if not sure:
+            self.now = Fit(point, keys, np.inf, np.zeros((len(keys),) * 2))
+            return
+        self.progress("fitting what is beyond doubt", 0.2)
+        after = self.now = self.problem.fit(point, keys)
+        out: list[Variant] = []
+        while sure:
+            weakest = sure.pop(int(np.argmin([_removal(after, one.variant) for one in sure])))
+            variant = weakest.variant
+            self.progress(f"weighing {variant.effect}", -1.0)
+            rest = tuple(key for key in after.keys if key not in variant.keys)
+            before = self.problem.fit(without(after.point, variant), rest, settled=ROUGHLY)
+            evidence = gather(self.problem, self.validation, before, after, variant)
+            why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
+            if why is None:
+                self.accepted.insert(0, Accepted(variant, evidence, []))
+                self.held_out[variant.label] = evidence.held_out
+            else:
+                self.refused[variant.label] = why
+                out.append(variant)
+            after = before
+        if out:
+            self._refit_without(*out)
+        self.tried.add(self._names())
 
+    def join_best(self) -> bool:
+        """Fit the best candidates and join the first that passes.
 
-def _within_reason(linear: Linear, total: Quadratic) -> Array:
-    """The change (p,) to the best fit of everything at once, with each effect's range as a weak
-    prior: a yaw damping of a thousand times that would bend c2 tenfold to go with it."""
-    normal, gradient = total.normal.copy(), total.gradient.copy()
-    for i, key in enumerate(linear.keys):
-        if key in ABSENT:
-            low, high = range_of(key)
-            size = max(abs(low - ABSENT[key]), abs(high - ABSENT[key]))
-            normal[i, i] += size**-2
-            gradient[i] += (ABSENT[key] - linear.point.get(key, ABSENT[key])) / size**2
-    return np.asarray(inverse(normal) @ gradient)
+        Where all of the best are refused, the next ones get their turn: what is wrong with the
+        strongest need not be wrong with an effect on other channels.
+        """
+        joined = {one.variant.effect for one in self.accepted}
+        able = [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
+        scores = self.last.scores(self.now.keys, able)
+        before: Fit | None = None
+        for _ in range(TURNS):
+            shortlist = self._shortlist(scores)
+            if not shortlist:
+                return False
+            before = before or self.problem.fit(self.now.point, self.now.keys, steps=1)
+            trials = self._fitted(shortlist, before)
+            for trial in trials:
+                label = trial.variant.label
+                why = refusal(Stage.FITTED, trial)
+                if why is not None:
+                    self.refused.setdefault(label, why)
+                    continue
+                assert trial.fit is not None
+                trial.evidence = gather(
+                    self.problem, self.validation, before, trial.fit, trial.variant
+                )
+                trial.tried = self._names(label) in self.tried
+                self.held_out[label] = trial.evidence.held_out
+                why = refusal(Stage.WEIGHED, trial)
+                if why is None:
+                    self._join(trial, trials)
+                    return True
+                self.refused[label] = why
+            scores = [one for one in scores if one not in shortlist]
+        return False
 
+    def _shortlist(self, scores: Sequence[Scored]) -> list[Scored]:
+        """The best few that pass the screening, and what the best one is easily confused with."""
+        able = []
+        for one in scores:
+            why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+            if why is None:
+                able.append(one)
+            elif why.reason is Reason.WEAK:
+                self.refused.setdefault(one.variant.label, why)
+            else:
+                self.refused[one.variant.label] = why
+        if not able:
+            return []
+        close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
+        rivals = {c.other for one in close[:1] for c in one.variant.definition.confused_with}
+        more = [one for one in able if one.variant.effect in rivals and one not in close]
+        return close + more[:MORE_FITTED]
 
-def _away(point: Point, goals: Point, key: str) -> float:
-    return abs(goals[key] - point.get(key, absent(key)))
-
-
-def _without_effects(
-    linear: Linear, total: Quadratic, kept: Sequence[str]
-) -> tuple[Linear, Quadratic]:
-    """The same parabola seen from where every effect but those behind ``kept`` is absent."""
-    gone = {k: absent(k) for k in linear.keys if k not in BASE_KEYS and k in linear.point}
-    gone = {k: v for k, v in gone.items() if k not in kept}
-    if not gone:
-        return linear, total
-    step = np.array([gone[k] - linear.point[k] if k in gone else 0.0 for k in linear.keys])
-    value = total.value - 2.0 * total.gradient @ step + step @ total.normal @ step
-    there = replace(linear, point={k: v for k, v in linear.point.items() if k not in gone})
-    moved = replace(total, gradient=total.gradient - total.normal @ step, value=float(value))
-    return there, moved
-
-
-def screen(
-    linear: Linear, total: Quadratic, base_keys: Sequence[str], variants: Sequence[Variant]
-) -> list[Scored]:
-    """Every variant's drop of -2 log L when it joins ``base_keys``, best first."""
-    at = linear.place(base_keys)
-    base = inverse(total.normal[np.ix_(at, at)])
-    settled = base @ total.gradient[at]
-    scored = []
-    for variant in variants:
-        keys = [key for key in variant.keys if key != "ground_effect.height_m"]
-        own = linear.place(keys)
-        cross = total.normal[np.ix_(own, at)]
-        normal = total.normal[np.ix_(own, own)]
-        left = normal - cross @ base @ cross.T
-        gradient = total.gradient[own] - cross @ settled
-        alive = np.diag(left) > 1e-9 * np.maximum(np.diag(normal), 1e-300)
-        values, errors, drop = np.zeros(len(keys)), np.full(len(keys), np.inf), 0.0
-        if alive.any():
-            inside = np.ix_(alive, alive)
-            covariance = inverse(left[inside])
-            values[alive] = covariance @ gradient[alive]
-            errors[alive] = np.sqrt(np.diag(covariance))
-            drop = float(gradient[alive] @ values[alive])
-        scored.append(Scored(variant, drop, values, errors))
-    return sorted(scored, key=lambda one: one.drop - PENALTY * len(one.variant.keys), reverse=True)
-
-
-def _sure(
-    problem: Problem,
-    validation: Sequence[Flight],
-    linear: Linear,
-    total: Quadratic,
-    base_keys: tuple[str, ...],
-    candidates: Sequence[Variant],
-    reasons: dict[str, str],
-    progress: Progress,
-) -> tuple[Fit, list[Accepted]]:
-    """Join what is beyond doubt beside every other effect, all at once.
-
-    One by one, the first to join would have to stand for those that are still missing. Evidence
-    is gathered by taking the weakest away again and again; the order is the reverse.
-    """
-    origin, _ = _without_effects(linear, total, base_keys)
-    covariance = inverse(total.normal)
-    change = covariance @ total.gradient
-    best: dict[str, tuple[float, Scored]] = {}
-    for variant in candidates:
-        linear_keys = [key for key in variant.keys if key != "ground_effect.height_m"]
-        nothing = np.array([absent(key) for key in linear_keys])
-        own = linear.place(linear_keys)
-        there = np.array([linear.point.get(key, absent(key)) for key in linear_keys]) - nothing
-        values, block = there + change[own], covariance[np.ix_(own, own)]
-        one = Scored(variant, 0.0, values, np.sqrt(np.diag(block)))
-        drop = float(values @ inverse(block) @ values) - PENALTY * (len(own) - 1)
-        at = {**origin.point, **dict(zip(linear_keys, (values + nothing).tolist(), strict=True))}
-        known = drop > SURE and np.isfinite(one.errors).all() and plausible(variant, at)
-        if known and drop > best.get(variant.effect, (0.0,))[0]:
-            best[variant.effect] = drop, one
-    point = dict(origin.point)
-    for _, one in best.values():
-        point = _started(point, one)
-    sure = [one.variant for _, one in best.values()]
-    keys = (*base_keys, *(key for variant in sure for key in variant.keys))
-    if not sure:
-        return Fit(point, keys, np.inf, np.zeros((len(keys),) * 2)), []
-    progress("fitting what is beyond doubt", 0.2)
-    after = now = problem.fit(point, keys)
-    found: list[Accepted] = []
-    refused: list[Variant] = []
-    while sure:
-        costs = [_cost(after, variant) for variant in sure]
-        weakest = sure.pop(int(np.argmin(costs)))
-        progress(f"weighing {weakest.effect}", -1.0)
-        rest = tuple(key for key in after.keys if key not in weakest.keys)
-        before = problem.fit(_without(after.point, weakest), rest, settled=ROUGHLY)
-        evidence = judge(problem, validation, before, after, weakest)
-        why = refusal(weakest, after, evidence)
-        if why:
-            reasons[weakest.label] = why
-            refused.append(weakest)
-        else:
-            found.insert(0, Accepted(weakest, evidence, [], after, evidence.gap))
-        after = before
-    if refused:
-        point = now.point
-        for variant in refused:
-            point = _without(point, variant)
-        now = problem.fit(point, _keys(base_keys, found))
-    return now, found
-
-
-def _cost(fit: Fit, variant: Variant) -> float:
-    """What the others lose without a variant, in -2 log L, by the covariance of their fit."""
-    keys = [key for key in variant.keys if key != "ground_effect.height_m"]
-    own = [fit.keys.index(key) for key in keys]
-    values = np.array([fit.point[key] - absent(key) for key in keys])
-    return float(values @ inverse(fit.covariance[np.ix_(own, own)]) @ values)
-
-
-def _round(
-    problem: Problem,
-    validation: Sequence[Flight],
-    now: Fit,
-    scores: list[Scored],
-    accepted: list[Accepted],
-    reasons: dict[str, str],
-    held_out: dict[str, float],
-    tried: set[frozenset[str]],
-    base_keys: tuple[str, ...],
-    progress: Progress,
-) -> Accepted | None:
-    """Fit the best candidates and return the one to accept.
-
-    Where all of the best are refused, the next ones get their turn: what is wrong with the
-    strongest need not be wrong with an effect on other channels.
-    """
-    before: Fit | None = None
-    refused: set[str] = set()
-    for _ in range(TURNS):
-        left = [one for one in scores if one.variant.label not in refused]
-        shortlist = _shortlist(left, reasons)
-        if not shortlist:
-            return None
-        before = before or problem.fit(now.point, now.keys, steps=1)
-        fits: list[tuple[float, Scored, Fit]] = []
+    def _fitted(self, shortlist: Sequence[Scored], before: Fit) -> list[Trial]:
+        """Joint fits of candidates, the best one first."""
+        trials = []
         for one in shortlist:
-            progress(f"fitting {one.variant.effect}", -1.0)
-            keys = (*now.keys, *one.variant.keys)
-            fit = problem.fit(_started(now.point, one), keys, settled=ROUGHLY)
-            fits.append((before.cost - fit.cost - PENALTY * len(one.variant.keys), one, fit))
-        fits.sort(key=lambda item: item[0], reverse=True)
+            self.progress(f"fitting {one.variant.effect}", -1.0)
+            keys = (*self.now.keys, *one.variant.keys)
+            fit = self.problem.fit(started(self.now.point, one), keys, settled=ROUGHLY)
+            gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
+            trials.append(Trial(one.variant, fit, gain))
+        trials.sort(key=lambda trial: trial.gain, reverse=True)
         # What cannot be there explains nothing, and sets no bar for others.
-        able = [(g, s.variant.effect) for g, s, f in fits if plausible(s.variant, f.point)]
-        best, strongest = able[0] if able else (0.0, "")
-        for gain, one, fit in fits:
-            label = one.variant.label
-            if gain <= 0.0 or gain < SHARE * best:
-                reasons.setdefault(label, f"explains less than {strongest}")
-                continue
-            names = frozenset([label, *(other.variant.label for other in accepted)])
-            evidence = judge(problem, validation, before, fit, one.variant)
-            held_out[label] = evidence.held_out
-            why = refusal(one.variant, fit, evidence) or ("tried before" if names in tried else "")
-            if not why:
-                return Accepted(one.variant, evidence, _rivals(gain, one, fits), fit, evidence.gap)
-            reasons[label] = why
-        refused |= {one.variant.label for one in shortlist}
-    return None
+        able = [(t.gain, t.variant.effect) for t in trials if t.fit and _possible(t)]
+        for trial in trials:
+            trial.best = able[0] if able else (0.0, "")
+        return trials
 
+    def _join(self, trial: Trial, others: Sequence[Trial]) -> None:
+        assert trial.fit is not None
+        assert trial.evidence is not None
+        variant = trial.variant
+        rivals = [
+            (other.variant.effect, trial.gain - other.gain)
+            for other in others
+            if other.variant.effect != variant.effect
+            and other.gain > trial.gain - RIVAL
+            and _possible(other)
+        ]
+        self.accepted.append(Accepted(variant, trial.evidence, rivals))
+        self.refused.pop(variant.label, None)
+        self.tried.add(self._names())
+        self.now = trial.fit
 
-def _rivals(
-    gain: float, chosen: Scored, fits: Sequence[tuple[float, Scored, Fit]]
-) -> list[tuple[str, float]]:
-    """Other effects that explain nearly as much, with how much less."""
-    return [
-        (other.variant.effect, gain - less)
-        for less, other, rival in fits
-        if other.variant.effect != chosen.variant.effect
-        and less > gain - RIVAL
-        and plausible(other.variant, rival.point)
-    ]
+    # Backward.
 
-
-def _shortlist(scores: list[Scored], reasons: dict[str, str]) -> list[Scored]:
-    """The best few with a plausible sign, and what the best one is easily confused with."""
-    able = []
-    for one in scores:
-        if one.drop < WORTH + PENALTY * (len(one.variant.keys) - 1):
-            reasons.setdefault(one.variant.label, NOTHING_LEFT)
-        elif not _sign_possible(one):
-            reasons[one.variant.label] = "fits only with a sign that physics does not allow"
-        else:
-            able.append(one)
-    if not able:
-        return []
-    close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
-    rivals = {c.other for one in close[:1] for c in one.variant.definition.confused_with}
-    more = [one for one in able if one.variant.effect in rivals and one not in close]
-    return close + more[:2]
-
-
-def _sign_possible(one: Scored) -> bool:
-    """Whether a one-sided parameter does not clearly point to the wrong side."""
-    if len(one.variant.keys) > 1 and one.variant.effect != "ground_effect":
+    def drop_needless(self) -> bool:
+        """Drop the accepted effect that the others do best without, if there is one."""
+        if len(self.accepted) < 2:
+            return False
+        keys, point = self.now.keys, self.last.point
+        covariance = self.last.covariance(keys)
+        trials = []
+        for one in self.accepted:
+            own = [keys.index(key) for key in one.variant.sizes]
+            cost = removal_cost(sizes_at(one.variant, point), covariance[np.ix_(own, own)])
+            if not plausible(one.variant, point):
+                cost = min(cost, 0.0)
+            trials.append((cost, one))
+        cost, worst = min(trials, key=lambda item: item[0])
+        why = refusal(Stage.JOINED, Trial(worst.variant, removal=cost))
+        if why is None:
+            return False
+        self._drop(worst, why)
         return True
-    key = one.variant.keys[0]
-    low, high = range_of(key, one.variant.own)
-    value = one.values[0] + absent(key)
-    return bool(low < 0 or value > 0) and (key != "motor_braking_asymmetry.factor" or high > 0)
+
+    def drop_disputed(self) -> bool:
+        """Drop, for good, the effect on whose size channels or recordings disagree most."""
+        worst: tuple[float, Accepted, Refusal] | None = None
+        for one in self.accepted:
+            t, parts = by_parts(self.problem, self.now, one.variant)
+            one.evidence = replace(one.evidence, t=t, parts=parts)
+            why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
+            errors = max(one.evidence.spread(0)[0], one.evidence.spread(1)[0])
+            if why is not None and (worst is None or errors > worst[0]):
+                worst = errors, one, why
+        if worst is None:
+            return False
+        _, one, why = worst
+        self.banned.add(one.variant.label)
+        self._drop(one, why)
+        return True
+
+    def drop_drowned(self) -> Leftover:
+        """Judge the residual; what is small beside an unexplained structure is taken back."""
+        while True:
+            left, slow = leftover(self.problem, self.now, self.validation)
+            out = []
+            for one in self.accepted:
+                trial = Trial(one.variant, evidence=one.evidence, slow=slow)
+                why = refusal(Stage.LEFT, trial)
+                if why is not None and self.judge is not None:
+                    trial.predicted = self._predicted(one, self.judge)
+                    why = refusal(Stage.LEFT, trial)
+                if why is not None:
+                    self.refused[one.variant.label] = why
+                    out.append(one)
+            if not out:
+                return left
+            for one in out:
+                self.accepted.remove(one)
+            self._refit_without(*(one.variant for one in out))
+
+    def _predicted(self, one: Accepted, judge: Judge) -> float:
+        """Share of the squared excess over noise that predictions lose with an effect."""
+        rest = [other for other in self.accepted if other is not one]
+        excess = judge(self.refit(rest, self.held).point).gap ** 2 - 1.0
+        return 1.0 - (judge(self.now.point).gap ** 2 - 1.0) / excess if excess > 0.0 else 0.0
+
+    def hold_base(self) -> None:
+        """Give back the base constants that these data do not improve; standard errors are those
+        of the fit in which everything was free."""
+        self.errors = self.now.stderr()
+        self.held, point = not_improved(self.problem, self.now, self.groups, self.validation)
+        if self.held:
+            self.now = replace(self.now, point=point)
+            self.now = self.refit(self.accepted, self.held)
+
+    def name_base_changes(self) -> None:
+        """A base constant that moved so far that the change has a name becomes that effect.
+
+        Not beside an effect of supply, motors or rotors, or one of the same sensor's offset: what
+        that constant did, they share with it.
+        """
+        for variant in self.renames:
+            assert variant.definition.renames is not None
+            key, (own,) = variant.definition.renames.constant, variant.sizes
+            rivals = {one.other for one in variant.definition.confused_with}
+            joined = [one.variant.definition for one in self.accepted]
+            shared = any(
+                one.name in rivals or one.stage in ("supply", "motor", "rotor") for one in joined
+            )
+            if key in self.held or key not in self.now.keys or shared:
+                continue
+            held = self.held | {key}
+            before = self.refit(self.accepted, held)
+            point = {**self.now.point, key: self.problem.start[key]}
+            after = self.problem.fit(point, (*before.keys, own))
+            evidence = gather(self.problem, self.validation, before, after, variant)
+            trial = Trial(variant, after, evidence=evidence)
+            if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
+                continue
+            self.now, self.held = after, held
+            self.accepted.insert(0, Accepted(variant, evidence, []))
+            self.errors[own] = after.stderr()[own]
+            self.held_out[variant.label] = evidence.held_out
+
+    def _drop(self, one: Accepted, why: Refusal) -> None:
+        self.accepted.remove(one)
+        self.refused[one.variant.label] = why
+        self._refit_without(one.variant)
+
+    def _refit_without(self, *variants: Variant) -> None:
+        point = self.now.point
+        for variant in variants:
+            point = without(point, variant)
+        joined = (key for one in self.accepted for key in one.variant.keys)
+        self.now = self.problem.fit(point, (*self.base_keys, *joined))
+
+    def refit(self, accepted: Sequence[Accepted], held: set[str]) -> Fit:
+        """The joint fit of some effects, with the constants ``held`` as they were given."""
+        keys = (*self.base_keys, *(key for one in accepted for key in one.variant.keys))
+        start = self.problem.start
+        point = {key: self.now.point[key] for key in keys if key in self.now.point}
+        point |= {key: start.get(key, absent(key)) for key in held}
+        return self.problem.fit(point, [key for key in keys if key not in held])
+
+    def point_with(self, accepted: Sequence[Accepted]) -> Point:
+        """The final constants, with only some of the effects."""
+        keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
+        return {key: number for key, number in self.now.point.items() if key in keys}
+
+    def _names(self, *more: str) -> frozenset[str]:
+        return frozenset([*more, *(one.variant.label for one in self.accepted)])
 
 
-def range_of(key: str, own: OwnEffect | None = None) -> tuple[float, float]:
-    """Plausible range of an unknown, in the search's own units."""
-    if own is not None:
-        return own.range_of(key)
-    effect, _, name = key.partition(".")
-    if effect == "rotor_mismatch":
-        name = "excess"
-    if effect == "gyro_low_pass":
-        parameter = EFFECTS[effect].parameters[0]
-        return tuple(sorted(1 / (2 * np.pi * f) for f in (parameter.low, parameter.high)))  # type: ignore[return-value]
-    parameter = EFFECTS[effect].parameter(name)
-    return parameter.low, parameter.high
+def _possible(trial: Trial) -> bool:
+    return trial.fit is not None and plausible(trial.variant, trial.fit.point)
 
 
-def _started(point: Point, one: Scored) -> Point:
-    start = dict(point)
-    variant = one.variant
-    if variant.start:
-        start.update(zip(variant.keys, variant.start[len(variant.start) // 2], strict=True))
-        return start
-    for key, size in zip(variant.keys, one.values.tolist(), strict=False):
-        low, high = range_of(key, variant.own)
-        start[key] = float(np.clip(absent(key) + size, min(low, absent(key)), high))
-    if variant.effect == "ground_effect":
-        start["ground_effect.height_m"] = ABSENT["ground_effect.height_m"]
-    return start
+def _placed(plain: Screening, one: Scored) -> dict[str, float]:
+    """The given model with an effect at its screened size."""
+    values = dict(zip(one.variant.sizes, one.values.tolist(), strict=True))
+    return {**plain.point, **{key: absent(key) + size for key, size in values.items()}}
 
 
-def _keys(base_keys: tuple[str, ...], accepted: Sequence[Accepted]) -> tuple[str, ...]:
-    return (*base_keys, *(key for one in accepted for key in one.variant.keys))
-
-
-def _without(point: Point, variant: Variant) -> Point:
-    return {key: number for key, number in point.items() if key not in variant.keys}
-
-
-def _offender(
-    problem: Problem, now: Fit, accepted: Sequence[Accepted]
-) -> tuple[Accepted, str] | None:
-    """An accepted effect on whose size channels or recordings disagree in the end."""
-    worst: tuple[float, Accepted, str] | None = None
-    for one in accepted:
-        t, parts = by_parts(problem, now, one.variant)
-        evidence = replace(one.evidence, t=t, parts=parts)
-        one.evidence = evidence
-        why = disagreement(evidence)
-        errors = max(evidence.spread(0)[0], evidence.spread(1)[0])
-        if why and (worst is None or errors > worst[0]):
-            worst = errors, one, why
-    return None if worst is None else worst[1:]
-
-
-def _needless(
-    linear: Linear, total: Quadratic, keys: Sequence[str], accepted: list[Accepted]
-) -> Accepted | None:
-    """The accepted effect that the others do best without, if there is one."""
-    if len(accepted) < 2:
-        return None
-    at = linear.place(keys)
-    covariance = inverse(total.normal[np.ix_(at, at)])
-    costs = []
-    for one in accepted:
-        own = [list(keys).index(key) for key in one.variant.keys if key != "ground_effect.height_m"]
-        values = np.array([linear.point[keys[i]] - absent(keys[i]) for i in own])
-        costs.append(float(values @ inverse(covariance[np.ix_(own, own)]) @ values))
-        if not plausible(one.variant, linear.point):
-            costs[-1] = min(costs[-1], 0.0)
-    worst = int(np.argmin(costs))
-    return accepted[worst] if costs[worst] < KEEP else None
-
-
-__all__ = ["TIMING", "VARIANTS", "Accepted", "Outcome", "Scored", "range_of", "screen", "search"]
+def _removal(fit: Fit, variant: Variant) -> float:
+    own = [fit.keys.index(key) for key in variant.sizes]
+    return removal_cost(sizes_at(variant, fit.point), fit.covariance[np.ix_(own, own)])

@@ -2,63 +2,76 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effects.catalogue import Effect
-from groundstation.dynamics.effects.own import MOST_VALUES, find_effect, law_address
-from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.dynamics.vehicle import Vehicle, lever_arm_m, rotor_positions_m
+from groundstation.dynamics.effect import FORCE, GYRO, Effect, Stage
+from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
+from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage, find_effect
+from groundstation.dynamics.vehicle import (
+    MotorConstants,
+    Motors,
+    Vehicle,
+    lever_arm_m,
+    rotor_positions_m,
+)
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
+ACTS = (*COMPILED, "velocity")
+"""Whether any effect acts at a stage, and whether one reads the velocity."""
+STATEFUL: tuple[Stage, ...] = ("body", "sensor")
+LISTED_STATES = {stage: sum(len(effect.states) for effect in at_stage(stage)) for stage in STATEFUL}
+SENSOR_STATES = LISTED_STATES["sensor"] + STATE_SLOTS
+"""Room for what sensors' effects remember."""
 CRAFT = np.dtype(
     [
+        # as ``law.Craft``
         ("mass", "f8"),
         ("gravity", "f8"),
         ("inertia", "f8", (3,)),
-        ("thrust", "f8"),  # N per (rev/s)^2
-        ("drag", "f8"),  # N m per (rev/s)^2
+        ("thrust", "f8"),
+        ("drag", "f8"),
         ("rotor_x", "f8", (4,)),
         ("rotor_y", "f8", (4,)),
-        ("coupling", "f8"),  # share of Omega x I Omega that acts (eq. 3.49), 1 in physics
-        ("gyroscopic", "f8"),  # rotor inertia whose angular momentum acts on roll and pitch
-        ("spin_up", "f8"),  # rotor inertia whose acceleration acts on yaw (eq. 3.18)
-        ("a0", "f8"),
-        ("a1", "f8"),
-        ("a2", "f8"),
-        # named effects, 0 where absent; laws and units in docs/stand_in.md
-        ("strength", "f8", (4,)),  # of each rotor's thrust and drag, 1 in the base model
-        ("dead_mv", "f8"),
-        ("braking", "f8"),  # 1 in the base model
-        ("sag_ohm", "f8"),
+        ("a0", "f8", (4,)),
+        ("a1", "f8", (4,)),
+        ("a2", "f8", (4,)),
         ("winding_ohm", "f8"),
-        ("back_emf_mv", "f8"),  # per rev/s, the bound a1/a0
-        ("rate_damping", "f8"),
-        ("quadratic_damping", "f8"),
-        ("yaw_damping", "f8"),
-        ("gravity_x", "f8"),
-        ("gravity_y", "f8"),
-        ("air", "f8"),  # 1: one of the next three is not zero
-        ("rotor_drag", "f8"),
-        ("velocity_moment", "f8"),
-        ("climb_inflow", "f8"),  # m/s^2 per m/s
-        ("ground_gain", "f8"),
-        ("ground_height", "f8"),
-        ("law", "i8"),  # address of a user's own law, 0: none
-        ("law_values", "f8", (MOST_VALUES,)),
+        ("back_emf_mv", "f8", (4,)),
+        # 1 where the effect acts, then its parameters
+        *(
+            (e.name, "f8", (1 + len(e.parameters),))
+            for e in EFFECTS.values()
+            if e.stage in COMPILED
+        ),
+        *((f"acts_{stage}", "i8") for stage in ACTS),
+        ("own", "i8", (len(COMPILED),)),  # addresses of a user's own effects by stage, 0: none
+        ("own_values", "f8", (VALUE_SLOTS,)),
+        # states of effects, 0 where none has one; at the body they follow its 17
+        ("body_states", "i8"),
+        ("sensor_states", "i8"),
+        ("body_initial", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),
+        ("sensor_initial", "f8", (SENSOR_STATES,)),
+        ("follows", "i8", (SENSOR_STATES,)),  # gyro 0-2, force 3-5, or -1
+        ("fastest", "f8"),  # 1/s, of the sensor states
     ]
 )
 """Units SI but rotor speed in rev/s and motor constants as in ``MotorConstants``."""
 
 Crafts = NDArray[np.void]
 """Records of ``CRAFT``, shape (m,): a batch over parameters."""
+Acting = tuple[Effect, dict[str, float]]
+"""An effect and the values of all its parameters."""
 
 
 def craft_of_vehicle(
-    vehicle: Vehicle, *, coupling: bool = True, gyroscopic: bool = True, spin_up: bool = True
+    vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]] | None = None
 ) -> Crafts:
-    """A profile as a record, shape (1,), with the rigid body's secondary torques on or off."""
+    """A profile as a record, shape (1,), with listed effects by name and parameters."""
     record = np.zeros(1, CRAFT)
     craft = record[0]
     craft["mass"], craft["gravity"] = vehicle.mass_kg, STANDARD_GRAVITY
@@ -66,20 +79,44 @@ def craft_of_vehicle(
     craft["thrust"], craft["drag"] = vehicle.thrust_n, vehicle.drag_n_m
     places = rotor_positions_m(vehicle)
     craft["rotor_x"], craft["rotor_y"] = [x for x, _ in places], [y for _, y in places]
-    craft["coupling"] = coupling
-    craft["gyroscopic"] = vehicle.rotor_inertia_kg_m2 if gyroscopic else 0.0
-    craft["spin_up"] = vehicle.rotor_inertia_kg_m2 if spin_up else 0.0
-    for name in ("a0", "a1", "a2"):
-        craft[name] = getattr(vehicle.motor, name)
-    craft["strength"], craft["braking"] = 1.0, 1.0
+    motor = vehicle.motor
+    _put_motors(craft, (motor, motor, motor, motor))
     craft["winding_ohm"] = vehicle.winding_ohm
-    craft["back_emf_mv"] = vehicle.motor.a1 / vehicle.motor.a0
+    given = {} if effects is None else effects
+    add_effects(craft, [(EFFECTS[name], EFFECTS[name].values(v)) for name, v in given.items()])
+    return record
+
+
+def craft_of_motors(
+    motor: MotorConstants | Motors, effects: Mapping[str, Mapping[str, float]]
+) -> Crafts:
+    """Motors alone as a record, shape (1,), with listed effects by name and parameters."""
+    record = np.zeros(1, CRAFT)
+    if isinstance(motor, MotorConstants):
+        motor = (motor, motor, motor, motor)
+    _put_motors(record[0], motor)
+    record["mass"], record["inertia"], record["winding_ohm"] = 1.0, 1.0, 1.0  # nothing turns
+    given = [(EFFECTS[name], EFFECTS[name].values(v)) for name, v in effects.items()]
+    add_effects(record[0], given)
+    return record
+
+
+def craft_of_laws(effects: Sequence[Acting]) -> Crafts:
+    """Effects alone as a record, shape (1,), in which all of them act like a user's own."""
+    record = np.zeros(1, CRAFT)
+    record["follows"] = -1
+    by_stage: dict[str, list[Acting]] = {}
+    for one in effects:
+        by_stage.setdefault(one[0].stage, []).append(one)
+    _put_own(record[0], by_stage)
+    for stage in STATEFUL:
+        _put_states(record[0], stage, [effect for effect, _ in by_stage.get(stage, ())])
     return record
 
 
 def craft_of_model(model: Model) -> Crafts:
-    """What was identified, shape (1,): the base model, and those of its effects that act on
-    motors and body. (What its effects do to the sensors is in ``effects.sensors``.)
+    """What was identified, shape (1,): the base model, and its effects within the equations of
+    motion. (Delay and attitude filter are in ``dynamics/sensors.py``.)
 
     A model knows ratios only (c0 = k l / Ixx and so on). The mass and the ratio of Izz to
     Ixx + Iyy are the profile's; everything that can be observed follows from the model.
@@ -92,61 +129,95 @@ def craft_of_model(model: Model) -> Crafts:
             " fit a body ('groundstation fit body')"
         )
     vehicle, body = model_vehicle(model), model.body
-    record = craft_of_vehicle(vehicle, coupling=False, gyroscopic=False, spin_up=False)
+    record = craft_of_vehicle(vehicle)
     craft = record[0]
     thrust = vehicle.mass_kg * body.thrust_per_mass
     ixx, iyy = (thrust * lever_arm_m(vehicle) / c for c in (body.c0, body.c1))
     izz = vehicle.inertia_kg_m2[2] / sum(vehicle.inertia_kg_m2[:2]) * (ixx + iyy)
     craft["inertia"] = ixx, iyy, izz
     craft["thrust"], craft["drag"] = thrust, body.c2 * izz
-    for name in ("a0", "a1", "a2"):
-        craft[name] = getattr(model.motor, name)
-    craft["back_emf_mv"] = model.motor.a1 / model.motor.a0
-    _add_effects(craft, model)
+    _put_motors(craft, rotor_motors(model))
+    add_effects(craft, acting(model))
     return record
 
 
-FIELDS = {
-    "rotor_gyroscopic_torque": {"gyroscopic": "rotor_inertia_kg_m2"},
-    "rotor_acceleration_torque": {"spin_up": "rotor_inertia_kg_m2"},
-    "inertia_coupling": {"coupling": "fraction"},
-    "rate_damping": {"rate_damping": "damping_n_m_s"},
-    "quadratic_rate_damping": {"quadratic_damping": "damping_n_m_s2"},
-    "yaw_damping": {"yaw_damping": "damping_n_m_s"},
-    "centre_of_gravity_offset": {"gravity_x": "x_m", "gravity_y": "y_m"},
-    "motor_dead_voltage": {"dead_mv": "voltage_mv"},
-    "motor_braking_asymmetry": {"braking": "factor"},
-    "supply_sag": {"sag_ohm": "resistance_ohm"},
-    "rotor_drag": {"rotor_drag": "drag_n_s_m"},
-    "velocity_moment": {"velocity_moment": "moment"},
-    "ground_effect": {"ground_height": "height_m", "ground_gain": "gain"},
-}
-"""effect -> record field -> parameter, where a parameter is a field as it stands."""
+def acting(model: Model) -> list[Acting]:
+    """The effects of a model that are not absent.
 
-
-def _add_effects(craft: np.void, model: Model) -> None:
-    own: list[tuple[Effect, list[float]]] = []
+    Raises BadInputError for one that does not exist, or a value that cannot be flown.
+    """
+    found = []
     for term in model.effects:
         effect = find_effect(term.name, term.source)
         values = effect.values({name: one.value for name, one in term.parameters.items()})
-        for field, parameter in FIELDS.get(effect.name, {}).items():
-            craft[field] = values[parameter]
-        if effect.name == "climb_inflow":
-            craft["climb_inflow"] = values["loss_g_per_m_s"] * STANDARD_GRAVITY
-        elif effect.name == "rotor_mismatch":
-            craft["strength"][int(values["rotor"]) - 1] *= 1.0 + values["excess"]
-        elif effect.law is not None:
-            own.append((effect, list(values.values())))
-    craft["air"] = any(
-        craft[name] != 0.0 for name in ("rotor_drag", "velocity_moment", "climb_inflow")
-    )
-    if own:
-        numbers = [value for _, values in own for value in values]
-        if len(numbers) > MOST_VALUES:
+        if not effect.absent(values):
+            found.append((effect, values))
+    return found
+
+
+def add_effects(craft: np.void, effects: list[Acting]) -> None:
+    """Let effects act in a record.
+
+    A second one of a name (another weak rotor) acts like a user's own.
+
+    Raises BadInputError where the own ones have too many parameters or states.
+    """
+    own: dict[str, list[Acting]] = {}
+    craft["follows"] = -1
+    for effect, values in effects:
+        if effect.stage not in COMPILED:
+            continue
+        listed = EFFECTS.get(effect.name) is effect and craft[effect.name][0] == 0.0
+        if listed:
+            craft[effect.name] = [1.0, *values.values()]
+        else:
+            own.setdefault(effect.stage, []).append((effect, values))
+        craft[f"acts_{effect.stage}"] = 1
+        if "velocity" in effect.unmeasured or not listed:
+            craft["acts_velocity"] = 1
+        if effect.fastest is not None:
+            craft["fastest"] = max(craft["fastest"], effect.fastest(values))
+    _put_own(craft, own)
+    for stage in STATEFUL:
+        _put_states(craft, stage, [effect for effect, _ in own.get(stage, ())])
+
+
+def _put_own(craft: np.void, own: Mapping[str, list[Acting]]) -> None:
+    numbers: list[float] = []
+    for stage, theirs in own.items():
+        from groundstation.dynamics.chains import own_address
+
+        first = []
+        for _, values in theirs:
+            first.append(len(numbers))
+            numbers += values.values()
+        if len(numbers) > VALUE_SLOTS:
             raise BadInputError(
-                f"model for {model.vehicle}: its own effects have {len(numbers)} parameters,"
-                f" at most {MOST_VALUES} can act"
+                f"its own effects have {len(numbers)} parameters, at most {VALUE_SLOTS} can act"
             )
-        laws = tuple(effect.law for effect, _ in own if effect.law is not None)
-        craft["law"] = law_address(laws, tuple(len(values) for _, values in own))
-        craft["law_values"][: len(numbers)] = numbers
+        effects = tuple(effect for effect, _ in theirs)
+        craft["own"][COMPILED.index(stage)] = own_address(stage, effects, tuple(first))
+    craft["own_values"][: len(numbers)] = numbers
+
+
+def _put_states(craft: np.void, stage: Stage, own: Sequence[Effect]) -> None:
+    """Where the states of a stage begin, and how many there are to integrate."""
+    listed = [effect for effect in at_stage(stage) if effect.states]
+    remembered = [state for effect in (*listed, *own) for state in effect.states]
+    theirs = sum(len(effect.states) for effect in own)
+    if theirs > STATE_SLOTS:
+        raise BadInputError(f"its own effects have {theirs} states, at most {STATE_SLOTS} can act")
+    if own:  # their chain has room for as many states as may be, whether they have any or not
+        craft[f"{stage}_states"] = LISTED_STATES[stage] + STATE_SLOTS
+    elif any(craft[effect.name][0] for effect in listed):
+        craft[f"{stage}_states"] = LISTED_STATES[stage]
+    for place, state in enumerate(remembered):
+        craft[f"{stage}_initial"][place] = state.initial
+        if state.follows is not None and stage == "sensor":
+            craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
+
+
+def _put_motors(craft: np.void, motors: Motors) -> None:
+    for name in ("a0", "a1", "a2"):
+        craft[name] = [getattr(one, name) for one in motors]
+    craft["back_emf_mv"] = [one.a1 / one.a0 for one in motors]

@@ -12,17 +12,23 @@ from typing import Any
 
 import msgspec
 
-from groundstation.dynamics.effects.catalogue import EFFECTS
+from groundstation.documents import decode_json, read_document, seems
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import (
     THESIS_MOTOR,
     MotorConstants,
+    Motors,
     Vehicle,
     load_vehicle,
+    mean_motor,
+    moved_motors,
     require_physical,
 )
 from groundstation.errors import BadInputError
 
 SCHEMA_VERSION = 1
+MEAN_TOLERANCE = 1e-3
+"""Relative difference from which ``motor`` is not the mean of ``motors``; rounding is below."""
 
 
 class BodyConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,6 +62,10 @@ class Estimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     stderr: float | None = None
     unit: str = ""
 
+    def __str__(self) -> str:
+        spread = "" if self.stderr is None else f" ± {self.stderr:.2g}"
+        return f"{self.value:.4g}{spread} {self.unit}".rstrip()
+
 
 class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named effect on top of the base model.
@@ -68,12 +78,16 @@ class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     parameters: dict[str, Estimate]
     source: str = ""
 
+    def __repr__(self) -> str:
+        return f"{self.name} {', '.join(f'{key} {one}' for key, one in self.parameters.items())}"
+
 
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An identified craft.
 
     vehicle: name of the profile the model was fitted for.
     vehicle_profile: the profile itself where it is not a built-in one.
+    motor, motors: the mean motor, and those of rotors M1..M4 where they were told apart.
     fit: how it was fitted (recordings with hashes, samples, method, errors, covariance).
     """
 
@@ -81,11 +95,22 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     vehicle: str
     vehicle_profile: Vehicle | None = None
     motor: MotorConstants
+    motors: Motors | None = None
     body: BodyConstants | None = None
     arx: dict[str, ArxAxis] | None = None
     effects: tuple[EffectTerm, ...] = ()
     fit: dict[str, Any] = {}
     created_by: str = ""
+
+    def __repr__(self) -> str:
+        """What was identified, in a line; the account of the fit is in ``fit``."""
+        parts = [f"motor {_numbers(self.motor)}"]
+        if self.body is not None:
+            parts.append(f"body {_numbers(self.body)}")
+        if self.arx is not None:
+            parts.append(f"arx {', '.join(self.arx)}")
+        parts += map(repr, self.effects)
+        return f"Model({self.vehicle}: {'; '.join(parts)})"
 
 
 def load_model(source: str | Path) -> Model:
@@ -96,16 +121,18 @@ def load_model(source: str | Path) -> Model:
     if str(source) == THESIS.created_by:
         return THESIS
     path = Path(source)
+    content = b""
     try:
-        model = msgspec.json.decode(path.read_bytes(), type=Model)
+        content = read_document(path)
+        model = decode_json(content, Model)
     except FileNotFoundError as error:
         raise BadInputError(
             f"model {str(source)!r}: no such file; give a model file or the built-in 'thesis'"
         ) from error
     except OSError as error:
         raise BadInputError(f"model {path}: cannot be read: {error.strerror}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"model {path}: not a model file: {error}") from error
+    except ValueError as error:
+        raise BadInputError(f"model {path}: not a model file: {error}{seems(content)}") from error
     if model.schema_version != SCHEMA_VERSION:
         raise BadInputError(
             f"model {path}: schema_version {model.schema_version}, this version reads"
@@ -115,11 +142,16 @@ def load_model(source: str | Path) -> Model:
     return _with_sources_from(path.parent, model)
 
 
-def save_model(model: Model, path: Path) -> None:
+def _numbers(constants: msgspec.Struct) -> str:
+    values = msgspec.structs.asdict(constants)
+    return ", ".join(f"{key} {value:.4g}" for key, value in values.items())
+
+
+def save_model(model: Model, path: str | Path) -> None:
     """Write a model file, indented so that people and diffs can read it."""
     _require_usable(model, f"model for {path}")
     try:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n")
+        Path(path).write_bytes(msgspec.json.format(msgspec.json.encode(model), indent=2) + b"\n")
     except OSError as error:
         raise BadInputError(f"model {path}: cannot be written: {error.strerror}") from error
 
@@ -127,6 +159,18 @@ def save_model(model: Model, path: Path) -> None:
 def model_vehicle(model: Model) -> Vehicle:
     """The profile the model belongs to."""
     return model.vehicle_profile or load_vehicle(model.vehicle)
+
+
+def rotor_motors(model: Model) -> Motors:
+    """The motor of each rotor M1..M4; four equal ones where they were not told apart."""
+    motor = model.motor
+    return model.motors or (motor, motor, motor, motor)
+
+
+def with_motor(model: Model, motor: MotorConstants) -> Model:
+    """The model with another mean motor; where it has four, they move along with it."""
+    motors = None if model.motors is None else moved_motors(model.motors, motor)
+    return msgspec.structs.replace(model, motor=motor, motors=motors)
 
 
 def vehicle_model(vehicle: Vehicle) -> Model:
@@ -152,15 +196,29 @@ def _with_sources_from(folder: Path, model: Model) -> Model:
 
 
 def _require_usable(model: Model, where: str) -> None:
-    numbers = {f"motor.{key}": getattr(model.motor, key) for key in ("a0", "a1")}
+    motors = {"motor": model.motor}
+    motors.update({f"motors[{i}]": one for i, one in enumerate(model.motors or ())})
+    numbers = {
+        f"{name}.{key}": getattr(one, key) for name, one in motors.items() for key in ("a0", "a1")
+    }
     if model.body is not None:
         for key in ("c0", "c1", "c2", "thrust_per_mass"):
             numbers[f"body.{key}"] = getattr(model.body, key)
     for key, value in numbers.items():
         if not (math.isfinite(value) and value > 0):
             raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
-    if not math.isfinite(model.motor.a2):
-        raise BadInputError(f"{where}: motor.a2 is {model.motor.a2}, must be finite")
+    for name, one in motors.items():
+        if not math.isfinite(one.a2):
+            raise BadInputError(f"{where}: {name}.a2 is {one.a2}, must be finite")
+    if model.motors is not None:
+        mean = mean_motor(model.motors)
+        for key in ("a0", "a1", "a2"):
+            value, expected = getattr(model.motor, key), getattr(mean, key)
+            if abs(value - expected) > MEAN_TOLERANCE * abs(expected):
+                raise BadInputError(
+                    f"{where}: motor.{key} is {value}, but the mean of motors is {expected};"
+                    " correct it, or leave 'motors' out"
+                )
     for term in model.effects:
         if not term.source:
             _require_known(term, where)

@@ -87,3 +87,23 @@ def inverse(normal: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     unit = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
     return np.asarray(unit / np.outer(scale, scale))
+
+
+def bounded_step(
+    normal: Array, gradient: Array, free: NDArray[np.bool_], low: Array, high: Array
+) -> Array:
+    """The Gauss-Newton step whose parts stay within low..high; only ``free`` ones move.
+
+    A part that meets its limit stays there and the others are found anew: cut off afterwards,
+    they would answer to a step that was never taken.
+    """
+    step, open_ = np.zeros(len(gradient)), free.copy()
+    while open_.any():
+        right = gradient - normal @ np.where(open_, 0.0, step)
+        step[open_] = inverse(normal[np.ix_(open_, open_)]) @ right[open_]
+        outside = open_ & ((step < low) | (step > high))
+        if not outside.any():
+            break
+        step[outside] = np.clip(step, low, high)[outside]
+        open_ &= ~outside
+    return step

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effects.ahead import fly_ahead, observe_run
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
+from groundstation.prediction.prediction import fly_ahead, observe_run
 
 Array = NDArray[np.float64]
 

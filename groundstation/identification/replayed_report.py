@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.reference_flight import MadeRun
 from groundstation.identification.replayed import Replayed
 from groundstation.identification.runs import Run
+from groundstation.prediction.reference_flight import MadeRun
 from groundstation.report.figure import MEASURED, MODELLED, SERIES, figure, thinned
 from groundstation.report.page import Page
 from groundstation.telemetry.packet import STANDARD_GRAVITY

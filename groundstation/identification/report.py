@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from groundstation.dynamics.model import Model
+from groundstation.identification.arx.residual_tests import CorrelationTest
 from groundstation.identification.estimate import Estimates
-from groundstation.identification.evidence import Evidence, ResidualTest, Step, Trace
-from groundstation.identification.residual_tests import CorrelationTest
+from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.segments import EVERYTHING
 from groundstation.report.figure import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES, figure
 from groundstation.report.page import Page
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+MOST_PERCENT = 1e4
 TITLES = {"motor": "Motor", "body": "Body", "arx": "ARX models"}
 
 
@@ -35,6 +36,9 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     if account["warnings"]:
         page.heading("Warnings")
         page.bullets(account["warnings"])
+    if account.get("findings"):
+        page.heading("Rotors")
+        page.bullets(account["findings"])
     for title, estimates in evidence.estimates.items():
         page.heading("Parameters" if len(evidence.estimates) == 1 else f"Parameters: {title}")
         _parameters(page, estimates, account)
@@ -85,7 +89,9 @@ def _verdict(account: dict[str, Any], evidence: Evidence) -> tuple[str, str]:
         chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in account["axes"].items())
         return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
     (estimates,) = evidence.estimates.values()
-    base = [i for i, name in enumerate(estimates.names) if "." not in name and name != "delay_s"]
+    base = [
+        i for i, name in enumerate(estimates.names) if "." not in name and not name.endswith("_s")
+    ]
     shares = 100 * estimates.stderr[base] / np.abs(estimates.values[base])
     worst = int(np.argmax(shares))
     text = (
@@ -256,6 +262,7 @@ def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
             color = "white" if abs(value) > 0.7 else MEASURED
             left.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=color)
     shares = 100 * estimates.stderr / np.maximum(np.abs(estimates.values), 1e-300)
+    shares = np.minimum(shares, MOST_PERCENT)  # an effect that is not there is 0
     right.barh(ticks, shares, color=SERIES[0], height=0.6)
     for i, name in enumerate(estimates.names):
         if name in expected:

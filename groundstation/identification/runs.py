@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.spans import spans
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -49,6 +48,10 @@ class Run:
 
     def __len__(self) -> int:
         return len(self.duty)
+
+    def __repr__(self) -> str:
+        where = f"from {self.start_s:.2f} s on"
+        return f"Run({self.name!r}, {where}: {self.seconds:.2f} s at {1 / self.period_s:.0f} Hz)"
 
     @property
     def seconds(self) -> float:
@@ -152,12 +155,3 @@ def hold_out(runs: Sequence[Run], share: float = 1 / 3) -> tuple[list[Run], list
             held.append(run[left:])
         left -= len(run)
     return fit, held
-
-
-def flying(run: Run, least_s: float = 2.0) -> list[Run]:
-    """The stretches of a run in which all motors turn: no take-off from standstill, no rest.
-
-    A motor counts as turning above 10 % duty. Shorter stretches than ``least_s`` are left out.
-    """
-    turning = (run.duty > 0.1).all(axis=1)
-    return [run[a:b] for a, b in spans(turning) if (b - a) * run.period_s >= least_s]

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.dynamics.motor import each_motor
+from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
+from groundstation.identification.airborne import airborne
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, rotor_squares
@@ -17,10 +19,6 @@ from groundstation.spans import spans
 
 Array = NDArray[np.float64]
 
-TAKE_OFF_S, LANDING_S = 1.5, 1.0
-"""Left out where the motors start or stop: the ground carries part of the torque."""
-SETTLE_S = 0.5
-"""Left out at the start of a run: the motors forget the speed they were assumed to have."""
 LEAST_S, PIECE_S = 4.0, 1.0
 """Shortest sum of stretches, and shortest stretch, worth identifying on."""
 
@@ -38,7 +36,7 @@ class Stretch:
     squares: RotorSquares
     first: int
     last: int
-    motor: MotorConstants | None = None
+    motor: MotorConstants | Motors | None = None
 
     @property
     def rows(self) -> slice:
@@ -50,7 +48,7 @@ class Stretch:
 
 def stretches_of(
     runs: Sequence[Run],
-    motor: MotorConstants,
+    motor: MotorConstants | Motors,
     measured: bool = False,
     selection: Selection = EVERYTHING,
 ) -> list[Stretch]:
@@ -81,15 +79,18 @@ def stretches_of(
     return found
 
 
-def airborne(run: Run) -> NDArray[np.bool_]:
-    """Rows (n,) in which all motors turn, without take-off, landing and the run's first moments."""
-    turning = np.asarray((run.duty > 0.1).all(axis=1))
-    mask = np.zeros(len(run), np.bool_)
-    for first, last in spans(turning):
-        first += round((TAKE_OFF_S if first > 0 else SETTLE_S) / run.period_s)
-        last -= round(LANDING_S / run.period_s) if last < len(run) else 0
-        mask[first : max(last, first)] = True
-    return mask
+def quicker(motor: MotorConstants, factor: float) -> MotorConstants:
+    """A motor that reaches the same speeds so much faster."""
+    return MotorConstants(motor.a0 * factor, motor.a1 * factor, motor.a2 * factor)
+
+
+def paced(stretch: Stretch, factor: float) -> Stretch:
+    """The stretch with motors that reach the same speeds so much faster."""
+    if stretch.motor is None or factor == 1.0:
+        return stretch
+    m1, m2, m3, m4 = (quicker(one, factor) for one in each_motor(stretch.motor))
+    motors = (m1, m2, m3, m4)
+    return replace(stretch, motor=motors, squares=rotor_squares(stretch.run, motors))
 
 
 def split(stretches: Sequence[Stretch], share: float = 1 / 3) -> tuple[list[Stretch], ...]:

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.mixer import MIXERS, Configuration
-from groundstation.dynamics.motor import armature_mv, simulate_motor
-from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
+from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
 
+AXES = ("roll", "pitch", "yaw")
 SMOOTH_S = 0.018
 SATURATED = 0.995
 """Duty above which a motor gives all it has."""
@@ -35,9 +36,14 @@ class RotorSquares:
         return np.asarray(self.square @ MIXERS[configuration].T)
 
 
+def mostly_saturated(run: Run) -> bool:
+    """Whether a motor gives all it has in more than half of the rows."""
+    return bool((run.duty.max(axis=1) >= SATURATED).mean() > 0.5)
+
+
 def rotor_squares(
     run: Run,
-    motor: MotorConstants,
+    motor: MotorConstants | Motors,
     measured: bool = False,
     *,
     dead_mv: float = 0.0,
@@ -64,17 +70,15 @@ def rotor_squares(
         raise BadInputError(
             f"{run.name}: PWM or battery voltage is missing in some rows; the motors need both"
         )
-    if (run.duty.max(axis=1) >= SATURATED).mean() > 0.5:
+    if mostly_saturated(run):
         raise BadInputError(
             f"{run.name}: a motor is saturated in more than half of the rows; the torque does not"
             " follow the control there: fly with less thrust or a full battery"
         )
     driving = np.where(voltage > 0.0, np.maximum(voltage - dead_mv, 0.0), 0.0)
-    start = np.array([motor.steady_rev_s(value) for value in driving[0]])
-    if braking == 1.0:
-        speed, square = simulate_motor(motor, driving[1:], run.period_s, start)
-    else:
-        speed, square = _braked(motor, driving[1:], run.period_s, start, braking)
+    start = steady_rev_s(motor, driving[0])
+    effects = {"motor_braking_asymmetry": {"factor": braking}} if braking != 1.0 else None
+    speed, square = simulate_motor(motor, driving[1:], run.period_s, start, effects=effects)
     return RotorSquares(np.vstack([start**2, square]), speed**2)
 
 
@@ -91,15 +95,3 @@ def _smoothed(run: Run) -> Array:
     if width <= 3:
         return run.rotor_rev_s
     return np.asarray(savgol_filter(run.rotor_rev_s, width, 2, axis=0), np.float64)
-
-
-def _braked(
-    motor: MotorConstants, voltage: Array, period_s: float, start: Array, braking: float
-) -> tuple[Array, Array]:
-    """As ``simulate_motor``, deceleration times ``braking``."""
-    from groundstation.identification.motor_kernel import braked_run
-
-    speed, square = np.empty((len(voltage) + 1, len(start))), np.empty_like(voltage)
-    constants = np.array([motor.a0, motor.a1, motor.a2, braking])
-    braked_run(constants, voltage, period_s, start, speed, square)
-    return speed, square

@@ -12,11 +12,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import LinkEndedError, LinkError, LinkLostError
+from groundstation.telemetry.decoder import DecoderCounts
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+
+if TYPE_CHECKING:
+    from groundstation.links.command import CommandLink
 
 LinkBatch = RawBatch | SampleBatch
 """What a link delivers: packets, or samples where the source never had packets (microSD)."""
@@ -58,6 +62,8 @@ class Link(ABC):
     name: as the user would type it after ``--link``.
     start_ticks: unwrapped device time of the first sample where the source knows it (replay),
         so that a replayed recording keeps its absolute device time.
+    vehicle: profile of the craft, once it is open and where it says so.
+    commands: the command link that the same connection carries, where it does.
     """
 
     silence_s = 0.5
@@ -69,6 +75,8 @@ class Link(ABC):
         self.clock = clock or steady_clock()
         self.state = LinkState.CLOSED
         self.start_ticks: int | None = None
+        self.vehicle: str | None = None
+        self.commands: CommandLink | None = None
         self.on_event: EventSink = lambda event: None
 
     async def open(self) -> None:
@@ -108,6 +116,10 @@ class Link(ABC):
             raise
         self._enter(LinkState.STREAMING, "receiving")
         return batch
+
+    def sample_counts(self) -> DecoderCounts | None:
+        """Totals of a link that makes samples itself and knows what it lost; None for others."""
+        return None
 
     async def close(self) -> None:
         """Release the source. Safe to call twice."""

@@ -119,6 +119,20 @@ class CommandLink(ABC):
             raise LinkError(f"{self.uri}: parameter {name} is {confirmed:g}, not {value:g}")
         return confirmed
 
+    def clear_assists(self) -> list[str]:
+        """Ask the craft to leave modes in which zero thrust does not stop its motors; the
+        parameters that are reset, without waiting for them."""
+        return []
+
+    def emergency_stop(self) -> bool:
+        """Let the firmware cut its motors at once; whether it can. It flies no more until it is
+        switched off and on."""
+        return False
+
+    def arm(self, armed: bool) -> bool:
+        """Arm or disarm the motors; whether this firmware knows the request."""
+        return False
+
     def record_parameters(self, client: str) -> None:
         """Put every parameter, as last read, into the recording."""
         self._entry("in", "parameters", client=client, values=self.parameters())

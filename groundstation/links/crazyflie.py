@@ -1,26 +1,32 @@
-"""Commands through the official client library: ``udp://`` to a stand-in, ``radio://`` to a craft.
-
-The only module that imports cflib, which is GPLv3 and an optional extra:
-``pip install groundstation[radio]``.
-"""
+"""Commands to a Crazyflie, or to a stand-in, through the official client library."""
 
 from __future__ import annotations
 
 import asyncio
-import os
 import threading
-from collections.abc import Callable
-from pathlib import Path
+import time
 from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.command import CommandLink, CommandState
+from groundstation.links.crazyflie_connection import Connection, resolve
 
-CONNECT_S = 10.0
 CONFIRM_S = 2.0
 SEND_S = 2.5
 """cflib waits 2 s for a radio that takes nothing."""
+ASSISTS = ("flightmode.althold", "flightmode.poshold")
+"""Modes in which zero thrust is a rate of descent."""
+STOP = "stop"
+TODAY, SUPERVISED = 4, 12
+"""CRTP versions: from which on there are requests to arm and stop, and a port for them."""
+PLATFORM, SUPERVISOR = (13, 0), (9, 1)
+"""Port and channel of requests."""
+ARM = 1
+EMERGENCY = (6, 1, b"\x03")
+SUPERVISED_STOP = (9, 1, b"\x03")
+LOCKS_AFTER_S = 2.0
+"""Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
 _WHOLE = {
     "uint8_t": (0, 255),
     "int8_t": (-128, 127),
@@ -32,80 +38,88 @@ _WHOLE = {
 
 
 class CrazyflieLink(CommandLink):
-    """One Crazyflie, or stand-in, by cflib."""
+    """One Crazyflie, or stand-in, by cflib.
 
-    def __init__(self, uri: str, *, clock: HostClock | None = None) -> None:
+    shared: the connection of a telemetry link that carries the commands too; None: its own.
+    """
+
+    def __init__(
+        self, uri: str, *, shared: Connection | None = None, clock: HostClock | None = None
+    ) -> None:
         super().__init__(uri, clock=clock)
-        try:
-            import cflib.crtp
-            from cflib.crazyflie import Crazyflie
-        except ImportError as error:
-            raise BadInputError(
-                f"--command {uri} needs cflib: install it with pip install 'groundstation[radio]'"
-            ) from error
-        cflib.crtp.init_drivers()
-        if not uri.startswith(("udp://", "radio://", "usb://")):
-            raise BadInputError(
-                f"command link {uri!r} is not known: udp://HOST:PORT or radio://..."
-            )
-        cache = _cache_folder()
-        self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(cache))
-        self._craft: Any = None
+        self._is_shared = shared is not None
+        self._connection = shared or Connection(uri)
+        self._connection.on_lost.append(lambda reason: self._enter(CommandState.LOST, reason))
         self._sender: _Sender | None = None
 
     async def open(self) -> None:
-        loop = asyncio.get_running_loop()
-        ready: asyncio.Future[None] = loop.create_future()
+        if self._is_shared and not self._connection.is_open:
+            raise LinkError(f"{self.uri} is not connected: commands go with its telemetry")
         self._enter(CommandState.CONNECTING, f"connecting to {self.uri}")
-        craft = self._craft = self._new_craft()
-
-        def connected(uri: str) -> None:
-            loop.call_soon_threadsafe(_resolve, ready, None)
-
-        def failed(uri: str, reason: str = "") -> None:
-            loop.call_soon_threadsafe(_resolve, ready, LinkError(f"{self.uri}: {reason}"))
-
-        def lost(uri: str, reason: str = "") -> None:
-            loop.call_soon_threadsafe(self._enter, CommandState.LOST, reason or "connection lost")
-
-        craft.fully_connected.add_callback(connected)
-        craft.connection_failed.add_callback(failed)
-        craft.connection_lost.add_callback(lost)
         try:
-            # cflib blocks here while it opens the radio
-            await asyncio.to_thread(craft.open_link, self.uri)
-            async with asyncio.timeout(CONNECT_S):
-                await ready
-        except (TimeoutError, LinkError) as error:
+            if not self._is_shared:
+                await self._connection.open()
+            await self._connection.complete()
+        except LinkError:
             await self.close()
-            text = str(error) or f"{self.uri}: no craft answered within {CONNECT_S:g} s"
-            raise LinkError(text) from error
-        self._sender = _Sender(craft)
+            raise
+        self._sender = _Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
         self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
 
     async def close(self) -> None:
-        craft, self._craft = self._craft, None
         sender, self._sender = self._sender, None
         if sender is not None:
             await asyncio.to_thread(sender.close)
-        if craft is not None:
-            await asyncio.to_thread(craft.close_link)
+        if not self._is_shared:
+            await self._connection.close()
         self._enter(CommandState.CLOSED, "closed")
 
     def parameters(self) -> dict[str, float]:
-        if self._craft is None:
+        if not self._connection.is_open:
             return {}
         return {
             f"{group}.{name}": float(value)
-            for group, values in self._craft.param.values.items()
+            for group, values in self._connection.craft.param.values.items()
             for name, value in values.items()
         }
+
+    def clear_assists(self) -> list[str]:
+        if not self._is_up_to_date():
+            return []
+        known = self.parameters()
+        found = [name for name in ASSISTS if known.get(name)]
+        for name in found:
+            self._connection.craft.param.set_value(name, 0)
+            self._entry("out", "parameter", client=STOP, name=name, value=0.0)
+        return found
+
+    def emergency_stop(self) -> bool:
+        if not self._is_up_to_date():
+            return False
+        port, channel, data = (
+            EMERGENCY if self._connection.protocol < SUPERVISED else SUPERVISED_STOP
+        )
+        self._connection.send(port, channel, data)
+        self._entry("out", "emergency stop", client=STOP)
+        return True
+
+    def arm(self, armed: bool) -> bool:
+        if not self._is_up_to_date():
+            return False
+        port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
+        self._connection.send(port, channel, bytes([ARM, armed]))
+        self._entry("out", "arm" if armed else "disarm")
+        return True
+
+    def _is_up_to_date(self) -> bool:
+        return self.state is CommandState.CONNECTED and self._connection.protocol >= TODAY
 
     def _send_setpoint(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
     ) -> None:
         self._connected()
         assert self._sender is not None
+        self._connection.commanded = True
         # cflib turns pitch round by itself, from nose down to the firmware's nose up
         self.superseded += self._sender.send((roll_deg, pitch_deg, -yaw_dps, thrust))
 
@@ -116,7 +130,7 @@ class CrazyflieLink(CommandLink):
         group, short = name.split(".", 1)
 
         def updated(complete_name: str, text: str) -> None:
-            loop.call_soon_threadsafe(_resolve, answer, float(text))
+            loop.call_soon_threadsafe(resolve, answer, float(text))
 
         craft.param.add_update_callback(group=group, name=short, cb=updated)
         try:
@@ -136,19 +150,22 @@ class CrazyflieLink(CommandLink):
         return _WHOLE.get(element.ctype)
 
     def _connected(self) -> Any:
-        if self._craft is None or self.state is not CommandState.CONNECTED:
+        if self.state is not CommandState.CONNECTED:
             raise LinkError(f"{self.uri} is not connected ({self.state.value})")
-        return self._craft
+        return self._connection.craft
 
 
 class _Sender:
     """Hands setpoints to cflib from a thread of its own, for a radio may block for seconds.
 
     Holds one setpoint: a newer one replaces it, for an old one is worth nothing.
+
+    locks: whether the firmware takes thrust only after zero thrust, again after each silence.
     """
 
-    def __init__(self, craft: Any) -> None:
-        self._craft = craft
+    def __init__(self, craft: Any, *, locks: bool) -> None:
+        self._craft, self._locks = craft, locks
+        self._sent_s = -LOCKS_AFTER_S
         self._next: tuple[float, float, float, int] | None = None
         self._changed = threading.Condition()
         self._closing = False
@@ -177,20 +194,8 @@ class _Sender:
                 setpoint, self._next = self._next, None
             if setpoint is None:
                 return
+            now_s = time.monotonic()
+            if self._locks and now_s - self._sent_s >= LOCKS_AFTER_S:
+                self._craft.commander.send_setpoint(0, 0, 0, 0)
             self._craft.commander.send_setpoint(*setpoint)
-
-
-def _cache_folder() -> Path:
-    """Where cflib keeps tables of contents by their checksum, so that they are read once."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "groundstation" / "crazyflie"
-
-
-def _resolve(future: asyncio.Future[Any], result: Any) -> None:
-    """Set a future once, from whichever callback comes first."""
-    if future.done():
-        return
-    if isinstance(result, Exception):
-        future.set_exception(result)
-    else:
-        future.set_result(result)
+            self._sent_s = now_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -11,7 +12,11 @@ from groundstation.errors import BadInputError
 from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
 
-KINDS = "stand-in, replay:FILE, usb, serial:PORT"
+KINDS = (
+    "stand-in, replay:FILE, usb, serial:PORT, radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT"
+)
+CRAFT = ("radio://", "usb://", "udp://")
+"""Links to a craft that speaks for itself."""
 _TAKES_ARGUMENT = {"stand-in": False, "replay": True, "usb": False, "serial": True}
 
 
@@ -22,13 +27,20 @@ def make_link(
     stand_in: dict[str, Any],
     command: str = "",
     usb: dict[str, str] | None = None,
+    rate_hz: int = 100,
+    wanted: Sequence[str] = (),
     clock: HostClock | None = None,
 ) -> Link:
-    """``stand-in``, ``replay:FILE``, ``usb`` or ``serial:PORT``, else BadInputError.
+    """A link of one of ``KINDS``, else BadInputError.
 
     usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual ones.
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
+    rate_hz, wanted: rows a second, and further variables, of a craft's own log.
     """
+    if name.startswith(CRAFT):
+        from groundstation.links.crazyflie_log import CrazyflieTelemetry
+
+        return CrazyflieTelemetry(name, rate_hz=rate_hz, wanted=wanted, clock=clock)
     kind, argument = split_name(name)
     if kind == "stand-in":
         from groundstation.links.stand_in import StandInLink
@@ -49,6 +61,9 @@ def make_link(
 
 def split_name(name: str) -> tuple[str, str]:
     """Kind of link and what follows its colon. Raises BadInputError for no known link."""
+    if name.startswith(CRAFT):
+        scheme, _, rest = name.partition("://")
+        return scheme, rest
     kind, colon, argument = name.partition(":")
     if _TAKES_ARGUMENT.get(kind) != bool(colon) or bool(colon) != bool(argument):
         raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")

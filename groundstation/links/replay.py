@@ -44,23 +44,28 @@ class ReplayLink(Link):
         self.speed = speed
         self._pieces: Iterator[LinkBatch] = iter(())
         self._piece: LinkBatch | None = None
+        self._ahead: asyncio.Future[LinkBatch | None] | None = None
+        self._damage: list[str] = []
         self._at = 0
         self._first_ns = 0
         self._shift_ns = 0
         self._started_s = 0.0
 
     async def _open(self) -> None:
-        pieces = self._read_pieces()
-        self._piece = await in_background(lambda: next(pieces, None))
-        self._pieces = pieces
-        if self._piece is None:
+        pieces = self._pieces = self._read_pieces()
+        first = await in_background(lambda: next(pieces, None))
+        if first is None:
             raise BadInputError(f"{self.path} holds no telemetry to replay")
+        self._take(first)
         self._at = 0
-        self._first_ns = int(self._piece.host_time_ns[0])
+        self._first_ns = int(first.host_time_ns[0])
         self._shift_ns = self.clock() - self._first_ns
         self._started_s = time.monotonic()
 
     async def _read(self) -> LinkBatch:
+        if self._piece is None and self._ahead is not None:
+            # shielded: a cancelled read leaves it for the next one
+            self._take(await asyncio.shield(self._ahead))
         piece = self._piece
         if piece is None:
             raise LinkEndedError(f"the end of {self.path}")
@@ -78,18 +83,33 @@ class ReplayLink(Link):
         self._at = end
         if end == len(piece):
             # no await between here and the return: a cancelled read has lost nothing
-            self._piece, self._at = next(self._pieces, None), 0
+            self._piece, self._at = None, 0
         shifted = stamps[rows] + self._shift_ns
         if isinstance(piece, SampleBatch):
             return replace(piece[rows], host_time_ns=shifted)
         return RawBatch(piece.packets[rows], shifted)
 
     async def _close(self) -> None:
-        self._pieces, self._piece = iter(()), None
+        if self._ahead is not None:
+            self._ahead.cancel()
+        self._piece = self._ahead = None
+
+    def _take(self, piece: LinkBatch | None) -> None:
+        """The next piece has come; the one behind it is read where it holds up nobody."""
+        self._piece, self._ahead = piece, None
+        if piece is not None:
+            pieces = self._pieces
+            self._ahead = asyncio.ensure_future(in_background(lambda: next(pieces, None)))
+            # where nobody comes for it any more, a fault in it is nobody's
+            self._ahead.add_done_callback(lambda ahead: ahead.cancelled() or ahead.exception())
+            return
+        for line in self._damage:
+            self.emit("damage", f"{self.path}: {line}")
+        self._damage = []
 
     def now_ns(self) -> int:
         """Stamps keep their spacing at any speed: so must the time that has passed since."""
-        if self._piece is None or self.speed == FAST:
+        if self._ahead is None or self.speed == FAST:
             return self.clock()
         passed_s = time.monotonic() - self._started_s
         return self._first_ns + self._shift_ns + int(passed_s * self.speed * 1e9)
@@ -106,7 +126,7 @@ class ReplayLink(Link):
                 some = True
                 yield batch
             if some:
-                self._report(stream.damage)
+                self._damage = stream.damage
                 return
         recording = open_recording(self.path, raw=True)
         if len(recording.samples):
@@ -120,11 +140,7 @@ class ReplayLink(Link):
                 yield source[rows]
             else:
                 yield RawBatch(source.packets[rows], source.host_time_ns[rows])
-        self._report(recording.damage)
-
-    def _report(self, damage: list[str]) -> None:
-        for line in damage:
-            self.emit("damage", f"{self.path}: {line}")
+        self._damage = recording.damage
 
 
 def _is_mcap(path: Path) -> bool:

@@ -72,6 +72,7 @@ class SerialLink(Link):
         self._gone = ""
         self._reported = (0, 0, False)
         self._report_due_s = 0.0
+        self._later: asyncio.TimerHandle | None = None
         self._arrived = asyncio.Event()
 
     async def _open(self) -> None:
@@ -161,7 +162,12 @@ class SerialLink(Link):
         """Tell what was wrong with the stream, once a second at most."""
         unreadable = self._deframer.frames == 0 and self._received_bytes > UNREADABLE_BYTES
         now = (self.damaged, self.dropped_bytes, unreadable)
-        if now == self._reported or time.monotonic() < self._report_due_s:
+        if now == self._reported:
+            return
+        wait_s = self._report_due_s - time.monotonic()
+        if wait_s > 0 and self._serial is not None:
+            if self._later is None:
+                self._later = asyncio.get_running_loop().call_later(wait_s, self._report_late)
             return
         damaged, dropped = now[0] - self._reported[0], now[1] - self._reported[1]
         if unreadable and not self._reported[2]:
@@ -178,11 +184,19 @@ class SerialLink(Link):
         self._reported = now
         self._report_due_s = time.monotonic() + REPORT_S
 
+    def _report_late(self) -> None:
+        """Also when nothing more comes."""
+        self._later = None
+        self._report()
+
     async def _close(self) -> None:
         if self._serial is not None:
             asyncio.get_running_loop().remove_reader(self._serial.fileno())
             self._serial.close()
         self._serial = None
+        if self._later is not None:
+            self._later.cancel()
+            self._report_late()
 
 
 def permission_advice(port: str) -> str:

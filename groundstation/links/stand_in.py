@@ -11,6 +11,7 @@ import numpy as np
 
 from groundstation.background import in_background
 from groundstation.clock import HostClock
+from groundstation.documents import explained
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
 from groundstation.telemetry.samples import RawBatch
@@ -50,13 +51,16 @@ class StandInLink(Link):
         try:
             self._settings = msgspec.convert(options, StandInSettings)
         except msgspec.ValidationError as error:
-            raise BadInputError(f"configuration [stand_in]: {error}") from error
+            raise BadInputError(
+                f"configuration [stand_in]: {explained(error, StandInSettings)}"
+            ) from error
         self.speed = speed
         self.silence_s = 2.0
         self._step_s = FAST_BATCH_S if speed == float("inf") else BATCH_S * max(1.0, speed)
         self._crtp = crtp
         self._server: Any = None
         self._craft: Any = None
+        self._powered = True
         self._flown_s = self._target_s = self._heard_from_s = 0.0
         self._origin_ns = 0
         self._due_s = 0.0
@@ -73,6 +77,7 @@ class StandInLink(Link):
             self._craft = await in_background(self._power_on)
         finally:
             announcement.cancel()
+        self.vehicle = self._craft.profile
         if self._crtp is not None:
             await self._serve(*self._crtp)
         self._flown_s = 0.0
@@ -88,7 +93,10 @@ class StandInLink(Link):
         try:
             await server.start()
         except OSError as error:
-            raise TakenError(f"command port {host}:{port} of the stand-in: {error}") from error
+            raise TakenError(
+                f"command port {host}:{port} of the stand-in: {error}; with --link stand-in"
+                " --command serves that port: choose a free one"
+            ) from error
         self._server = server
 
     def _power_on(self) -> Any:
@@ -118,10 +126,21 @@ class StandInLink(Link):
             packets, arrival_s = await asyncio.shield(self._flight)
             self._flight = None
             self._flown_s = self._target_s
+            self._tell_of_cell()
             heard = arrival_s >= self._heard_from_s
             if heard.any():
                 stamps = self._origin_ns + np.rint(arrival_s[heard] * 1e9).astype(np.int64)
                 return RawBatch(packets[heard], stamps)
+
+    def _tell_of_cell(self) -> None:
+        """An empty cell is part of the flight, not a fault of the link."""
+        before, self._powered = self._powered, self._craft.powered
+        if before and not self._powered:
+            self.emit("battery", "the simulated cell is empty: a charged one is plugged in soon")
+        elif self._powered and not before:
+            self.emit(
+                "battery", f"a charged cell was plugged in, number {self._craft.state().boots}"
+            )
 
     def _unheard_s(self) -> float:
         """Simulated time to fly without listening, after a stall."""

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
+import fcntl
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Metadata, MetadataIndex, Statistics, SummaryOffset
 from mcap.writer import MCAP0_MAGIC
+
+from groundstation.documents import open_regular
+from groundstation.errors import RecordingError
+from groundstation.recording.mcap_file import CHECKSUM_KEY
+from groundstation.recording.mcap_records import Fields
+from groundstation.recording.mcap_scan import looks_like_mcap
+from groundstation.recording.mcap_schemas import metadata_checksum
 
 TOTALS = "totals"
 """Metadata record that a finished recording ends with."""
 
 _FOOTER = struct.Struct("<BQQQI")
-_RECORD = struct.Struct("<BQ")
-_SUMMARY_MOST = 1 << 20
+_SUMMARY_MOST = 1 << 26
+_LAST_NS = 1 << 62
+"""Unix time of the year 2116."""
 
 
 @dataclass(frozen=True, slots=True)
 class CatalogueEntry:
-    """One file. state: finished, torn (it was never finished, see ``recover``) or recording.
+    """One file. state: finished, recording (by whomever), or torn (it was never finished) or
+    damaged: see ``recover``.
 
     What only a finished file tells is None for another.
     """
@@ -47,15 +56,22 @@ class CatalogueEntry:
 
 
 def catalogue(folder: Path, *, recording: Path | None = None) -> list[CatalogueEntry]:
-    """Every MCAP file of ``folder`` by name; ``recording`` is the one being written."""
+    """Every MCAP file of ``folder`` by name; ``recording`` is the one being written.
+
+    Raises RecordingError for a folder that cannot be read; none at all is an empty one.
+    """
+    try:
+        with os.scandir(folder) as found:
+            names = [one.name for one in found if one.name.endswith(".mcap") and one.is_file()]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be read: {error.strerror}") from error
     entries = []
-    for path in sorted(folder.glob("*.mcap")) if folder.is_dir() else ():
-        if not path.is_file():
-            continue  # a pipe would be waited for for ever
-        try:
+    for name in sorted(names):
+        path = folder / name
+        with contextlib.suppress(FileNotFoundError):  # deleted meanwhile
             entries.append(_entry(path, is_open=path == recording))
-        except FileNotFoundError:
-            continue  # deleted meanwhile
     return entries
 
 
@@ -64,12 +80,13 @@ def _entry(path: Path, *, is_open: bool) -> CatalogueEntry:
     if is_open:
         return CatalogueEntry(path.name, size, "recording")
     try:
-        with path.open("rb") as file:
-            statistics, metadata = _end_of(file)
-    except (OSError, ValueError, struct.error):
-        return CatalogueEntry(path.name, size, "torn")
+        with open(open_regular(path), "rb") as file:
+            if not _has_end(file):
+                return CatalogueEntry(path.name, size, "recording" if is_held(path) else "torn")
+            (start_ns, end_ns), metadata = _end_of(file)
+    except (OSError, ValueError):
+        return CatalogueEntry(path.name, size, "damaged")
     session, totals = metadata.get("session", {}), metadata.get(TOTALS, {})
-    start_ns, end_ns = statistics.message_start_time, statistics.message_end_time
     return CatalogueEntry(
         file=path.name,
         bytes=size,
@@ -85,49 +102,73 @@ def _entry(path: Path, *, is_open: bool) -> CatalogueEntry:
     )
 
 
-def _end_of(file: BinaryIO) -> tuple[Statistics, dict[str, dict[str, str]]]:
-    """Statistics and metadata by way of the footer. Raises ValueError where there is none."""
-    tail = _FOOTER.size + len(MCAP0_MAGIC)
+def _has_end(file: BinaryIO) -> bool:
+    """Whether it ends as a finished file does, one damaged byte allowed."""
     size = file.seek(0, os.SEEK_END)
-    if size < tail:
-        raise ValueError("too short")
-    file.seek(size - tail)
-    opcode, _, summary, offsets, _ = _FOOTER.unpack(file.read(_FOOTER.size))
-    if opcode != Opcode.FOOTER or file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-        raise ValueError("no footer")
-    if not 0 < summary <= offsets <= size - tail:
+    file.seek(max(0, size - len(MCAP0_MAGIC)))
+    return looks_like_mcap(file.read())
+
+
+def is_held(path: Path) -> bool:
+    """Whether somebody is writing the file: a recorder holds a lock. Raises OSError."""
+    with open(open_regular(path), "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _end_of(file: BinaryIO) -> tuple[tuple[int, int], dict[str, dict[str, str]]]:
+    """First and last time and the metadata, by way of the footer. Raises ValueError where that is
+    damaged."""
+    tail = _FOOTER.size + len(MCAP0_MAGIC)
+    end = file.seek(0, os.SEEK_END) - tail
+    opcode, length, summary, offsets, crc = _FOOTER.unpack(_read(file, end, _FOOTER.size))
+    if (opcode, length) != (Opcode.FOOTER, 20) or not 0 < summary <= offsets <= end:
         raise ValueError("no index")
-    statistics, places = None, []
-    for opcode, body in _records(file, offsets, size - tail - offsets):
-        if opcode != Opcode.SUMMARY_OFFSET:
-            continue
-        group = SummaryOffset.read(ReadDataStream(body))
-        for kind, content in _records(file, group.group_start, group.group_length):
+    content = _read(file, summary, end - summary + _FOOTER.size)
+    if crc and zlib.crc32(content[:-4]) != crc:
+        raise ValueError("the index is damaged")
+    times, places = None, []
+    for _, group in _records(content[offsets - summary : end - summary]):
+        kind, start, size = group.rest(1)[0], group.u64() - summary, group.u64()
+        if kind not in (Opcode.STATISTICS, Opcode.METADATA_INDEX) or start < 0:
+            continue  # of chunks there are thousands
+        for _, fields in _records(content[start : start + size]):
             if kind == Opcode.STATISTICS:
-                statistics = Statistics.read(ReadDataStream(content))
-            elif kind == Opcode.METADATA_INDEX:
-                places.append(MetadataIndex.read(ReadDataStream(content)))
+                fields.rest(8 + 2 + 4 * 4)  # counts
+                times = (fields.u64(), fields.u64())
             else:
-                break
-    if statistics is None:
+                places.append((fields.u64(), fields.u64()))
+    if times is None or not times[0] <= times[1] < _LAST_NS:
         raise ValueError("no statistics")
     metadata = {}
-    for place in places:
-        for _, content in _records(file, place.offset, place.length):
-            record = Metadata.read(ReadDataStream(content))
-            metadata[record.name] = record.metadata
-    return statistics, metadata
+    for offset, size in places:
+        for _, fields in _records(_read(file, offset, size)):
+            name, items = fields.text(), fields.table()
+            if items.pop(CHECKSUM_KEY, None) not in (None, metadata_checksum(name, items.items())):
+                raise ValueError("a metadata record is damaged")
+            metadata[name] = items
+    return times, metadata
 
 
-def _records(file: BinaryIO, start: int, length: int) -> Iterator[tuple[int, BinaryIO]]:
-    at = start
-    while at + _RECORD.size <= start + length:
-        file.seek(at)
-        opcode, size = _RECORD.unpack(file.read(_RECORD.size))
-        if size > _SUMMARY_MOST:
-            raise ValueError("not an index")
-        yield opcode, io.BytesIO(file.read(size))
-        at += _RECORD.size + size
+def _read(file: BinaryIO, offset: int, length: int) -> bytes:
+    if not (0 <= offset < 1 << 62 and length <= _SUMMARY_MOST):
+        raise ValueError("not an index")
+    file.seek(offset)
+    content = file.read(length)
+    if len(content) != length:
+        raise ValueError("ends too early")
+    return content
+
+
+def _records(content: bytes) -> Iterator[tuple[int, Fields]]:
+    """Kind and fields of each record. Raises ValueError."""
+    fields = Fields(memoryview(content))
+    while not fields.at_end:
+        kind = fields.rest(1)[0]
+        yield kind, Fields(fields.rest(fields.u64()))
 
 
 def _number(items: dict[str, str], key: str) -> int | None:

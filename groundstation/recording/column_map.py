@@ -13,25 +13,31 @@
 without a header). ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
 z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
 battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw;
-rotor.m1..m4; debug. Only time is required.
+rotor.m1..m4; debug. Only time is required. ``[tables]`` names further columns, kept as they stand
+under a name of their own; ``vehicle`` is the profile of the craft that flew, ``title`` says what
+such files are.
+
+The maps in ``maps/`` ship with the program, under the name of their file.
 """
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from groundstation.documents import decode_toml, read_document
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
-from groundstation.recording.session import Recording
+from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
     ANGLE_RAD,
@@ -64,6 +70,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 0.01 deg); ``12-bit`` is its duty of 1/4096, 8 and 16 bits count to 255 and 65535.
 """
 
+NAMED = {path.stem: path for path in sorted((Path(__file__).parent / "maps").glob("*.toml"))}
+"""The maps that ship with the program."""
 _TICK_S = 1e-9
 """Tick of a mapped recording whose time is not in the packet's ticks."""
 _LIMITS = {"ticks": (-4e18, 4e18), "debug": (0.0, 2.0**32 - 1)}
@@ -120,10 +128,19 @@ class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
     attitude: Angles = msgspec.field(default_factory=Angles)
     rotor: Motors = msgspec.field(default_factory=Motors)
     debug: Plain | None = None
+    tables: dict[str, list[Annotated[str, msgspec.Meta(min_length=1)]]] = {}
+    vehicle: str | None = None
+    title: str = ""
 
 
-def read_mapped_csv(path: Path, map_path: Path) -> Recording:
-    """Read any CSV by the columns that the TOML file ``map_path`` names.
+def map_of_header(names: Collection[str]) -> str | None:
+    """The one named map of which every column stands in a header, or None."""
+    fitting = [name for name, path in NAMED.items() if _all_columns(path) <= set(names)]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def read_mapped_csv(path: Path, source: str | Path) -> Recording:
+    """Read any CSV by the columns that a map names: one of ``NAMED``, or a TOML file.
 
     A time that goes backwards starts a new segment; an empty cell is NaN; a channel that is
     not mapped is NaN. There are no raw packets.
@@ -131,20 +148,53 @@ def read_mapped_csv(path: Path, map_path: Path) -> Recording:
     Raises RecordingError where a file cannot be opened, BadInputError where the map is wrong
     (file and key), a column is missing, or a cell does not read (file, line, column).
     """
-    channels, tick_s, mapping = _plan(load_column_map(map_path), map_path)
+    map_path = NAMED.get(str(source), Path(source))
+    column_map = load_column_map(map_path)
+    channels, tick_s, mapping = _plan(column_map, map_path)
+    kept = [
+        _Channel(f"tables.{name}", column, name, None, 1.0)
+        for name, columns in column_map.tables.items()
+        for column in columns
+    ]
     table = open_table(path)
-    places = [_place(table, channel, map_path) for channel in channels]
-    batches = [_batch(block, channels, tick_s) for block in table.blocks(places)]
+    places = [_place(table, channel, map_path) for channel in (*channels, *kept)]
+    batches, rest = [], [np.empty((0, len(kept)))]
+    for block in table.blocks(places):
+        batches.append(_batch(block, channels, tick_s))
+        rest.append(block.values[:, len(channels) :])
     samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, tick_s)
     samples.segment[:] = segments_of(samples.ticks)
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, tick_s, samples.segment)
+    metadata = {"host_time": dict(SYNTHESISED), "column_map": mapping}
+    if column_map.vehicle is not None:
+        metadata["vehicle"] = {"profile": column_map.vehicle}
     return Recording(
         path=path,
         kind="csv",
         samples=samples,
-        metadata={"host_time": dict(SYNTHESISED), "column_map": mapping},
+        tables=_tables(kept, np.concatenate(rest), samples.time_s),
+        metadata=metadata,
         damage=table.damage,
     )
+
+
+def _tables(
+    kept: list[_Channel], values: NDArray[np.float64], time_s: NDArray[np.float64]
+) -> dict[str, Table]:
+    """The columns (n, len(kept)) that are no channel of the samples, by the map's table names."""
+    tables: dict[str, Table] = {}
+    for channel, column in zip(kept, values.T, strict=True):
+        table = tables.setdefault(channel.field, Table(time_s, {}))
+        table.columns[str(channel.column)] = column
+    return tables
+
+
+def _all_columns(path: Path) -> set[str]:
+    """Names of the columns that a named map asks for."""
+    column_map = load_column_map(path)
+    channels, _, _ = _plan(column_map, path)
+    kept = [column for columns in column_map.tables.values() for column in columns]
+    return {str(channel.column) for channel in channels} | set(kept)
 
 
 def load_column_map(path: Path) -> ColumnMap:
@@ -154,10 +204,10 @@ def load_column_map(path: Path) -> ColumnMap:
     wrong.
     """
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=ColumnMap)
+        return decode_toml(read_document(path), ColumnMap)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise BadInputError(f"{path}: not a column map: {error}") from error
 
 

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.paths import taken
 from groundstation.recording.channels import CHANNELS
+from groundstation.recording.column_map import map_of_header, read_mapped_csv
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
 from groundstation.recording.session import Recording
@@ -54,7 +56,8 @@ _WRITE_ROWS = 20_000
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a CSV file in the thesis's layout or in physical units, told apart by the header.
+    """Read a CSV file in the thesis's layout, in physical units or with the columns of a named map,
+    told apart by the header.
 
     A time that goes backwards starts a new segment. Host stamps are made from device time
     where the file has none. Rows that fit the packet are also given as raw packets, one copy
@@ -68,10 +71,13 @@ def read_csv(path: Path) -> Recording:
     if "time_s" in positions:
         return _read_physical(table, positions)
     missing = [name for name in THESIS_COLUMNS if name.lower() not in positions]
+    if missing and (named := map_of_header(table.names)) is not None:
+        return read_mapped_csv(path, named)
     if missing:
         raise BadInputError(
             f"{path}, line 1: the header has neither the thesis's columns (no {missing[0]}) nor "
-            "time_s; describe the columns in a TOML file and give it with --columns"
+            "time_s, nor is it one that 'groundstation convert --list-columns' names; describe the "
+            "columns in a TOML file and convert it with --columns"
         )
     return _read_thesis(table, [positions[name.lower()] for name in THESIS_COLUMNS])
 
@@ -244,7 +250,7 @@ def _new_file(path: Path) -> Iterator[TextIO]:
     try:
         file = path.open("x", encoding="ascii", newline="")
     except FileExistsError as error:
-        raise BadInputError(f"{path}: exists already; choose another name") from error
+        raise BadInputError(taken(path)) from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
     try:

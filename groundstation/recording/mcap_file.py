@@ -23,6 +23,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
 from groundstation import __version__
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.paths import taken
 from groundstation.recording.mcap_schemas import metadata_checksum
 
 LIBRARY = f"groundstation {__version__} ({LIBRARY_IDENTIFIER})"
@@ -302,8 +303,8 @@ def _create(path: Path) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
     except FileExistsError as error:
-        if path.parent.is_dir():
-            raise BadInputError(f"{path}: exists already; choose another name") from error
+        if os.path.isdir(path.parent):
+            raise BadInputError(taken(path)) from error
         raise RecordingError(f"{path}: {path.parent} is not a folder") from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error

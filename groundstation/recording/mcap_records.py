@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
@@ -19,18 +21,30 @@ Message = tuple[int, int, int, memoryview]
 
 @dataclass(slots=True)
 class Contents:
-    """What a chunk or a summary holds."""
+    """What a chunk or a summary holds.
 
-    messages: list[Message] = field(default_factory=list)
+    first_ns, last_ns: log times of the messages, where there are any.
+    """
+
+    content: memoryview
     schemas: list[Schema] = field(default_factory=list)
     channels: list[Channel] = field(default_factory=list)
+    first_ns: int | None = None
+    last_ns: int = 0
+    places: array[int] = field(default_factory=lambda: array("Q"))
+    """Offset and length of each message: objects would need ten times a small message's size."""
+
+    def messages(self) -> Iterator[Message]:
+        for at, length in zip(self.places[::2], self.places[1::2], strict=True):
+            channel_id, _, log_ns, publish_ns = _MESSAGE.unpack_from(self.content, at)
+            yield channel_id, log_ns, publish_ns, self.content[at + _MESSAGE.size : at + length]
 
 
 def parse_contents(content: bytes) -> Contents:
     """Messages and definitions in a chunk or a summary. Raises ValueError."""
-    found = Contents()
-    messages = found.messages
     view = memoryview(content)
+    found = Contents(view)
+    first_ns, last_ns = 1 << 64, 0
     at, total = 0, len(view)
     while at < total:
         if at + RECORD.size > total:
@@ -42,10 +56,12 @@ def parse_contents(content: bytes) -> Contents:
         if opcode == Opcode.MESSAGE:
             if length < _MESSAGE.size:
                 raise ValueError("a message is shorter than its header")
-            channel_id, _, log_ns, publish_ns = _MESSAGE.unpack_from(view, at)
-            messages.append(
-                (channel_id, log_ns, publish_ns, view[at + _MESSAGE.size : at + length])
-            )
+            log_ns = _MESSAGE.unpack_from(view, at)[2]
+            if log_ns < first_ns:
+                first_ns = log_ns
+            if log_ns > last_ns:
+                last_ns = log_ns
+            found.places.extend((at, length))
         elif opcode == Opcode.SCHEMA:
             fields = Fields(view[at : at + length])
             schema_id, name, encoding = fields.u16(), fields.text(), fields.text()
@@ -67,6 +83,8 @@ def parse_contents(content: bytes) -> Contents:
                 )
             )
         at += length
+    if found.places:
+        found.first_ns, found.last_ns = first_ns, last_ns
     return found
 
 
@@ -130,11 +148,15 @@ class Fields:
     def table(self) -> dict[str, str]:
         inner = Fields(self.rest(self.u32()))
         items = {}
-        while inner._at < len(inner._body):
+        while not inner.at_end:
             key = inner.text()
             items[key] = inner.text()
         return items
 
+    @property
+    def at_end(self) -> bool:
+        return self._at == len(self._body)
+
     def end(self) -> None:
-        if self._at != len(self._body):
+        if not self.at_end:
             raise ValueError("a record is longer than its parts")

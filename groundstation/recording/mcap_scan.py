@@ -38,6 +38,9 @@ from groundstation.recording.recording_file import CHANNELS_METADATA
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
 _LARGEST_CHUNK = 256 * 1024 * 1024
+_MOST_UNPACKED = 64
+"""Times the file's length: packets and samples that are all zeros come to 13."""
+_FREE_UNPACKED = 4 * 1024 * 1024
 _MAGIC_SEARCH = 1024 * 1024
 _COMPRESSIONS = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
 
@@ -97,6 +100,7 @@ class McapScan:
         self.start_ns: int | None = None
         self.on_attachment: Callable[[Attachment], None] = lambda attachment: None
         self._file = FileWindow(path)
+        self._budget = _FREE_UNPACKED + _MOST_UNPACKED * self._file.size
         self._decompress = zstandard.ZstdDecompressor().decompress
         self._data_crc: int | None = 0
         self._newest_ns: int | None = None
@@ -234,13 +238,17 @@ class McapScan:
     ) -> Contents:
         if size > _LARGEST_CHUNK:
             raise ValueError("a chunk is too large to be true")
+        if compression:
+            self._budget -= size
+            if self._budget < 0:
+                raise ValueError(f"its chunks unpack to more than {_MOST_UNPACKED} times the file")
         try:
             if compression == "zstd":
                 if zstandard.frame_content_size(packed) not in (size, -1):
                     raise ValueError("a chunk's size disagrees with its content")
                 content = self._decompress(packed, max_output_size=size)
             elif compression == "lz4":
-                content = lz4.frame.decompress(packed)
+                content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
             elif not compression:
                 content = bytes(packed)
             else:
@@ -280,17 +288,16 @@ class McapScan:
     def _unpack(self, offset: int, contents: Contents) -> Iterator[Message]:
         """Definitions are kept, messages yielded."""
         self._define(contents)
-        messages = contents.messages
-        if not messages:
+        if contents.first_ns is None:
             return
-        self._place(min(message[1] for message in messages))
+        self._place(contents.first_ns)
         unknown = 0
-        for message in messages:
+        for message in contents.messages():
             if message[0] in self.channels or self._recall_channel(message[0]):
                 yield message
             else:
                 unknown += 1
-        self._newest_ns = max(message[1] for message in messages)
+        self._newest_ns = contents.last_ns
         if unknown:
             self._note(Damage(offset, 0, f"{unknown} messages belong to no known channel"))
 

@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from groundstation.documents import decode_json
 from groundstation.recording.cdr import Definition
 from groundstation.recording.standard_messages import (
     BATTERY_DEFINITION,
@@ -21,7 +22,7 @@ from groundstation.recording.standard_messages import (
     IMU_TOPIC,
 )
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.text import printable
+from groundstation.text import encodable
 
 RAW_TOPIC = "/telemetry/raw"
 SAMPLES_TOPIC = "/telemetry/samples"
@@ -155,10 +156,7 @@ def encode_entry(entry: dict[str, Any]) -> bytes:
 
 def decode_entry(payload: bytes | memoryview) -> dict[str, Any]:
     """Inverse of ``encode_entry``. Raises ValueError where the payload is not a JSON object."""
-    try:
-        return msgspec.json.decode(payload, type=dict[str, Any])
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"message is not a JSON object: {error}") from error
+    return decode_json(payload, dict[str, Any])
 
 
 def metadata_checksum(name: str, items: Iterable[tuple[str, str]]) -> str:
@@ -169,12 +167,12 @@ def metadata_checksum(name: str, items: Iterable[tuple[str, str]]) -> str:
 
 def _printable(value: Any) -> Any:
     if isinstance(value, dict):
-        return {printable(str(key)): _printable(item) for key, item in value.items()}
+        return {encodable(str(key)): _printable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_printable(item) for item in value]
     if value is None or isinstance(value, bool | int | float):
         return value
-    return printable(value) if isinstance(value, str) else _printable(_plain(value))
+    return encodable(value) if isinstance(value, str) else _printable(_plain(value))
 
 
 def _plain(value: Any) -> Any:

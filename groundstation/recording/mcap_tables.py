@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from mcap.records import Channel, Schema
 
+from groundstation.documents import decode_json
 from groundstation.errors import RecordingError
 from groundstation.recording.cdr import Definition
 from groundstation.recording.mcap_schemas import Topic
@@ -65,7 +66,7 @@ class TableColumns:
 
     def __init__(self, channel: Channel, schema: Schema) -> None:
         self._definition = Definition.parse(schema.data.decode())
-        names = msgspec.json.decode(channel.metadata.get("columns", "{}"), type=dict[str, str])
+        names = decode_json(channel.metadata.get("columns", "{}"), dict[str, str])
         self._names = [names.get(field.name, field.name) for field in self._definition.fields]
         if self._names[:1] != [_TIME]:
             raise ValueError(f"{channel.topic} has no {_TIME}")

@@ -26,6 +26,8 @@ GAPS_LISTED = 100
 """The report lists this many of the longest gaps; ``gap_count`` counts all."""
 LOSS_TOLERATED = 0.01
 GAP_TOLERATED_S = 0.05
+FEW = 10
+"""Samples: 20 ms of telemetry."""
 FULL_DUTY = 4088 / 4096
 """The largest duty of a 9-bit PWM."""
 LOW_BATTERY_V = 3.0
@@ -115,6 +117,8 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
     if report["samples"] == 0:
         yield "no samples"
         return
+    if report["samples"] < FEW:
+        yield f"only {report['samples']} samples: nothing can be told of the craft"
     lost = report["lost_samples"]
     longest = max(report["gaps"], key=lambda gap: gap["duration_s"], default=None)
     if longest and lost > LOSS_TOLERATED * (lost + report["samples"]):

@@ -34,7 +34,7 @@ from groundstation.recording.mcap_tables import TableTopic
 from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import StandardMessages
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-from groundstation.text import printable
+from groundstation.text import encodable
 
 MESSAGE_S = 0.05
 """How long a message of packets or samples lasts, seconds."""
@@ -59,7 +59,7 @@ class RecordingFile:
         self._channels: dict[str, int] = {}
         try:
             for name, items in metadata.items():
-                texts = {key: printable(str(value)) for key, value in items.items()}
+                texts = {key: encodable(str(value)) for key, value in items.items()}
                 self.file.add_metadata(name, texts)
             names = {str(number): name for number, name in enumerate(TOPICS, start=1)}
             self.file.add_metadata(CHANNELS_METADATA, names)
@@ -109,13 +109,14 @@ class RecordingFile:
             self.file.path.unlink()
 
 
-def write_mcap(recording: Recording, path: Path) -> None:
+def write_mcap(recording: Recording, path: str | Path) -> None:
     """Write a recording, from whatever file it came, as a new MCAP file.
 
     Messages are in the order of their host times, so viewers can play the file. Leaves no
     output behind where it fails. Raises BadInputError where ``path`` exists, RecordingError
     where it cannot be written or a table does not hold numbers.
     """
+    path = Path(path)
     tables = [
         TableTopic(name, number, table)
         for number, (name, table) in enumerate(recording.tables.items(), start=1)

@@ -9,6 +9,8 @@ from pathlib import Path
 from mcap.records import Channel
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.paths import taken
+from groundstation.recording.catalogue import is_held
 from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.recording_file import CHANNELS_METADATA
@@ -48,17 +50,20 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
 
     output: by default ``<stem>.recovered.mcap`` beside the input.
 
-    Raises BadInputError where there is no such file or the output exists; RecordingError where
-    nothing can be read or the output cannot be written, and then leaves no output behind.
+    Raises BadInputError where there is no such file, it is being written, or the output exists;
+    RecordingError where nothing can be read or the output cannot be written, and then leaves no
+    output behind.
     """
     output = output or path.with_name(f"{path.stem}.recovered.mcap")
     report = _examine(path)
     if report.sound:
         return report
+    if is_held(path):
+        raise BadInputError(f"{path}: is still being written; stop that recording first")
     if not report.messages:
         raise RecordingError(f"{path}: nothing to recover: no message can be read")
     if output.exists():
-        raise BadInputError(f"{output}: exists already; choose another name for the recovery")
+        raise BadInputError(taken(output))
     file = McapFile(output)
     try:
         with McapScan(path) as scan:

@@ -49,6 +49,10 @@ class Recording:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     damage: list[str] = field(default_factory=list)
 
+    def __repr__(self) -> str:
+        more = f", {len(self.damage)} damaged places" if self.damage else ""
+        return f"Recording({str(self.path)!r}, {self.kind}: {self.samples!r}{more})"
+
     @property
     def link(self) -> str:
         """The link that made the recording, or the kind of file where none did."""

@@ -10,6 +10,8 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from groundstation.text import printable
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -66,6 +68,7 @@ def svg(made: Figure) -> str:
     """The figure as an ``<svg>`` element that scales with the page; same input, same text."""
     import matplotlib
 
+    _take_literally(made)
     out = io.StringIO()
     with matplotlib.rc_context(_STYLE):
         made.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
@@ -77,10 +80,22 @@ def png(made: Figure, dots_per_inch: int = 110) -> bytes:
     """The figure as a picture, for pages that cannot show SVG."""
     import matplotlib
 
+    _take_literally(made)
     out = io.BytesIO()
     with matplotlib.rc_context(_STYLE):
         made.savefig(out, format="png", dpi=dots_per_inch, metadata={"Software": None})
     return out.getvalue()
+
+
+def _take_literally(made: Figure) -> None:
+    """Names of files are no formulas and hold no controls; only ticks have formulas, when drawn."""
+    from matplotlib.text import Text
+
+    for text in made.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text("\n".join(map(printable, text.get_text().split("\n"))))
+        if "$" in text.get_text():
+            text.set_parse_math(False)
 
 
 def thinned(*columns: Sequence[float] | NDArray[Any], most: int = MOST_POINTS) -> tuple[Any, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from groundstation.errors import BadInputError
+from groundstation.paths import taken
 from groundstation.report.figure import svg
 from groundstation.text import printable
 
@@ -129,7 +130,7 @@ class Page:
             with path.open("x", encoding="utf-8") as file:
                 file.write(self.html())
         except FileExistsError as error:
-            raise BadInputError(f"{path} exists already; nothing is ever overwritten") from error
+            raise BadInputError(taken(path)) from error
         except OSError as error:
             raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 

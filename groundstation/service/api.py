@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from groundstation.service import requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings
 from groundstation.service.station import Station
+from groundstation.telemetry.framing import port_and_baud
 
 Work = Callable[[Any], Awaitable[Any]]
 
@@ -141,9 +143,19 @@ def permitted_link(name: str, folder: Path) -> str:
         if path.exists() and not path.is_file():  # a pipe would be waited for for ever
             raise BadInputError(f"{path}: not a file; give the recording itself")
         return f"replay:{path}"
-    if kind == "serial" and not _resolved(Path(argument)).is_relative_to("/dev"):
-        raise BadInputError(f"{argument} is not a device in /dev")
+    if kind == "serial":
+        try:
+            port = Path(port_and_baud(argument)[0])
+        except ValueError as error:
+            raise BadInputError(str(error)) from error
+        # where anyone may write, a link can lead elsewhere by the time it is opened
+        for path in (Path(os.path.abspath(port)), _resolved(port)):
+            if not path.is_relative_to("/dev") or any(map(path.is_relative_to, _FOR_ALL)):
+                raise BadInputError(f"{port} is not a device in /dev")
     return name
+
+
+_FOR_ALL = ("/dev/shm", "/dev/mqueue")
 
 
 def _resolved(path: Path) -> Path:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import os
 import socket
+import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
 from groundstation.errors import GroundStationError
+from groundstation.service.config import shared_folder
 
 TIMEOUT_S = 45.0
 """Finishing a recording on a bad disk is given 30 s."""
@@ -29,16 +32,34 @@ class _UnixConnection(http.client.HTTPConnection):
         self.sock.settimeout(TIMEOUT_S)
         try:
             self.sock.connect(str(self._path))
-        except OSError:
+            _require_ours(self.sock, self._path)
+        except (OSError, GroundStationError):
             self.sock.close()
             raise
+
+
+def _require_ours(connection: socket.socket, path: Path) -> None:
+    """Whoever makes a socket first in a folder for all could tell anything: only one's own daemon,
+    or root's, is believed; root may ask another's where the path was chosen."""
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    _, user, _ = _CREDENTIALS.unpack(credentials)
+    chosen = os.getuid() == 0 and path.parent != shared_folder()
+    if user not in (os.getuid(), 0) and not chosen:
+        raise GroundStationError(
+            f"control socket {path}: belongs to user {user}, not to you; nothing was asked. Set "
+            "GROUNDSTATION_SOCKET, or remove what is there"
+        )
+
+
+_CREDENTIALS = struct.Struct("iII")
+"""Process, user and group of the other side, see unix(7)."""
 
 
 class Client:
     """A connection to the daemon at ``path`` that is kept between requests."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: str | Path) -> None:
+        self._path = path = Path(path)
         self._connection = _UnixConnection(path)
         self._used_s = 0.0
 
@@ -151,9 +172,10 @@ class Pilot(Client):
         return self.ask("POST", f"/command/{what}", {"token": token, **content})
 
 
-def live(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def live(path: str | Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """What the daemon at ``path`` streams, as (kind, content); kinds are samples, event and
     statistics. Ends with the daemon; raises GroundStationError when there is none."""
+    path = Path(path)
     connection = _UnixConnection(path)
     with _explained(path), contextlib.closing(connection):
         connection.request("GET", "/stream")

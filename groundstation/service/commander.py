@@ -36,10 +36,32 @@ WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
 STOPS = 5
 """How often zero thrust is sent at an end: a radio may lose some."""
+STILL_S = 0.5
+"""Motors that turn so long after they were asked to stop are disarmed, then stopped by the
+firmware's emergency stop, again and again."""
+UNSEEN_S = 2.0
+"""Without telemetry for so long nobody knows whether they have stopped."""
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
 DEAD_MAN = "dead man"
 
 Note = Callable[[str, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """What the craft last said of its motors: how long ago, s, and the largest duty."""
+
+    age_s: float
+    duty: float
+
+
+@dataclass(slots=True)
+class Stop:
+    """Motors that were asked to stop and have not been seen to. forced: how often more than zero
+    thrust was tried."""
+
+    asked_s: float
+    forced: int = 0
 
 
 @dataclass(slots=True)
@@ -61,6 +83,7 @@ class Commander:
     link: None where the daemon was given no command link.
     note: told (kind, text) of leases and of the dead man.
     telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
+    motors: what the telemetry says of them, None where it does not.
 
     What refuses raises BadInputError for a value, NotAuthorisedError for a token that is not in
     force, TakenError where another client commands, LinkError where the craft is not connected.
@@ -73,11 +96,13 @@ class Commander:
         *,
         note: Note,
         telemetry: Callable[[], tuple[LinkState, str]],
+        motors: Callable[[], Motors | None] = lambda: None,
     ) -> None:
         self.link = link
         self.limits = limits
         self.setpoints = self.refused = self.interventions = 0
-        self._note, self._telemetry = note, telemetry
+        self._note, self._telemetry, self._motors = note, telemetry, motors
+        self._stop: Stop | None = None
         self._lease: Lease | None = None
         self._stops = 0  # zero thrusts still to be repeated
         self._stopped_by = DEAD_MAN
@@ -146,6 +171,8 @@ class Commander:
             self.refused += 1
             raise
         self._stops = 0
+        if thrust:
+            self._stop = None
         self.setpoints += 1
         lease.setpoint_s, lease.thrust, lease.levelled = lease.heard_s, thrust, False
         return sent_ns
@@ -226,13 +253,14 @@ class Commander:
         if self._stops:
             self._stops -= 1
             self._send(0, self._stopped_by)
+        self._watch_stop(now_s)
         if lease is None:
             return
         silent_s = now_s - lease.setpoint_s
         if self._is_overdue(lease, now_s):
             self.interventions += 1
             self._stop_motors(lease, client=DEAD_MAN)
-            self._end(f"{lease.client} has vanished: motors stopped", kind="fault")
+            self._end(f"{lease.client} has vanished: its motors are asked to stop", kind="fault")
         elif lease.thrust and silent_s >= self.limits.level_s:
             if not lease.levelled:
                 lease.levelled = True
@@ -251,9 +279,8 @@ class Commander:
                 self._stop_motors(lease, client=DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
-            while self._stops and self.link.state is CommandState.CONNECTED:
-                self._stops -= 1
-                self._send(0, self._stopped_by)
+            while (self._stops or self._stop) and self.link.state is CommandState.CONNECTED:
+                self.look(time.monotonic())
                 await asyncio.sleep(WATCH_S / 5)
             await self.link.close()
 
@@ -285,7 +312,40 @@ class Commander:
         lease.thrust = 0
         self._stops = STOPS - 1
         self._stopped_by = client or lease.client
+        self._stop = Stop(time.monotonic())
+        cleared = [] if self.link is None else self.link.clear_assists()
+        if cleared:
+            self._note(
+                "command", f"{', '.join(cleared)} set to 0: it would keep the motors running"
+            )
         self._send(0, self._stopped_by)
+
+    def _watch_stop(self, now_s: float) -> None:
+        """Say that motors have stopped when the craft says so, and not before."""
+        stop = self._stop
+        if stop is None:
+            return
+        waited_s, said = now_s - stop.asked_s, self._motors()
+        if said is not None and said.age_s < waited_s and said.duty <= 0.0:
+            self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
+            self._stop = None
+        elif said is None or said.age_s > UNSEEN_S:
+            if waited_s > UNSEEN_S:
+                self._note(
+                    "fault", "asked to stop; no telemetry says whether the motors still turn"
+                )
+                self._stop = None
+        elif waited_s > STILL_S * (stop.forced + 1):
+            stop.forced += 1
+            self._stops = STOPS
+            means = "asked again"
+            if self.link is not None:
+                # armed motors may idle: disarmed first, for an emergency stop ends the flying
+                if stop.forced == 1 and self.link.arm(False):
+                    means = "disarmed"
+                elif stop.forced > 1 and self.link.emergency_stop():
+                    means = "emergency stop"
+            self._note("fault", f"asked to stop, motors still turn: {means}")
 
     def _send(self, thrust: int, client: str) -> None:
         link = self.link

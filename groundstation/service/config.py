@@ -11,10 +11,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
+from groundstation.documents import decode_toml, explained, read_document
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 
 MEBIBYTE = 1 << 20
+DEFAULT_VEHICLE = "crazyflie1"
+"""Of links whose craft does not say what it is: the thesis's."""
 ENVIRONMENT = "GROUNDSTATION_"
 """``recording.folder`` is ``GROUNDSTATION_RECORDING_FOLDER`` in the environment."""
 
@@ -26,9 +29,14 @@ def _key(text: str, **limits: Any) -> Any:
 class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where telemetry comes from."""
 
-    name: Annotated[str, _key("stand-in, usb, serial:PORT or replay:FILE", min_length=1)] = (
-        "stand-in"
-    )
+    name: Annotated[
+        str,
+        _key(
+            "stand-in, usb, serial:PORT, replay:FILE, or a craft: radio://..., usb://0,"
+            " udp://HOST:PORT",
+            min_length=1,
+        ),
+    ] = "stand-in"
     speed: Annotated[
         float | Literal["max"], _key('of stand-in and replay: 1 is real time, or "max"')
     ] = 1.0
@@ -39,6 +47,13 @@ class UsbConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     device: Annotated[str, _key("VID:PID, hexadecimal")] = "0483:5741"
     serial: Annotated[str, _key("serial number, empty for any")] = ""
+
+
+class RadioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A craft that is asked for its log: radio://, usb:// or udp://."""
+
+    rate_hz: Annotated[int, _key("rows a second: 1000, 500, 250, 200, 125, 100 or 50")] = 100
+    log: Annotated[str, _key("further log variables, GROUP.NAME,...; empty: none")] = ""
 
 
 class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -113,11 +128,18 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Everything the daemon can be told."""
 
     command: Annotated[
-        str, _key("command link: udp://HOST:PORT (stand-in), radio://... (craft), empty: none")
+        str,
+        _key(
+            "command link: udp://HOST:PORT (stand-in), radio://... (craft); empty: that of a"
+            " craft's own telemetry, else none"
+        ),
     ] = ""
-    vehicle: Annotated[str, _key("profile named in recordings", min_length=1)] = "crazyflie1"
+    vehicle: Annotated[
+        str, _key("profile named in recordings; empty: what the craft says, else crazyflie1")
+    ] = ""
     link: LinkConfig = LinkConfig()
     usb: UsbConfig = UsbConfig()
+    radio: RadioConfig = RadioConfig()
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
     twin: TwinConfig = TwinConfig()
@@ -178,10 +200,10 @@ def load_config(path: Path | None) -> Config:
     if path is None:
         return Config()
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=Config)
+        return decode_toml(read_document(path), Config)
     except OSError as error:
         raise BadInputError(f"configuration {path}: {error.strerror or error}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise BadInputError(f"configuration {path}: {error}") from error
 
 
@@ -208,7 +230,7 @@ def with_reloaded(running: Config, fresh: Config) -> Config:
 def require_sense(config: Config) -> None:
     """Raise BadInputError, naming the key, for what a type alone cannot tell."""
     try:
-        load_vehicle(config.vehicle)
+        load_vehicle(config.vehicle or DEFAULT_VEHICLE)
     except BadInputError as error:
         raise BadInputError(f"setting vehicle: {error}") from error
     if config.dead_man.stop_s <= config.dead_man.level_s:
@@ -259,7 +281,7 @@ def _changed(config: Config, changes: Mapping[str, Any], where: str, *, strict: 
     try:
         return msgspec.convert(tables, Config, strict=strict)
     except msgspec.ValidationError as error:
-        raise BadInputError(f"{where}: {error}") from error
+        raise BadInputError(f"{where}: {explained(error, Config)}") from error
 
 
 def _variable(name: str) -> str:

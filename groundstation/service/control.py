@@ -7,7 +7,7 @@ import contextlib
 import hmac
 import json
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -22,6 +22,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from groundstation.documents import decode_json
 from groundstation.errors import (
     BadInputError,
     GroundStationError,
@@ -42,6 +43,9 @@ CONNECTIONS_MOST = 64
 REQUESTS_HZ, REQUESTS_BURST = 200.0, 400.0
 """Of all clients together; setpoints have a limit of their own, so that nobody's curiosity can
 keep them from the craft."""
+FAILURES_HZ, FAILURES_BURST = 5.0, 20.0
+FAILURE_S = 1.0
+"""A request without the right token waits for so long, once there are more of them than that."""
 REQUEST_S = 10.0
 """A request must have arrived after so long."""
 STALL_S = 20.0
@@ -60,8 +64,9 @@ class ControlServer:
         self._station = station
         self._servers = [(_server(app, station), control.socket)]
         if port is not None:
-            guarded = _Guarded(app, port.token)
-            self._servers.append((_server(guarded, station), port.socket))
+            expected = b"Bearer " + port.token.encode()
+            guarded = _Guarded(app, expected, station)
+            self._servers.append((_server(guarded, station, expected), port.socket))
         self._tasks: list[asyncio.Task[None]] = []
 
     async def start(self) -> None:
@@ -93,18 +98,30 @@ class _Protocol(H11Protocol):
     """HTTP without endless patience: for a place, for a request, or for a reader."""
 
     station: Station
+    expected: bytes | None
+    """What the header of an authorised request says; None where whoever connects may ask."""
+    _since_s = 0.0
     _arriving: asyncio.TimerHandle | None = None
     _stalled: asyncio.TimerHandle | None = None
 
     # the server opens streams only: a narrower type than any transport's
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
+        self._since_s = self.loop.time()
         if len(self.connections) > CONNECTIONS_MOST:
             self.station.turned_away += 1
-            transport.write(_FULL)
-            transport.close()
-        else:
-            self._arriving = self.loop.call_later(REQUEST_S, transport.abort)
+            strangers = [
+                one
+                for one in self.connections
+                if isinstance(one, _Protocol) and one is not self and _is_stranger(one)
+            ]
+            if not strangers:
+                transport.write(_FULL)
+                transport.close()
+                return
+            # who has shown nothing yet makes room, so that nobody can sit on every place
+            min(strangers, key=lambda one: one._since_s).transport.abort()
+        self._arriving = self.loop.call_later(REQUEST_S, transport.abort)
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -128,20 +145,34 @@ class _Protocol(H11Protocol):
         super().connection_lost(exc)
 
 
-class _Guarded:
-    """Lets in who shows the token."""
+def _is_stranger(one: _Protocol) -> bool:
+    """On the port: without a whole request so far, or without the token in its last one."""
+    if one.expected is None or one.transport.is_closing():
+        return False
+    return one.headers is None or not _shows(one.headers, one.expected)
 
-    def __init__(self, app: ASGIApp, token: str) -> None:
-        self._app = app
-        self._expected = b"Bearer " + token.encode()
+
+def _shows(headers: Iterable[tuple[bytes, bytes]], expected: bytes) -> bool:
+    return hmac.compare_digest(dict(headers).get(b"authorization", b""), expected)
+
+
+class _Guarded:
+    """Lets in who shows the token. Who guesses waits, once there were many wrong ones."""
+
+    def __init__(self, app: ASGIApp, expected: bytes, station: Station) -> None:
+        self._app, self._expected, self._station = app, expected, station
+        self._failures = RateLimit(FAILURES_HZ, FAILURES_BURST)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        shown = dict(scope.get("headers", ())).get(b"authorization", b"")
-        if hmac.compare_digest(shown, self._expected):
+        if _shows(scope.get("headers", ()), self._expected):
             await self._app(scope, receive, send)
-        else:
-            text = "this port needs the header 'Authorization: Bearer TOKEN'"
-            await _refusal(401, text)(scope, receive, send)
+            return
+        self._station.turned_away += 1
+        if not self._failures.allows():
+            await asyncio.sleep(FAILURE_S)
+        refusal = _refusal(401, "this port needs the header 'Authorization: Bearer TOKEN'")
+        refusal.headers["connection"] = "close"
+        await refusal(scope, receive, send)
 
 
 def control_app(station: Station) -> Starlette:
@@ -191,7 +222,7 @@ def control_app(station: Station) -> Starlette:
         )
 
     async def health(request: Request) -> Response:
-        found = station.health.status(station)
+        found = station.health.status(station.problems())
         return _Json(found, status_code=200 if found["healthy"] else 503)
 
     async def scrape(request: Request) -> Response:
@@ -235,7 +266,7 @@ class _TooLargeError(GroundStationError):
     pass
 
 
-def _server(app: ASGIApp, station: Station) -> _Server:
+def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _Server:
     # what strangers send is no news, and faults of ours are events
     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     return _Server(
@@ -244,8 +275,10 @@ def _server(app: ASGIApp, station: Station) -> _Server:
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=type("_Protocol", (_Protocol,), {"station": station}),
+            http=type("_Protocol", (_Protocol,), {"station": station, "expected": expected}),
             ws="none",
+            # on the port so many are accepted at a time: fewer than there are places
+            backlog=2048 if expected is None else CONNECTIONS_MOST // 2,
             h11_max_incomplete_event_size=HEAD_MOST,
             timeout_graceful_shutdown=1,
         )
@@ -267,8 +300,8 @@ async def _body(request: Request, kind: type | None) -> Any:
     if kind is None:
         return None
     try:
-        return msgspec.json.decode(content, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        return decode_json(content, kind)
+    except ValueError as error:
         raise BadInputError(f"the request's body: {error}") from error
 
 

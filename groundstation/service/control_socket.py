@@ -32,7 +32,7 @@ class ControlSocket:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if path.parent == shared_folder():
                 _require_private(path.parent)
-            self._lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o600)
+            self._lock = _open_lock(path.with_suffix(".lock"))
         except OSError as error:
             raise GroundStationError(f"control socket {path}: {error.strerror}") from error
         try:
@@ -66,6 +66,17 @@ class ControlSocket:
         os.close(self._lock)
 
 
+def _open_lock(path: Path) -> int:
+    """The lock file, made where there is none; nobody else's file, and none of another purpose."""
+    lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
+    found = os.fstat(lock)
+    content = os.pread(lock, 32, 0).strip() if stat.S_ISREG(found.st_mode) else b"?"
+    if found.st_uid != os.getuid() or (content and not content.isdigit()):
+        os.close(lock)
+        raise GroundStationError(f"{path}: is no lock file of yours; choose another control socket")
+    return lock
+
+
 def _require_private(folder: Path) -> None:
     """In a folder where anyone can write, someone else may have been there first."""
     found = folder.lstat()
@@ -85,7 +96,8 @@ class ControlPort:
     def __init__(self, port: int, token_path: Path) -> None:
         self.token = secrets.token_urlsafe(32)
         self.token_path = token_path
-        self.socket = socket.socket()
+        # the protocol named, asyncio sends small answers at once (TCP_NODELAY), not after 40 ms
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self.socket.bind(("127.0.0.1", port))

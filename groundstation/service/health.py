@@ -9,12 +9,7 @@ import itertools
 import os
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
-
-from groundstation.links.base import LinkState
-
-if TYPE_CHECKING:
-    from groundstation.service.station import Station
+from typing import Any, cast
 
 PERIOD_S = 0.5
 WINDOW_S = 60.0
@@ -52,36 +47,16 @@ class Health:
         """The worst delay of the event loop in the last minute."""
         return max(self._lags_s, default=0.0)
 
-    def status(self, station: Station) -> dict[str, Any]:
-        """healthy, and why not; what the process uses."""
-        problems = list(self._problems(station))
+    def status(self, problems: list[str]) -> dict[str, Any]:
+        """healthy, and why not; what the process uses. problems: those that others see."""
+        if self.lag_s > LAG_MOST_S:
+            problems = [*problems, f"the event loop was held up for {self.lag_s:.1f} s"]
         return {
             "healthy": not problems,
             "problems": problems,
             "loop_lag_ms": round(1e3 * self.lag_s, 1),
             **usage(),
         }
-
-    def _problems(self, station: Station) -> list[str]:
-        problems = []
-        state = station.link_state()
-        if state not in (LinkState.STREAMING, LinkState.ENDED):
-            problems.append(f"link {station.link.name}: {state.value}")
-        recording = station.recordings.status()
-        if recording["wanted"] and recording["state"] != "recording":
-            problems.append(f"recording: {recording['state']}; {recording.get('text', '')}")
-        if recording["state"] == "recording" and recording["dropped"]:
-            problems.append(f"recording: {recording['dropped']} dropped; the disk is too slow")
-        viewer = station.viewer.status()["state"]
-        if viewer in ("restarting", "failed"):
-            problems.append(f"viewer: {viewer}")
-        command = station.commander.link
-        if command is not None and command.state.value not in ("connected", "connecting"):
-            problems.append(f"command link {command.uri}: {command.state.value}")
-        problems += [f"task {name} is dead" for name in station.supervisor.dead()]
-        if self.lag_s > LAG_MOST_S:
-            problems.append(f"the event loop was held up for {self.lag_s:.1f} s")
-        return problems
 
 
 def _release() -> Callable[[int], Any]:

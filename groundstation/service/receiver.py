@@ -157,7 +157,7 @@ class Receiver:
 
     def close_window(self, before: LinkStatistics | None) -> LinkStatistics:
         """Statistics since the last call; a restart of the device among them is told."""
-        counts = self.decoder.counts()
+        counts = self.link.sample_counts() or self.decoder.counts()
         counts = replace(counts, samples=counts.samples + self._ready_made)
         statistics = self._meter.close_window(self.now_ns(), counts)
         if statistics.restarts > (before.restarts if before else 0):
@@ -277,8 +277,9 @@ class Receiver:
                 self._on_raw(batch)
                 self._take(self.decoder.decode(batch))
             else:
-                self._meter.add_samples(batch)
-                self._ready_made += len(batch)
+                counted = self.link.sample_counts() is not None
+                self._meter.add_samples(batch, live=counted)
+                self._ready_made += 0 if counted else len(batch)
                 self._give(batch)
 
     def _take(self, decoded: Decoded) -> None:

@@ -159,8 +159,9 @@ class RecordingManager:
         try:
             return await self._create(continues=True)
         except (GroundStationError, OSError) as error:
-            if str(error) != self._told:
-                self._told = str(error)
+            reason = OUR_NAME.sub("", str(error))  # each attempt has another file name
+            if reason != self._told:
+                self._told = reason
                 self._note("fault", f"{otherwise}: {error}")
             return None
 
@@ -223,7 +224,11 @@ class RecordingManager:
         if keep <= 0:
             return
         present = {path.name for path in self.sessions.present()}
-        deleted, stuck = await asyncio.to_thread(delete_oldest, self.sessions.folder, keep, present)
+        folder = self.sessions.folder
+        try:
+            deleted, stuck = await asyncio.to_thread(delete_oldest, folder, keep, present)
+        except OSError as error:
+            deleted, stuck = [], [f"{folder}: {error.strerror}"]
         self.deleted += len(deleted)
         for name in deleted:
             self._note("deleted", f"{name}: the recordings need more than {keep / 1e6:.0f} MB")
@@ -239,7 +244,7 @@ def delete_oldest(folder: Path, keep_bytes: int, present: set[str]) -> tuple[lis
     Never a present one, nor one that another daemon is writing, and nothing that has another name
     than we give.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         return [], []
     found = []
     with os.scandir(folder) as entries:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Callable
@@ -187,6 +188,6 @@ class Sessions:
         while True:
             stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
             path = self.folder / f"{stamp}-{time_ms % 1000:03d}Z_{kind}.mcap"
-            if not path.exists():
+            if not os.path.exists(path):  # also where nobody may look: creating it says so
                 return path
             time_ms += 1

@@ -20,8 +20,9 @@ from groundstation.clock import steady_clock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkEvent, LinkState
 from groundstation.links.factory import make_command_link, make_link
-from groundstation.service.commander import Commander
+from groundstation.service.commander import Commander, Motors
 from groundstation.service.config import (
+    DEFAULT_VEHICLE,
     MEBIBYTE,
     Config,
     ConfigSource,
@@ -77,23 +78,28 @@ class Station:
         self.turned_away = 0
         """Requests and connections beyond the control API's limits."""
         self._source = source
-        command = None
-        if config.command:
+        link = self._make_link(config.link.name)
+        command = link.commands
+        if config.command and (command is None or config.command != command.uri):
             command = make_command_link(config.command, clock=self.clock)
+        if command is not None:
             command.on_event = self.take_event
+        self._command_uri = "" if command is None else command.uri
         self.commander = Commander(
             command,
             config.dead_man,
-            note=lambda kind, text: self.note(kind, text, source=config.command or "command"),
+            note=lambda kind, text: self.note(kind, text, source=self._command_uri or "command"),
             telemetry=lambda: (self.link_state(), self._no_craft()),
+            motors=self._motors,
         )
         self.stream = Stream()
+        self._recorded = {
+            "vehicle": {"profile": config.vehicle or DEFAULT_VEHICLE},
+            "configuration": _recorded_configuration(config),
+        }
         self.sessions = Sessions(
             Path(config.recording.folder),
-            {
-                "vehicle": {"profile": config.vehicle},
-                "configuration": _recorded_configuration(config),
-            },
+            self._recorded,
             low_space_bytes=round(config.recording.low_space_mb * MEBIBYTE),
             on_fault=self._recorder_fault,
             clock=self.clock,
@@ -121,7 +127,7 @@ class Station:
         if command is not None:
             command.on_entry = self.sessions.command
         self.receiver = Receiver(
-            self._make_link(config.link.name),
+            link,
             self,
             on_raw=self._take_raw,
             on_samples=self._take_samples,
@@ -236,6 +242,7 @@ class Station:
         finally:
             self._switching = False
         self._tell_no_craft()
+        self._tell_vehicle()
 
     def reload(self) -> dict[str, list[str]]:
         """Take over what can be from the configuration: the keys that were, and those that need
@@ -271,12 +278,32 @@ class Station:
             "twin": self.twin.status(),
             "stream": {"clients": len(self.stream), "dropped": self.stream.dropped},
             "tasks": self.supervisor.status(),
-            "health": self.health.status(self),
+            "health": self.health.status(self.problems()),
             "faults": self.faults,
             "turned_away": self.turned_away,
             "uptime_s": time.monotonic() - self._started_s,
             "statistics": statistics.as_dict() if statistics else None,
         }
+
+    def problems(self) -> list[str]:
+        """What keeps the daemon from doing what it is there for."""
+        problems = []
+        state = self.link_state()
+        if state not in (LinkState.STREAMING, LinkState.ENDED):
+            problems.append(f"link {self.link.name}: {state.value}")
+        recording = self.recordings.status()
+        if recording["wanted"] and recording["state"] != "recording":
+            problems.append(f"recording: {recording['state']}; {recording.get('text', '')}")
+        if recording["state"] == "recording" and recording["dropped"]:
+            problems.append(f"recording: {recording['dropped']} dropped; the disk is too slow")
+        viewer = self.viewer.status()["state"]
+        if viewer in ("restarting", "failed"):
+            problems.append(f"viewer: {viewer}")
+        command = self.commander.link
+        if command is not None and command.state.value not in ("connected", "connecting"):
+            problems.append(f"command link {command.uri}: {command.state.value}")
+        problems += [f"task {name} is dead" for name in self.supervisor.dead()]
+        return problems
 
     def link_state(self) -> LinkState:
         """Of the telemetry link: lost until a lost device is back."""
@@ -285,6 +312,15 @@ class Station:
     def newest(self) -> Telemetry | None:
         """The newest sample, None before the first."""
         return None if self._newest is None else _telemetry(self._newest, self.receiver.now_ns())
+
+    def _motors(self) -> Motors | None:
+        """What the craft says of its motors; None where it does not, or is not the one that is
+        commanded."""
+        newest = self._newest
+        if newest is None or self._no_craft() or np.isnan(newest.duty[-1]).any():
+            return None
+        age_s = (self.receiver.now_ns() - int(newest.host_time_ns[-1])) * 1e-9
+        return Motors(age_s, float(newest.duty[-1].max()))
 
     # -- events ----------------------------------------------------------------------------
 
@@ -334,6 +370,8 @@ class Station:
             stand_in=config.stand_in,
             command=config.command,
             usb=msgspec.to_builtins(config.usb),
+            rate_hz=config.radio.rate_hz,
+            wanted=[name.strip() for name in config.radio.log.split(",") if name.strip()],
             clock=self.clock,
         )
         link.on_event = self.take_event
@@ -341,6 +379,7 @@ class Station:
 
     async def _link_opened(self) -> None:
         self._tell_no_craft()
+        self._tell_vehicle()
         if self.config.recording.enabled:
             await self.start_recording()
 
@@ -402,8 +441,19 @@ class Station:
 
     def _tell_no_craft(self) -> None:
         """Of a command link that is not used with this telemetry, before somebody wonders."""
-        if self.config.command and (reason := self._no_craft()):
-            self.note("waiting", f"not connected: {reason}", source=self.config.command)
+        if self._command_uri and (reason := self._no_craft()):
+            self.note("waiting", f"not connected: {reason}", source=self._command_uri)
+
+    def _tell_vehicle(self) -> None:
+        """What the craft says it is goes into the recordings, unless the configuration says."""
+        said, configured = self.link.vehicle, self.config.vehicle
+        self._recorded["vehicle"]["profile"] = configured or said or DEFAULT_VEHICLE
+        if said and configured and said != configured:
+            self.note(
+                "vehicle",
+                f"the craft says it is a {said}; recordings say {configured}, as configured",
+                source=self.link.name,
+            )
 
     def _no_craft(self) -> str:
         """Why nothing that could be commanded is behind the telemetry, or empty."""
@@ -411,9 +461,9 @@ class Station:
             return "the link is being switched"
         if self.link.finite:
             return f"{self.link.name} is a recording"
-        if self.link.name == "stand-in" and not self.config.command.startswith("udp://"):
+        if self.link.name == "stand-in" and not self._command_uri.startswith("udp://"):
             # who watches a simulated flight must not fly a real craft
-            return f"the telemetry is the stand-in's, and {self.config.command} is another craft"
+            return f"the telemetry is the stand-in's, and {self._command_uri} is another craft"
         return ""
 
 

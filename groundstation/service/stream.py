@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from groundstation.discrepancy.findings import CHANNELS
+from groundstation.comparison.channels import CHANNELS
 from groundstation.errors import TakenError
 from groundstation.links.base import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS

@@ -17,7 +17,7 @@ from groundstation.links.base import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:
-    from groundstation.twin.judge import Episode
+    from groundstation.twin.alarm import Episode
     from groundstation.twin.twin import Shown, Twin
 
 PERIOD_S = 0.25
@@ -146,7 +146,7 @@ class TwinService:
         }
 
     def _load(self, path: str) -> None:
-        from groundstation.discrepancy.refusals import require_body
+        from groundstation.comparison.refusals import require_body
         from groundstation.dynamics.craft import craft_of_model
 
         model = load_model(path)
@@ -240,13 +240,13 @@ class TwinService:
         self._tell(LinkEvent(episode.host_ns, SOURCE, kind, in_words(episode), details))
 
     def _gap_by_channel(self) -> dict[str, float | None]:
-        from groundstation.discrepancy.findings import CHANNELS
+        from groundstation.comparison.channels import CHANNELS
 
         return {} if self._gap is None else dict(zip(CHANNELS, self._gap, strict=True))
 
 
 def _details(episode: Episode) -> dict[str, Any]:
-    from groundstation.twin.judge import LIMIT
+    from groundstation.twin.alarm import LIMIT
 
     return {
         "channel": episode.place.channel,

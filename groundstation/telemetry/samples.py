@@ -84,6 +84,32 @@ class SampleBatch:
     def __len__(self) -> int:
         return len(self.ticks)
 
+    def __repr__(self) -> str:
+        """How much there is of which channels; the numbers are in the columns."""
+        if not len(self):
+            return "SampleBatch(empty)"
+        known = [name for name in _PHYSICAL if np.isfinite(getattr(self, name)).any()]
+        step_s = float(np.median(np.diff(self.ticks))) * self.tick_s if len(self) > 1 else np.inf
+        span_s = float(self.ticks[-1] - self.ticks[0]) * self.tick_s
+        rate = f"{span_s:.2f} s at {1 / step_s:.0f} Hz" if step_s > 0 else f"{span_s:.2f} s"
+        return f"SampleBatch({len(self)} rows, {rate}: {', '.join(known)})"
+
+    def to_arrow(self) -> Any:
+        """A ``pyarrow.Table`` of every column in SI, a vector's parts apart (``gyro_x``,
+        ``duty_1``, ``attitude_roll``), with ``time_s``; ``to_arrow().to_pandas()`` makes a frame.
+        """
+        import pyarrow
+
+        table: dict[str, NDArray[Any]] = {"time_s": self.time_s}
+        for name in COLUMNS:
+            values = getattr(self, name)
+            parts = _PARTS.get(name)
+            if parts is None:
+                table[name] = values
+            else:
+                table |= {f"{name}_{part}": values[:, i] for i, part in enumerate(parts)}
+        return pyarrow.table(table)
+
     @property
     def time_s(self) -> NDArray[np.float64]:
         """Device time in seconds, shape (n,)."""
@@ -109,7 +135,14 @@ class SampleBatch:
 COLUMNS: tuple[str, ...] = tuple(f.name for f in fields(SampleBatch) if f.name != "tick_s")
 """Names of the per-row arrays of a ``SampleBatch``."""
 
-_WIDTHS = {"duty": 4, "gyro": 3, "accelerometer": 3, "attitude": 3, "rotor_rev_s": 4}
+_PARTS: dict[str, Sequence[str]] = {
+    "duty": "1234",
+    "gyro": "xyz",
+    "accelerometer": "xyz",
+    "attitude": ("roll", "pitch", "yaw"),
+    "rotor_rev_s": "1234",
+}
+_PHYSICAL = ("battery_v", *_PARTS)
 _INTEGER_TYPES: dict[str, type[np.generic]] = {
     "ticks": np.int64,
     "host_time_ns": np.int64,
@@ -126,7 +159,7 @@ def empty_samples(rows: int, tick_s: float = TICK_S) -> SampleBatch:
         if name in _INTEGER_TYPES:
             columns[name] = np.zeros(rows, _INTEGER_TYPES[name])
         else:
-            shape = (rows, _WIDTHS[name]) if name in _WIDTHS else (rows,)
+            shape = (rows, len(_PARTS[name])) if name in _PARTS else (rows,)
             columns[name] = np.full(shape, np.nan, np.float32)
     columns["copies"][:] = 1
     return SampleBatch(**columns, tick_s=tick_s)

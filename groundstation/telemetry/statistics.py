@@ -15,6 +15,8 @@ from groundstation.telemetry.samples import SampleBatch
 
 CLOCK_SPAN_S = 20.0
 """The clocks are compared once this much device time has passed."""
+ENVELOPE_WINDOWS = 30
+"""Clocks drift apart by a tenth of a millisecond meanwhile."""
 CLOCK_POINTS = 600
 """Windows remembered for comparing the clocks: ten minutes of one second."""
 
@@ -89,6 +91,22 @@ class LinkMeter:
         self._lateness.append(decoded.lateness_ns)
         self._copies += int(samples.copies.sum(dtype=np.int64))
         self._samples += len(samples)
+        self._watch_clock(samples)
+
+    def add_samples(self, samples: SampleBatch, *, live: bool) -> None:
+        """Samples of a source without packets. live: host stamps are when they came, so lateness
+        can be told: against the fastest of the last ``ENVELOPE_WINDOWS`` windows."""
+        self._samples += len(samples)
+        if not live or len(samples) == 0:
+            return
+        self._watch_clock(samples)
+        assert self._fastest is not None
+        recent = [offset for _, offset in list(self._clock)[-ENVELOPE_WINDOWS:]]
+        offset_s = samples.host_time_ns * 1e-9 - samples.time_s
+        late_s = offset_s - min([self._fastest[1], *recent])
+        self._lateness.append(1e9 * np.maximum(late_s, 0.0))
+
+    def _watch_clock(self, samples: SampleBatch) -> None:
         if int(samples.segment[-1]) != self._segment:
             self._segment = int(samples.segment[-1])
             self._clock.clear()
@@ -99,10 +117,6 @@ class LinkMeter:
         absolute = float(offset_s[best]) + self._window_start_ns * 1e-9
         if self._fastest is None or absolute < self._fastest[1]:
             self._fastest = (float(time_s[best]), absolute)
-
-    def add_samples(self, samples: SampleBatch) -> None:
-        """Samples of a source without packets: counted, nothing to measure on the way."""
-        self._samples += len(samples)
 
     def close_window(self, now_ns: int, counts: DecoderCounts) -> LinkStatistics:
         """Statistics since the last call; ``counts`` are the decoder's totals now."""

@@ -14,22 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.gap import HORIZONS_S
-from groundstation.dynamics.effects.ahead import (
+from groundstation.comparison.gap import HORIZONS_S
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.sensors import sensors_of_model
+from groundstation.errors import BadInputError
+from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.prediction.observer import ERRORS, Gains, Noise, gains_of
+from groundstation.prediction.prediction import (
     LANDED,
     SETTLE_S,
     TURNING,
     Drive,
     drive_run,
     fly_ahead,
-    fresh_rows,
     noise_of,
     observe_part,
 )
-from groundstation.dynamics.effects.observer import ERRORS, Gains, Noise, gains_of
-from groundstation.dynamics.effects.sensors import sensors_of_model
-from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.rows import RHYTHM_ROWS, Piece, Rows, period_of, unbroken
@@ -100,7 +100,7 @@ class Rolling:
     def __init__(self, model: Model) -> None:
         gains_of(model, 0.002)  # a model that cannot fly says so now
         self.model = model
-        self._lean = bool(sensors_of_model(model)[0]["lean"] > 0.0)
+        self._lean = bool(sensors_of_model(model)[0]["gains"][0] > 0.0)
         self._configuration = model_vehicle(model).configuration
         self.noise: Noise | None = None
         self._last: SampleBatch | None = None
@@ -297,7 +297,7 @@ class _Stretch:
         """(in the air (block + 1,), judged (block,): rows 1 to the end of the block)."""
         count, period = self._block, piece.period_s
         one = drive.craft[0]
-        lift = drive.torques[::2, 0] / (one["mass"] * one["gravity"])
+        lift, low_lift = (drive.push[::2, i] / one["gravity"] for i in (0, 1))
         turning = np.asarray(
             (piece.duty > TURNING).any(axis=1)
         )  # one may rest for a moment in a yaw step
@@ -311,7 +311,7 @@ class _Stretch:
         for row in range(count + 1):
             if not (turning[row] and carried[row]):
                 now = False
-            elif not now and lift[row] * (1.0 + one["ground_gain"]) > 1.0:
+            elif not now and low_lift[row] > 1.0:
                 now = True
                 self._lifted = self._done + row
                 self._settled_from = self._lifted + round(LIFT_OFF_S / period)

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.recordings import LONGEST_GAP_S, filled
 from groundstation.errors import BadInputError
+from groundstation.identification.recordings import LONGEST_GAP_S, filled
 from groundstation.identification.runs import FASTEST_HZ
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
@@ -26,7 +26,7 @@ WIDTH = 14
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Consecutive rows (``dynamics.effects.ahead.Flown``). Inputs of lost rows are on the line
+    """Consecutive rows (``prediction.prediction.Flown``). Inputs of lost rows are on the line
     between their neighbours; what a lost row would have measured is NaN.
 
     duty: (n, 4), supply_v: (n,), gyro, accelerometer, attitude: (n, 3), SI.

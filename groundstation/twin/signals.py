@@ -3,7 +3,7 @@
 A signal is what drives a kind of disturbance (the rate that would be damped, the acceleration
 of the rotors, the velocity through the air), and where it would act: as a torque, as a force
 that the accelerometer feels, as an error of the gyro or of the reported angles. None of them
-knows the size of anything; the regimes are those of ``discrepancy.regimes``.
+knows the size of anything; the regimes are those of ``comparison.regimes``.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.findings import CHANNELS
-from groundstation.dynamics.effects.ahead import Observed
-from groundstation.dynamics.effects.observer import ERRORS
+from groundstation.comparison.channels import CHANNELS
+from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.motor import REVOLUTION
 from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
-from groundstation.identification.body_terms import SPIN
+from groundstation.prediction.observer import ERRORS
+from groundstation.prediction.prediction import Observed
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -193,12 +193,9 @@ class Drives:
     def _made(self) -> dict[str, Array]:
         seen = self.seen
         n, period = len(seen.states), seen.drive.period_s
-        one = seen.drive.craft[0]
-        middle = seen.drive.torques[1 : 2 * n - 2 : 2]
-        torque = middle[:, 1:4] / one["inertia"]
-        thrust = middle[:, 0] / one["mass"]
-        ends = seen.drive.torques[0 : 2 * n - 1 : 2]
-        change = np.diff(ends[:, 1:4], axis=0) / one["inertia"] / period
+        middle = seen.drive.push[1 : 2 * n - 2 : 2]
+        thrust, torque = middle[:, 0], middle[:, 2:]
+        change = np.diff(seen.drive.push[0 : 2 * n - 1 : 2], axis=0) / period
         speed = seen.drive.speed[0 : 2 * n - 1 : 2]
         slope = np.diff(speed, axis=0) / period
         slowed = self.memory.leak(np.minimum(slope, 0.0), period) * speed[1:]
@@ -216,9 +213,9 @@ class Drives:
             "one": np.ones(n - 1),
             "thrust": thrust,
             "more thrust": thrust - STANDARD_GRAVITY,
-            "thrust change": np.diff(ends[:, 0]) / one["mass"] / period,
+            "thrust change": change[:, 0],
             **{f"{a} torque": torque[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
-            **{f"{a} change": change[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
+            **{f"{a} change": change[:, 2 + k] for k, a in enumerate(("roll", "pitch", "yaw"))},
             **{f"{a} braking": mixed[:, k] for k, a in enumerate(("roll", "pitch", "yaw"))},
             "braking": slowed.sum(axis=1),
             "p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q, "rr": r * r,

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.refusals import require_body
+from groundstation.comparison.refusals import require_body
 from groundstation.dynamics.model import Model
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
-from groundstation.twin.judge import Episode, Judge
+from groundstation.twin.alarm import Episode, Judge
 from groundstation.twin.rolling import Block, Rolling
 from groundstation.twin.signals import allowances
 

@@ -29,6 +29,7 @@ class Child:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         self._tail = b""
+        self._unsaid = b""
         self._process = subprocess.Popen(
             [sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
@@ -60,10 +61,16 @@ class Child:
         with contextlib.suppress(BlockingIOError):
             while piece := os.read(self._errors.fileno(), 65536):
                 self._tail = (self._tail + piece)[-_TAIL_BYTES:]
+                self._unsaid = (self._unsaid + piece)[-_TAIL_BYTES:]
         status = self._process.poll()
         if status is not None:
             self._errors.close()
         return status
+
+    def new_lines(self) -> list[str]:
+        """The lines that it wrote to stderr since the last call, as far as ``poll`` has them."""
+        *lines, self._unsaid = self._unsaid.split(b"\n")
+        return [line.decode(errors="replace") for line in lines]
 
     @property
     def last_words(self) -> str:

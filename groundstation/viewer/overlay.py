@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
 from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
-from groundstation.viewer.rrd import fresh_rrd
+from groundstation.viewer.new_rrd import fresh_rrd
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""
@@ -22,7 +22,7 @@ FINDINGS, GAP, FLIGHTS = "/findings", "/gap", "/flights"
 def write_overlay(overlay: Overlay, path: Path) -> None:
     """Write it with its layout into a new file.
 
-    Raises as ``rrd.write_rrd`` does, and leaves nothing half-written behind.
+    Raises as ``fresh_rrd`` does, and leaves nothing half-written behind.
     """
     with fresh_rrd(path) as part:
         _write(overlay, part, path.name)

@@ -1,7 +1,8 @@
 """The daemon's side of the live view: hands data over, never waits, keeps the rest alive.
 
-daemon -> socket -> feeder (loads rerun) -> rerun server -> any number of viewers. Everything
-right of the daemon may block, grow, be stopped or die; the daemon drops, counts and restarts.
+daemon -> socket -> feeder (loads rerun) -> rerun server -> relay -> any number of viewers.
+Everything right of the daemon may block, grow, be stopped or die; the daemon drops, counts and
+restarts. The rerun server listens on a random address of the loopback interface.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import asyncio
 import contextlib
 import importlib.util
 import os
+import secrets
 import shlex
 import shutil
 import socket
@@ -84,6 +86,10 @@ class Viewer:
         self._ready_at: float | None = None
         self._cut_viewers = False
         self._server: Child | None = None
+        self._relay: Child | None = None
+        self._relay_heard_at = 0.0
+        self._inner = ("", 0)  # the rerun server's address and port
+        self._listening: list[socket.socket] = []
         self._feeder: Child | None = None
         self._window: Child | None = None
         self._wants_window = mode is ViewerMode.SPAWN
@@ -105,8 +111,12 @@ class Viewer:
                 "no display to open a viewer window on (DISPLAY and WAYLAND_DISPLAY are not set): "
                 "use --viewer serve and open the printed address in a browser"
             )
-        _require_free(self.port, "viewer")
-        _require_free(self.web_port, "web viewer")
+        try:
+            for port, name in ((self.port, "viewer"), (self.web_port, "web viewer")):
+                self._listening.append(_listen(port, name))
+        except TakenError:
+            self._stop_listening()
+            raise
         self._state = "starting"
         self._task = asyncio.create_task(self._supervise(), name="viewer")
 
@@ -160,7 +170,8 @@ class Viewer:
         self._close_channel()
         if feeder is not None and self._ready_at is not None:
             await _until(lambda: feeder.poll() is not None, 0.8)
-        self._drop("_feeder", "_window", "_server")
+        self._drop("_feeder", "_window", "_relay", "_server")
+        self._stop_listening()
         await _until(lambda: not self._reap(), 2.0)
         self._state = "off"
 
@@ -186,15 +197,30 @@ class Viewer:
         if self._server is not None and self._server.poll() is not None:
             self._fail(now, f"the rerun server ended: {self._server.last_words}", server=True)
             return
+        if self._relay is not None:
+            if self._relay.poll() is not None:
+                self._fail(now, f"the viewers' relay ended: {self._relay.last_words}", server=True)
+                return
+            for line in self._relay.new_lines():
+                self._relay_heard_at = now
+                if line:
+                    self._on_event("viewer", line)
+            if now - self._relay_heard_at > (START_S if self._ready_at is None else SILENCE_S):
+                self._fail(now, f"the viewers' relay was silent for {SILENCE_S:g} s", server=True)
+                return
         self._listen(now)
         status = self._feeder.poll()
         limit_s = START_S if self._ready_at is None else SILENCE_S
         if status is not None:
             silent = status == _SERVER_SILENT
-            reason = "the rerun server does not answer" if silent else self._feeder.last_words
+            reason = self._feeder.last_words
+            if reason == f"exit status {_SERVER_SILENT}":
+                reason = "the rerun server does not answer"
             self._fail(now, f"the feed ended: {reason}", server=silent)
         elif now - self._heard_at > limit_s:
-            self._fail(now, f"the feed has been stuck for {limit_s:g} s", server=False)
+            # one that never began may be held up by the server
+            never = self._ready_at is None
+            self._fail(now, f"the feed has been stuck for {limit_s:g} s", server=never)
         else:
             if self._ready_at is not None:
                 if now - self._ready_at > SETTLED_S:
@@ -205,20 +231,28 @@ class Viewer:
 
     def _launch(self, now: float) -> None:
         if self._server is None:
-            _require_free(self.port, "viewer")
-            _require_free(self.web_port, "web viewer")
+            address = f"127.{'.'.join(str(1 + secrets.randbelow(254)) for _ in range(3))}"
+            port, web_port = free_port(address), free_port(address)
+            self._inner = address, port
             self._server = Child([
-                str(rerun_program()), "--serve-web", "--bind", "127.0.0.1",
-                "--port", str(self.port), "--web-viewer-port", str(self.web_port),
+                str(rerun_program()), "--serve-web", "--bind", address,
+                "--port", str(port), "--web-viewer-port", str(web_port),
                 "--server-memory-limit", SERVER_MEMORY,
             ])  # fmt: skip
+            numbers = [one.fileno() for one in self._listening]
+            self._relay = Child(
+                [sys.executable, "-m", "groundstation.viewer.relay", *map(str, numbers),
+                 address, str(port), str(web_port)],
+                pass_fds=numbers,
+            )  # fmt: skip
+            self._relay_heard_at = now
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with theirs:
             self._channel = ours
             feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
             self._feeder = Child(
-                [*feeder, str(theirs.fileno()), str(self.port), self._recording,
+                [*feeder, str(theirs.fileno()), *map(str, self._inner), self._recording,
                  "twin" if self._twin else "plain"],
                 pass_fds=[theirs.fileno()],
             )  # fmt: skip
@@ -249,7 +283,7 @@ class Viewer:
         self._outbox.new_reader()
         self._drop("_feeder")
         if server:
-            self._drop("_server", "_window")
+            self._drop("_server", "_relay", "_window")
             self._cut_viewers = True
         self._on_event("fault", f"{text}; starting it again in {wait_s:g} s")
 
@@ -289,6 +323,10 @@ class Viewer:
         """Whether a killed child is still there."""
         self._dying = [child for child in self._dying if child.poll() is None]
         return bool(self._dying)
+
+    def _stop_listening(self) -> None:
+        while self._listening:
+            self._listening.pop().close()
 
     def _close_channel(self) -> None:
         if self._channel is not None:
@@ -330,17 +368,26 @@ def _wayland() -> str | None:
     return os.environ.get("WAYLAND_DISPLAY") or os.environ.get("WAYLAND_SOCKET")
 
 
-def _require_free(port: int, name: str) -> None:
-    """A taken port makes rerun talk to the stranger on it, without an error: look first."""
+def _listen(port: int, name: str) -> socket.socket:
+    listening = socket.socket()
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(("127.0.0.1", port))
+        listening.listen(64)
+    except OSError as error:
+        listening.close()
+        raise TakenError(
+            f"{name} port {port} is taken ({error.strerror}): end the program that holds it "
+            "or choose another port"
+        ) from error
+    return listening
+
+
+def free_port(address: str) -> int:
+    """A port of ``address`` that nobody has at the moment."""
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise TakenError(
-                f"{name} port {port} is taken ({error.strerror}): end the program that holds it "
-                "or choose another port"
-            ) from error
+        probe.bind((address, 0))
+        return int(probe.getsockname()[1])
 
 
 async def _until(condition: Callable[[], bool], timeout_s: float) -> None:

@@ -1,11 +1,11 @@
 """The bench's one table."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from programs import run_program
 
 from bench import __main__ as bench
 from bench.table import Row, header
@@ -49,9 +49,7 @@ def test_what_takes_hours_is_no_part_and_every_part_gives_rows():
 
 
 def test_an_unknown_part_is_a_usage_error_that_names_the_known_ones():
-    done = subprocess.run(
-        [sys.executable, "-m", "bench", "banana"], cwd=ROOT, capture_output=True, text=True
-    )
+    done = run_program([sys.executable, "-m", "bench", "banana"], cwd=ROOT)
     assert done.returncode == 2
     assert "banana not known; there are daemon, discrepancy" in done.stderr
 

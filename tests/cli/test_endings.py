@@ -8,6 +8,7 @@ import time
 
 import pytest
 from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
+from programs import Program, run_program
 
 from groundstation.recording.open_recording import open_recording
 
@@ -15,10 +16,8 @@ EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 
 
 def in_shell(command, folder):
-    return subprocess.run(
+    return run_program(
         ["sh", "-c", command.replace("groundstation", str(COMMAND), 1)],
-        capture_output=True,
-        text=True,
         cwd=folder,
         env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "c.sock")},
         timeout=60,
@@ -74,19 +73,23 @@ def test_sighup_finishes_the_recording(tmp_path):
 
 def test_an_early_interrupt_is_one_line(tmp_path):
     """At whatever moment it comes: the program imports for most of this time."""
-    for delay_s in (0.1, 0.2, 0.4, 0.8):
-        process = subprocess.Popen(
+    said_of = {130: "groundstation: interrupted\n", 143: "groundstation: terminated\n"}
+    for number, delay_s in (
+        *((signal.SIGINT, 0.1), (signal.SIGTERM, 0.2)),
+        *((signal.SIGINT, 0.4), (signal.SIGTERM, 0.8)),
+    ):
+        with Program(
             [COMMAND, "inspect", EXCERPT, "--json"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
-        )
-        time.sleep(delay_s)  # any moment will do
-        process.send_signal(signal.SIGINT)
-        said = process.communicate(timeout=60)[1]
-        assert process.returncode in (0, 130, -signal.SIGINT)
-        if process.returncode == 130:
-            assert said == "groundstation: interrupted\n"
+        ) as process:
+            time.sleep(delay_s)  # any moment will do
+            process.send_signal(number)
+            said = process.communicate(timeout=60)[1]
+        assert process.returncode in (0, 128 + number, -number)
+        if process.returncode > 0:
+            assert said == said_of[process.returncode]
 
 
 def test_ctrl_c_does_not_wait_for_the_compiler(tmp_path, monkeypatch):

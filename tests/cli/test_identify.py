@@ -1,18 +1,19 @@
 """fit, simulate, attitude and axes as a user types them, on files."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import run_program
 from stand_in_flights import recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
-from groundstation.dynamics.model import load_model
-from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.cli.model_files import model_before, vehicle_of
+from groundstation.dynamics.model import load_model, save_model, vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
@@ -253,9 +254,16 @@ def test_an_existing_model_is_not_overwritten(files, tmp_path):
 
 def test_bad_input_is_one_line_and_exit_status_1(files, tmp_path):
     command = [Path(sys.executable).parent / "groundstation", "fit", "motor"]
-    done = subprocess.run(
-        [*command, files["axes"], "-o", tmp_path / "m.json"], capture_output=True, text=True
-    )
+    done = run_program([*command, files["axes"], "-o", tmp_path / "m.json"])
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "axes.csv" in done.stderr
+
+
+def test_a_model_says_which_vehicle_it_is_where_nothing_else_does(tmp_path):
+    path = tmp_path / "motor.json"
+    save_model(vehicle_model(load_vehicle("brushless")), path)
+    assert vehicle_of([], None) is None
+    assert model_before(str(path), None).vehicle == "brushless"
+    assert model_before(str(path), "crazyflie21").vehicle == "crazyflie21"
+    assert model_before(None, None).vehicle == "crazyflie1"

@@ -1,10 +1,12 @@
 """Signals to a program whose loop may be stuck, each in a process of its own."""
 
+import contextlib
 import signal
 import subprocess
 import sys
 
 import pytest
+from programs import Program
 
 PROGRAM = """
 import asyncio, time
@@ -28,20 +30,20 @@ asyncio.run(main())
 
 @pytest.fixture
 def started():
-    processes = []
+    with contextlib.ExitStack() as programs:
 
-    def start(end):
-        process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM.format(end=end)], stdout=subprocess.PIPE, text=True
-        )
-        processes.append(process)
-        assert process.stdout.readline() == "ready\n"
-        return process
+        def start(end):
+            process = programs.enter_context(
+                Program(
+                    [sys.executable, "-c", PROGRAM.format(end=end)],
+                    stdout=subprocess.PIPE,
+                    text=True,
+                )
+            )
+            assert process.stdout.readline() == "ready\n"
+            return process
 
-    yield start
-    for process in processes:
-        process.kill()
-        process.communicate()
+        yield start
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -77,8 +79,8 @@ def test_a_hang_up_that_is_ignored_stays_so():
         "asyncio.run(main())",
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN); asyncio.run(main())",
     )
-    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "ready\n"
-    process.send_signal(signal.SIGHUP)
-    process.send_signal(signal.SIGTERM)
-    assert process.communicate(timeout=30)[0] == "stopping\nended\n"
+    with Program([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGHUP)
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=30)[0] == "stopping\nended\n"

@@ -17,10 +17,10 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.session import Recording
 
 OWN = """
-from groundstation.dynamics.effects.catalogue import Effect, Parameter
+from groundstation.dynamics.effect import Effect, Parameter
 
-def sail(values, state, rotor_slope, acceleration):
-    acceleration[2] += values[0]
+def sail(values, craft, body):
+    return (0.0, 0.0, values[0]), (0.0, 0.0, 0.0)
 
 SAIL = Effect("sail", "body", (Parameter("torque", "rad/s^2", 1.0, -9.0, 9.0),),
               "a constant torque on yaw", "it turns", "hover", ("gyro z",), law=sail)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from programs import Program
 
 from groundstation.cli.sticks import Gamepad, Keyboard, StandInPilot, open_sticks
 from groundstation.errors import BadInputError
@@ -81,7 +82,7 @@ def test_keys_raise_lower_begin_and_stop():
         "    print(hands.thrust, flush=True)\n"
     )
     ours, theirs = pty.openpty()
-    with subprocess.Popen(
+    with Program(
         [sys.executable, "-c", script], stdin=theirs, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "ready\n"

@@ -13,15 +13,6 @@ from scipy.signal import lfilter
 
 from firmware_sim.craft import StandInSettings
 from firmware_sim.monte_carlo import fly_many
-from groundstation.control.cascade import CascadeJudge, gain_names
-from groundstation.control.cascade_design import (
-    DESIGN_BAND,
-    WINDOW_S,
-    Robustness,
-    cascade_limits,
-    design_cascade,
-    robustness,
-)
 from groundstation.control.design import (
     OVERSHOOT,
     SENSITIVITY,
@@ -32,8 +23,17 @@ from groundstation.control.design import (
     rounding_corners,
 )
 from groundstation.control.design_report import firmware_page, firmware_report
-from groundstation.control.direct import axis_plant, is_stable
+from groundstation.control.firmware_design import (
+    DESIGN_BAND,
+    WINDOW_S,
+    Robustness,
+    cascade_limits,
+    design_cascade,
+    robustness,
+)
+from groundstation.control.firmware_loop import CascadeJudge, gain_names
 from groundstation.control.gains_file import gains_text, load_gains
+from groundstation.control.linear_loop import axis_plant, is_stable
 from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.search import Budget, pareto_front

@@ -16,6 +16,9 @@ NOTICED = [
 ]
 
 
+LISTS = ("base_changes", "where", "where_after", "left", "candidates", "not_shown", "warnings")
+
+
 def found_report(*effects, after=1.0):
     """A report of a search that named these effects."""
     level = {"before": 4.0, "after": after, "noise_floor": 1.0}
@@ -25,7 +28,7 @@ def found_report(*effects, after=1.0):
         "gap": {"unit": "", "floor_source": "", "validation": level, "train": None, "channels": {}},
         "residual": "white",
         "residual_detail": {"channel": "", "frequencies_hz": [], "signal": "", "excess": 1.0},
-        **{key: [] for key in ("where", "where_after", "candidates", "not_shown", "warnings")},
+        **{key: [] for key in LISTS},
         **{"lost": {}, "recordings": [], "validation": [], "model": "", "seed": 0},
         "created_by": "test",
     }

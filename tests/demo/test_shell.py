@@ -1,9 +1,9 @@
 """The demo's commands: shown, logged, kept for repeating, and never left behind."""
 
 import os
-import subprocess
 
 import pytest
+from programs import run_program
 
 from groundstation.demo.shell import LOG, SCRIPT, Shell
 from groundstation.errors import BadInputError, GroundStationError
@@ -32,13 +32,13 @@ def test_a_command_runs_in_the_folder_and_is_shown_logged_and_kept(shell, said):
     assert (shell.folder / "out.txt").read_text() == "kept\n"
     script = (shell.folder / SCRIPT).read_text()
     assert script.rstrip().endswith("> out.txt")
-    subprocess.run(["sh", "-n", shell.folder / SCRIPT], check=True)
+    run_program(["sh", "-n", shell.folder / SCRIPT], check=True)
 
 
 def test_what_was_run_can_be_run_again_elsewhere(shell):
     shell.run(*python("print(open('input.txt').read() + ' again')"), into="out.txt")
     again = shell.folder.parent / "again"
-    subprocess.run(["sh", shell.folder / SCRIPT, again], check=True)
+    run_program(["sh", shell.folder / SCRIPT, again], check=True)
     assert (again / "out.txt").read_text() == "here again\n"
 
 
@@ -77,7 +77,7 @@ def test_a_daemon_ends_with_its_block_here_and_in_the_script_and_its_recording_i
     assert daemon.returncode == 0
     shell.run("groundstation", "inspect", "flights/*.mcap")
     again = shell.folder.parent / "again"
-    subprocess.run(["sh", shell.folder / SCRIPT, again], check=True, capture_output=True)
+    run_program(["sh", shell.folder / SCRIPT, again], check=True)
     assert len(list(again.glob("flights/*.mcap"))) == 1
 
 
@@ -106,6 +106,7 @@ while time.monotonic() < deadline:
 """
 _WAIT = """
 import signal, time
-signal.signal(signal.SIGINT, lambda number, frame: exit(0))
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a script
+signal.signal(signal.SIGTERM, lambda number, frame: exit(0))
 time.sleep(60)
 """

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from searched_flights import base_model, flights
 
-from groundstation.discrepancy.flight import prepare
-from groundstation.discrepancy.problem import BASE_KEYS, Problem
-from groundstation.discrepancy.search import screen
-from groundstation.discrepancy.unknowns import EFFECT_KEYS, VARIANTS, point_of
+from groundstation.discrepancy.screening import screen
+from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.parameters import RENAMES, VARIANTS, point_of
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 
 NOISES = {"nominal": (1.0, 1.0), "rough": (6.0, 2.0)}
 
@@ -22,16 +22,15 @@ def screened(seed, torque_noise, sensor_noise):
     start = point_of(model)
     problem = Problem(prepare(runs), model, start)
     problem.settle_filters()
-    linear = problem.linear(start, (*BASE_KEYS, *EFFECT_KEYS), problem.flights)
-    linear = problem.learn_noise(linear)
-    return screen(linear, problem.with_prior(linear), BASE_KEYS, VARIANTS)
+    candidates = [one for one in VARIANTS if one not in RENAMES]
+    return screen(problem, start).scores(BASE_KEYS, candidates)
 
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_every_estimate_is_zero_within_its_interval(noise):
     scores = [one for seed in (101, 102) for one in screened(seed, *NOISES[noise])]
     sizes = np.concatenate([one.values / one.errors for one in scores])
-    assert len(sizes) == 2 * (len(EFFECT_KEYS) - 1)  # ground effect's height needs its gain
+    assert len(sizes) == 2 * sum(len(one.sizes) for one in VARIANTS if one not in RENAMES)
     # Many of them are the same noise seen twice, so not quite a chi-squared.
     assert np.abs(sizes).max() < 4.5
     assert 0.4 < np.sqrt(np.mean(sizes**2)) < 1.5

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import subprocess
 from dataclasses import replace
 
 import msgspec
@@ -11,10 +10,11 @@ import numpy as np
 import pytest
 from affected_flights import BASE
 from installed import COMMAND, groundstation, require_failure
+from programs import run_program
 from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.cli.app import app
-from groundstation.discrepancy.findings import CHANNELS
+from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
@@ -47,20 +47,21 @@ def folder(tmp_path_factory):
     write(folder / "hidden.mcap", flight(effects=HIDDEN))
     write(folder / "clean.mcap", flight())
     save_model(BASE, folder / "base.json")
+    lighter = msgspec.structs.replace(BASE.body, thrust_per_mass=1.2 * BASE.body.thrust_per_mass)
+    save_model(msgspec.structs.replace(BASE, body=lighter), folder / "lighter.json")
     return folder
 
 
 @pytest.fixture(scope="module")
 def searched(folder):
-    """The folder after a search on the flight with the hidden effect, and what was printed."""
-    done = subprocess.run(
+    """The folder after a search on the flight with the hidden effect, by a craft that is heavier
+    than its model, and what was printed."""
+    done = run_program(
         [
-            *(COMMAND, "discrepancy", "hidden.mcap", "--model", "base.json"),
+            *(COMMAND, "discrepancy", "hidden.mcap", "--model", "lighter.json"),
             *("-o", "improved.json", "--json", "report.json"),
             *("--html", "report.html", "--rerun", "shown.rrd"),
         ],
-        capture_output=True,
-        text=True,
         cwd=folder,
         env={**os.environ, "NO_COLOR": "1"},
         timeout=280,
@@ -72,22 +73,41 @@ def searched(folder):
 def test_the_effect_is_named_and_the_gap_closes_on_the_held_out_third(searched):
     folder, said = searched
     report = msgspec.json.decode((folder / "report.json").read_bytes(), type=DiscrepancyReport)
-    assert [effect.name for effect in report.effects] == ["velocity_moment"]
+    assert [effect.name for effect in report.effects] == ["mass_change", "velocity_moment"]
     assert report.validation == "last third"
-    (effect,) = report.effects
+    heavier, effect = report.effects
+    assert heavier.parameters["percent"].value == pytest.approx(20.0, abs=0.6)
     moment = effect.parameters["moment"]
     assert abs(moment.value - 12.0) < 4 * moment.stderr
     level = report.gap.validation
     assert level.before > 1.5 > 1.1 > level.after
     assert effect.gap.after == pytest.approx(level.after)
-    assert "1. velocity_moment" in said
+    assert "2. velocity_moment" in said
+
+
+def test_a_constant_that_moved_is_a_finding_and_no_effect_has_its_merit(searched):
+    folder, said = searched
+    report = json.loads((folder / "report.json").read_text())
+    (change,) = report["base_changes"]
+    assert change["name"] == "thrust_per_mass"
+    given = 1.2 * BASE.body.thrust_per_mass
+    assert change["from"] == pytest.approx(given)
+    assert change["to"] == pytest.approx(BASE.body.thrust_per_mass, abs=4 * change["stderr"])
+    assert change["percent"] == pytest.approx(-100.0 / 6.0, abs=0.5)
+    assert "changed: thrust_per_mass -17 % +- " in said
+    assert "the craft is 20 % heavier or its rotors weaker" in said
+    improved = load_model(folder / "improved.json")
+    assert improved.body.c0 == BASE.body.c0  # what these data cannot improve is as it was given
+    _, effect = report["effects"]
+    assert effect["gap"]["before"] < 0.7 * report["gap"]["validation"]["before"]
+    assert report["left"] == []
 
 
 def test_the_report_has_the_keys_that_other_programs_read(searched):
     folder, _ = searched
     report = json.loads((folder / "report.json").read_text())
     assert {"verdict", "effects", "where", "gap", "residual"} <= set(report)
-    (effect,) = report["effects"]
+    _, effect = report["effects"]
     assert {"name", "order", "parameters", "evidence", "alternatives", "gap"} <= set(effect)
     assert set(effect["parameters"]["moment"]) == {"value", "stderr", "unit"}
     assert {"channel", "regime", "rms", "expected_rms"} <= set(report["where"][0])
@@ -101,7 +121,7 @@ def test_the_report_has_the_keys_that_other_programs_read(searched):
 def test_the_improved_model_is_judged_at_the_floor_by_compare(searched):
     folder, _ = searched
     improved = load_model(folder / "improved.json")
-    assert [term.name for term in improved.effects] == ["velocity_moment"]
+    assert [term.name for term in improved.effects] == ["mass_change", "velocity_moment"]
     assert improved.fit["discrepancy"]["verdict"] == "effects_found"
     done = groundstation(
         "compare", "clean.mcap", "hidden.mcap", "--model", "improved.json", "--json", cwd=folder
@@ -218,7 +238,8 @@ def test_a_recording_labelled_with_another_vehicle_is_refused(refused):
 def test_a_model_of_another_configuration_is_refused_by_how_the_craft_answers(refused, folder):
     save_model(vehicle_model(load_vehicle("crazyflie21")), folder / "other.json")
     said = refused(flight(20.0), "compare", "other.json")
-    assert "roll answers to pitch torque" in said
+    assert "in configuration 'plus'" in said
+    assert "in the model's 'x'" in said
 
 
 def test_a_gain_that_a_lasting_torque_made_small_is_no_other_vehicle(folder):

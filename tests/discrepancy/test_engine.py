@@ -1,29 +1,36 @@
 """Hidden effects are found under their names, with their values, and nothing else is."""
 
+import functools
+
+import msgspec
 import numpy as np
 import pytest
 from searched_flights import base_model, flights, samples
 
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
-from groundstation.discrepancy.recordings import flights_of
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
+from groundstation.identification.recordings import flights_of
 
 HIDDEN = {
     "dead_time": {"delay_s": 0.006},
-    "gyro_low_pass": {"bandwidth_hz": 25.0},
     "centre_of_gravity_offset": {"x_m": -0.0006, "y_m": 0.0004},
     "rotor_mismatch": {"rotor": 3.0, "excess": -0.04},
-    "motor_braking_asymmetry": {"factor": 0.6},
-    "velocity_moment": {"moment": 8.0},
 }
+"""Others, one at a time: ``test_sealed.py``, ``test_commands.py``."""
 
 
 def search(seed, effects, **more):
     runs, held = flights(seed, effects, **more)
     return find_effects(runs, base_model(), held)
+
+
+@functools.cache
+def searched_alone(name):
+    """What is found where one of ``HIDDEN`` is."""
+    return search(1, {name: HIDDEN[name]})
 
 
 def values_of(effect):
@@ -44,12 +51,12 @@ def assert_found(findings, hidden):
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_hidden_effect_is_named_and_nothing_else(name):
     hidden = {name: HIDDEN[name]}
-    findings = search(1, hidden)
+    findings = searched_alone(name)
     assert findings.verdict == Verdict.EFFECTS_FOUND
     assert_found(findings, hidden)
     (effect,) = findings.effects
-    assert effect.gap_after < effect.gap_before
-    assert effect.gap_after == pytest.approx(1.0, abs=0.05)
+    assert effect.evidence["whitened_after"] < effect.evidence["whitened_before"]
+    assert effect.evidence["whitened_after"] == pytest.approx(1.0, abs=0.05)
     for channel in effect.channels:
         assert findings.channels[channel].after < findings.channels[channel].before
     assert [term.name for term in findings.model.effects] == [name]
@@ -95,11 +102,23 @@ def test_a_push_that_no_effect_describes_stays_unexplained():
 
 def test_effects_that_the_model_has_already_are_not_found_again():
     hidden = {"rotor_mismatch": HIDDEN["rotor_mismatch"]}
-    model = search(1, hidden).model
+    model = searched_alone("rotor_mismatch").model
     runs, held = flights(1, hidden)
     findings = find_effects(runs, model, held)
     assert findings.verdict == Verdict.NO_DISCREPANCY
     assert [term.name for term in findings.model.effects] == ["rotor_mismatch"]
+
+
+def test_a_motor_of_first_order_stays_one():
+    import msgspec
+
+    whole = base_model()
+    slope = whole.motor.a1 + whole.motor.a2 * 250.0  # hover at about 250 rev/s
+    motor = msgspec.structs.replace(whole.motor, a1=slope, a2=0.0)
+    runs, held = flights(3, {}, torque_noise=6.0, sensor_noise=2.0)
+    found = find_effects(runs[:1], msgspec.structs.replace(whole, motor=motor), held)
+    assert found.model.motor.a2 == 0.0
+    assert found.model.motor.a0 > 0.0
 
 
 def test_lost_rows_change_nothing_but_the_interval():
@@ -141,7 +160,7 @@ def test_a_hover_shows_which_effects_it_cannot_show():
 def test_a_model_of_another_craft_is_refused():
     other = vehicle_model(load_vehicle("crazyflie21"))  # its rotors stand between the axes
     runs, held = flights(1, {})
-    with pytest.raises(BadInputError, match="does not belong to this craft"):
+    with pytest.raises(BadInputError, match="in configuration 'plus'"):
         find_effects(runs, other, held)
 
 
@@ -157,3 +176,18 @@ def test_a_flight_without_gyro_is_refused():
 def test_a_recording_shorter_than_five_seconds_is_refused():
     with pytest.raises(BadInputError, match="at least 5 s"):
         flights_of(samples(10, {})[:2400], "short")
+
+
+def test_a_craft_heavier_than_its_model_is_told_as_that_and_nothing_else():
+    """The flights' thrust per mass is a tenth below the model's: 10 / 0.9 - 10 percent heavier."""
+    runs, held = flights(1, {})
+    base = base_model()
+    given = base.body.thrust_per_mass / 0.9
+    light = msgspec.structs.replace(
+        base, body=msgspec.structs.replace(base.body, thrust_per_mass=given)
+    )
+    findings = find_effects(runs, light, held)
+    (effect,) = findings.effects
+    assert effect.name == "mass_change"
+    assert effect.parameters["percent"].value == pytest.approx(100 * (1 / 0.9 - 1), abs=0.5)
+    assert findings.model.body.thrust_per_mass == given

@@ -9,8 +9,9 @@ from affected_flights import BASE
 from compared_flights import flights
 from made_findings import NAME, findings, proof, report
 
-from groundstation.discrepancy.comparison import compare
-from groundstation.discrepancy.findings import CHANNELS, Candidate, Leftover, Verdict
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import compare
+from groundstation.discrepancy.findings import Candidate, Leftover, Reason, Refusal, Verdict
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall, where_map
 from groundstation.discrepancy.report_html import compare_page, discrepancy_page
 from groundstation.discrepancy.report_json import (
@@ -19,7 +20,6 @@ from groundstation.discrepancy.report_json import (
     gap_of,
     where_rows,
 )
-from groundstation.discrepancy.search import NOTHING_LEFT
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +54,8 @@ def test_the_gap_of_a_channel_is_its_error_over_its_floor_in_any_unit(found, pro
 
 def test_each_effect_carries_the_gap_before_and_after_it_joined(found, proven):
     (effect,) = report(found, proven).effects
-    assert effect.gap.before == proven.steps[0][1]
-    assert effect.gap.after == proven.steps[1][1]
-    assert effect.gap.after < 1.1 < effect.gap.before
+    (same,) = found.effects
+    assert (effect.gap.before, effect.gap.after) == (same.gap_before, same.gap_after)
 
 
 def test_a_channel_that_was_not_recorded_is_absent_from_the_report():
@@ -130,12 +129,15 @@ def test_bars_are_green_where_accepted_and_say_why_where_not(found, proven):
 
 
 def test_what_only_looked_like_the_effect_that_was_found_is_told_so(found, proven):
-    alike = Candidate("yaw_damping", {}, 4000.0, 60.0, 0.0, False, NOTHING_LEFT)
+    weak = Refusal(Reason.WEAK, "no significant improvement")
+    alike = Candidate("yaw_damping", {}, 4000.0, 60.0, 0.0, False, weak)
     faint = replace(alike, name="dead_time", score=3.0)
     one = replace(found, candidates=(*found.candidates, faint, alike))
-    said = {c.name: c.reason for c in report(one, proven).candidates}
+    written = report(one, proven).candidates
+    said = {c.name: c.reason for c in written}
     assert said["yaw_damping"] == f"nothing is left for it beside {NAME}"
-    assert said["dead_time"] == NOTHING_LEFT
+    assert said["dead_time"] == weak.words
+    assert {c.name: c.refused_by for c in written}["yaw_damping"] == "weak"
     notes = [
         text.get_text() for text in evidence_bars(report(one, proven).candidates).axes[0].texts
     ]

@@ -23,6 +23,7 @@ from itertools import pairwise
 import pytest
 from installed import COMMAND, PATIENCE_S, Daemon, free_port, until
 from pages import PAGES, ROOT, blocks_of
+from programs import Program, run_program
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -189,9 +190,7 @@ def test_a_printed_number_that_is_off_is_noticed():
 
 
 def assert_target(command):
-    shown = subprocess.run(
-        ["make", "-n", *shlex.split(command)[1:]], cwd=ROOT, capture_output=True, text=True
-    )
+    shown = run_program(["make", "-n", *shlex.split(command)[1:]], cwd=ROOT)
     assert shown.returncode == 0, shown.stderr
 
 
@@ -257,10 +256,8 @@ def another_link(words):
 
 
 def in_shell(command):
-    done = subprocess.run(
+    done = run_program(
         ["bash", "-c", f"set -o pipefail; {command}"],
-        capture_output=True,
-        text=True,
         timeout=PATIENCE_S,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
@@ -274,16 +271,15 @@ def fly(words, folder):
         assert stand_in.main(words) == 0
         assert os.path.getsize(outputs_of(words)[0])
         return ""
-    process = subprocess.Popen(
+    with Program(
         [sys.executable, "-u", "-m", "firmware_sim", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-    )
-    with process:
+    ) as process:
         said = process.stdout.readline()
         process.send_signal(signal.SIGINT)
-        said += process.stdout.read()
+        said += process.communicate(timeout=PATIENCE_S)[0]
     assert process.returncode in (0, 130), said
     return said
 
@@ -297,7 +293,7 @@ def live(words, folder):
     ends = "--for" in words
     if ends:
         words[words.index("--for") + 1] = "1"
-    hardware = any(word.startswith(("usb", "serial:")) for word in words)
+    hardware = any(word.startswith(("usb", "serial:", "radio://")) for word in words)
     with Daemon(folder, *words[2:], socket_path=folder / "control.sock") as daemon:
         if ends:
             assert daemon.wait() == 0, daemon.stderr
@@ -312,17 +308,20 @@ def live(words, folder):
 
 
 def watch(words):
-    """On a terminal, as ``--watch`` is meant for, until it shows something."""
+    """On a terminal, as ``--watch`` is meant for, until it shows something; deaf to Ctrl-C, as
+    in the background of a script."""
     outer, inner = pty.openpty()
-    with subprocess.Popen([COMMAND, *words[1:]], stdout=inner, stderr=subprocess.PIPE) as process:
+    deaf = ["sh", "-c", 'trap "" INT; exec "$@"', "sh"]
+    with Program([*deaf, COMMAND, *words[1:]], stdout=inner, stderr=subprocess.PIPE) as process:
         os.close(inner)
         said = b""
         while b"link" not in said:
             said += os.read(outer, 4096)
         process.send_signal(signal.SIGINT)
-        error = process.stderr.read()
+        process.send_signal(signal.SIGTERM)
+        _, error = process.communicate(timeout=PATIENCE_S)
     os.close(outer)
-    assert process.returncode in (0, 130), error
+    assert (process.returncode, error) == (143, b"groundstation: terminated\n")
     return said.decode()
 
 
@@ -330,19 +329,17 @@ def make_run(folder):
     """``make run`` from the Makefile, as it is; nothing is installed again."""
     environment = os.path.dirname(os.path.dirname(sys.executable))
     ports = f"--viewer-port {free_port()} --web-port {free_port()}"
-    process = subprocess.Popen(
+    done = run_program(
         [
             *("make", f"VENV={environment}", "-o", f"{environment}/.ready", "run"),
             f"ARGS=--for 1 --recordings {folder / 'sessions'} {ports}",
         ],
         cwd=ROOT,
         env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},
-        stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        text=True,
+        timeout=PATIENCE_S,
+        check=True,
     )
-    said, _ = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, said
     (recording,) = (folder / "sessions").glob("*.mcap")
     until(lambda: recording.stat().st_size, "a recording")
-    return said
+    return done.stdout

@@ -94,7 +94,7 @@ def require_existing(code, page):
 
 @by_page()
 def test_every_option_named_alone_exists_somewhere(page):
-    known = {"--version", "--help"}
+    known = {"--version", "--help", "--trust-effects"}
     for command in every_command(COMMANDS):
         known |= options_of(command)
     source = "\n".join(

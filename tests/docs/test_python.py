@@ -1,12 +1,12 @@
 """Every Python example of the pages runs, those of a page in order; public names are listed."""
 
 import re
-import subprocess
 import sys
 
 import pytest
 from larder import FLOWN
 from pages import PAGES, ROOT, blocks_of
+from programs import run_program
 
 import groundstation
 
@@ -47,5 +47,5 @@ def test_a_name_that_is_not_public_is_an_attribute_error():
 
 def test_importing_the_package_loads_nothing_else():
     program = "import sys, groundstation; print(len([m for m in sys.modules if 'numpy' in m]))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = run_program([sys.executable, "-c", program])
     assert done.stdout == "0\n", done.stderr

@@ -15,10 +15,12 @@ from groundstation.dynamics.model import (
     Model,
     load_model,
     model_vehicle,
+    rotor_motors,
     save_model,
     vehicle_model,
+    with_motor,
 )
-from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.dynamics.vehicle import MotorConstants, load_vehicle, mean_motor, moved_motors
 from groundstation.errors import BadInputError
 
 
@@ -104,3 +106,54 @@ def test_a_model_that_cannot_be_simulated_is_not_written(tmp_path):
     with pytest.raises(BadInputError, match=r"body\.c0 is nan"):
         save_model(Model(vehicle="crazyflie1", motor=THESIS.motor, body=nan), path)
     assert not path.exists()
+
+
+def four_motors():
+    motors = tuple(MotorConstants(0.8 + 0.1 * i, 6.0 + i, 0.002 * i) for i in range(4))
+    return msgspec.structs.replace(THESIS, motor=mean_motor(motors), motors=motors)
+
+
+def test_a_model_holds_each_rotor_s_motor_or_one_for_all(tmp_path):
+    model = four_motors()
+    save_model(model, tmp_path / "four.json")
+    assert load_model(tmp_path / "four.json") == model
+    assert rotor_motors(model) == model.motors
+    assert rotor_motors(THESIS) == (THESIS.motor,) * 4
+
+
+def test_four_motors_follow_their_mean():
+    model = four_motors()
+    mean = MotorConstants(2 * model.motor.a0, model.motor.a1, model.motor.a2 + 0.001)
+    moved = with_motor(model, mean)
+    assert moved.motor == mean
+    assert mean_motor(moved.motors).a2 == pytest.approx(mean.a2)
+    assert moved.motors[3].a0 == pytest.approx(2 * model.motors[3].a0)
+    assert with_motor(THESIS, mean).motors is None
+    first_order = msgspec.structs.replace(mean, a2=0.0)
+    assert {one.a2 for one in moved_motors((first_order,) * 4, mean)} == {mean.a2}
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda d: d["motors"].pop(), "length 4"),
+        (lambda d: d["motors"][1].update(a1=-1.0), r"motors\[1\].a1 is -1.0, must be positive"),
+        (lambda d: d["motor"].update(a0=0.5), "the mean of motors is 0.95"),
+    ],
+)
+def test_motors_that_cannot_be_are_refused(tmp_path, change, complaint):
+    path = tmp_path / "model.json"
+    save_model(four_motors(), path)
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(BadInputError, match=complaint):
+        load_model(path)
+
+
+def test_a_model_is_a_readable_line_with_its_effects_and_their_errors():
+    lag = EffectTerm("dead_time", {"delay_s": Estimate(0.0033, 1e-4, "s")})
+    text = repr(msgspec.structs.replace(load_model("thesis"), effects=(lag,)))
+    assert text.startswith("Model(crazyflie1: motor a0 0.8624, a1 6.815")
+    assert "dead_time delay_s 0.0033 ± 0.0001 s" in text
+    assert len(text) < 300

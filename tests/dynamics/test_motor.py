@@ -18,13 +18,16 @@ def test_speeds_agree_with_an_adaptive_integrator():
     generator = np.random.default_rng(3)
     voltage = generator.uniform(0, 4000, (50, 4))
     start = np.array([0.0, 100.0, 250.0, 400.0])
-    speed, square = simulate_motor(THESIS_MOTOR, voltage, 0.002, start)
-    m = THESIS_MOTOR
-    for motor in range(4):
+    motors = tuple(MotorConstants(0.7 + 0.1 * i, 5.0 + i, 0.004 * i) for i in range(4))
+    speed, square = simulate_motor(motors, voltage, 0.002, start)
+    for motor, m in enumerate(motors):
         n, total = start[motor], 0.0
         for k, volt in enumerate(voltage[:, motor]):
             solution = solve_ivp(
-                lambda _, y, volt=volt: [m.a0 * volt - m.a1 * y[0] - m.a2 * y[0] ** 2, y[0] ** 2],
+                lambda _, y, volt=volt, m=m: [
+                    m.a0 * volt - m.a1 * y[0] - m.a2 * y[0] ** 2,
+                    y[0] ** 2,
+                ],
                 (0, 0.002),
                 [n, 0.0],
                 rtol=1e-11,

@@ -226,7 +226,8 @@ def test_3_49_to_3_56_the_gyroscopic_terms_have_the_sign_of_the_other_spin(rate,
     assert torque[axis] == pytest.approx(-printed[axis])
     assert np.sign(torque[axis]) == sign
 
-    craft = craft_of_vehicle(vehicle, coupling=False, spin_up=False)
+    inertia = {"rotor_inertia_kg_m2": vehicle.rotor_inertia_kg_m2}
+    craft = craft_of_vehicle(vehicle, {"rotor_gyroscopic_torque": inertia})
     craft["thrust"] = craft["drag"] = 0.0
     held = [vehicle.motor.armature_mv(speed / (2 * np.pi)) for speed in speeds]
     start = craft_state(rates=rate, rotor_rev_s=speeds / (2 * np.pi))

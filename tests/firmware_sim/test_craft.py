@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from programs import run_program
 from stand_in_bench import flown, rows_of
 
 from firmware_sim.craft import StandIn, StandInSettings
@@ -240,7 +240,7 @@ def test_random_excitation_differs_from_lap_to_lap_but_not_from_call_to_call():
 
 def test_importing_the_package_does_not_load_the_compiler():
     code = "import firmware_sim, firmware_sim.craft, sys; assert 'numba' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    run_program([sys.executable, "-c", code], check=True)
 
 
 def test_rows_come_from_packets_that_survive_loss():

@@ -8,8 +8,7 @@ import os
 import socket
 import statistics
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import cflib.crtp
@@ -17,71 +16,25 @@ import psutil
 import pytest
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
+from served_craft import ServedCraft, served
 
-from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.crtp import PARAMETERS, VARIABLES
+from firmware_sim.contents import PARAMETERS, VARIABLES
 from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
 
 
-class Flight:
-    """A stand-in flown by a thread in steps of 10 ms, served by a loop in another."""
-
-    def __init__(self, craft: StandIn) -> None:
-        self.craft = craft
-        self.loop = asyncio.new_event_loop()
-        self.server = CrtpServer(craft, port=0)
-        self.each_step: Callable[[], None] = lambda: None
-        self._stop = threading.Event()
-        self._threads = [
-            threading.Thread(target=self.loop.run_forever),
-            threading.Thread(target=self._fly),
-        ]
-
-    def start(self) -> None:
-        for thread in self._threads:
-            thread.start()
-        asyncio.run_coroutine_threadsafe(self.server.start(), self.loop).result(10)
-
-    def stop(self) -> None:
-        asyncio.run_coroutine_threadsafe(self.server.close(), self.loop).result(10)
-        self._stop.set()
-        self.loop.call_soon_threadsafe(self.loop.stop)
-        for thread in self._threads:
-            thread.join(10)
-        self.loop.close()
-
-    def _fly(self) -> None:
-        flown_s = self.craft.time_s
-        while not self._stop.wait(0.009):
-            flown_s += 0.01
-            self.craft.advance(flown_s)
-            self.each_step()
-
-    def wait_for(self, condition, timeout_s: float = 10.0) -> None:
-        """Poll a condition of the running craft."""
-        end = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < end, "the condition never came true"
-            time.sleep(0.005)
-
-
 @pytest.fixture(scope="module")
-def flight() -> Iterator[Flight]:
-    craft = StandIn(StandInSettings(program="wait", resume_s=1e6))
-    craft.advance(3.0)
-    running = Flight(craft)
-    running.start()
-    yield running
-    running.stop()
+def flight() -> Iterator[ServedCraft]:
+    with served() as running:
+        yield running
 
 
 @contextmanager
-def connected(flight: Flight) -> Iterator[Crazyflie]:
+def connected(flight: ServedCraft) -> Iterator[Crazyflie]:
     cflib.crtp.init_drivers()
     crazyflie = Crazyflie()
     ready = threading.Event()
     crazyflie.fully_connected.add_callback(lambda uri: ready.set())
-    crazyflie.open_link(f"udp://127.0.0.1:{flight.server.port}")
+    crazyflie.open_link(flight.uri)
     try:
         assert ready.wait(10), "never fully connected"
         yield crazyflie

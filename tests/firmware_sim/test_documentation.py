@@ -48,7 +48,7 @@ def test_the_settings_example_loads(tmp_path):
     path.write_text(block)
     settings = load_settings(path)
     assert settings.effects == {"rotor_drag": {"drag_n_s_m": 0.01}}
-    assert parameters(settings)[0]["rotor_drag"] == 0.01
+    assert parameters(settings)[0]["plane_drag"] == 0.01
     assert msgspec.structs.replace(settings, seed=2).seed == 2
 
 

@@ -41,6 +41,7 @@ LISTED = {
     "imu_lever_arm",
     "ground_effect",
     "attitude_filter_lean",
+    "mass_change",
 }
 QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 NEUTRAL = {"motor_braking_asymmetry": {"factor": 1.0}, "rotor_mismatch": {"excess": 0.0}}
@@ -197,7 +198,7 @@ def test_climbing_costs_thrust():
 
 def test_dead_voltage_is_lost_before_the_motor():
     p, _, slope, _ = change({"motor_dead_voltage": {"voltage_mv": 150.0}})
-    assert slope[13:17] == pytest.approx(np.full(4, -150.0 * p["a0"]))
+    assert slope[13:17] == pytest.approx(-150.0 * p["a0"])
 
 
 def test_motors_that_slow_down_do_so_more_slowly():
@@ -373,7 +374,7 @@ def test_a_load_swings_with_the_period_of_its_line():
     s["duty"][0] = 1.0
     # The motors hold the speed that carries craft and load.
     n = s["y"][0, 13]
-    s["supply_mv"] = (p[0]["a1"] * n + p[0]["a2"] * n * n) / p[0]["a0"]
+    s["supply_mv"] = ((p[0]["a1"] * n + p[0]["a2"] * n * n) / p[0]["a0"])[0]
     s["y"][0, LOAD] = 0.02
     p["inertia"] = 1.0  # keep the craft level
     swing = []

@@ -97,7 +97,9 @@ def test_the_rotors_show_in_the_accelerometer_at_their_alias(tmp_path, craft, le
         'name = "level"\n[[segment]]\nkind = "rest"\nseconds = 3\n'
         f'[[segment]]\nkind = "bench"\nseconds = 30\nthrust = {level}\n'
     )
-    stand_in = StandIn(StandInSettings(craft=craft, program=str(path), supply_v=3.7, truth=True))
+    stand_in = StandIn(
+        StandInSettings(craft=craft, firmware="2014", program=str(path), supply_v=3.7, truth=True)
+    )
     rows = rows_of(stand_in.advance(12.0)[0])
     x = rows["accelerometer"][3000:5900, 0].astype(float)
     spectrum = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x))))

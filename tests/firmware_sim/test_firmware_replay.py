@@ -170,6 +170,7 @@ def test_every_motor_value_and_angle_follows_from_the_raw_sensors(craft, quirks,
     stand_in = StandIn(
         StandInSettings(
             craft=craft,
+            firmware="2014",
             quirks=quirks,
             gains=gains,
             program="wait",

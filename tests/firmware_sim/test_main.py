@@ -10,6 +10,7 @@ import sys
 
 import numpy as np
 import pytest
+from programs import Program, run_program
 
 from firmware_sim.__main__ import main
 from firmware_sim.craft import StandIn, StandInSettings
@@ -68,7 +69,7 @@ def test_a_model_with_an_effect_flies(tmp_path):
     ]
     path.write_text(json.dumps(document))
     craft = StandIn(StandInSettings(craft=str(path), plant="reduced"))
-    assert craft._parameters[0]["rotor_drag"] == 0.01
+    assert craft._parameters[0]["plane_drag"] == 0.01
     assert craft._parameters[0]["thrust"] / craft._parameters[0]["mass"] == pytest.approx(4.2e-5)
 
 
@@ -104,13 +105,11 @@ def test_an_existing_file_is_not_overwritten(tmp_path, capsys):
 
 def test_ctrl_c_ends_a_run_in_good_order(tmp_path):
     path = tmp_path / "flight.npz"
-    child = subprocess.Popen(
+    with Program(
         [sys.executable, "-m", "firmware_sim", "--crtp", "127.0.0.1:0", "-o", str(path)],
         stdout=subprocess.PIPE,
         text=True,
-    )
-    assert child.stdout is not None
-    with child.stdout:
+    ) as child:
         assert "udp://127.0.0.1" in child.stdout.readline()
         os.kill(child.pid, signal.SIGINT)
         assert child.wait(60) == 0
@@ -119,8 +118,6 @@ def test_ctrl_c_ends_a_run_in_good_order(tmp_path):
 
 
 def test_help_shows_examples():
-    result = subprocess.run(
-        [sys.executable, "-m", "firmware_sim", "--help"], capture_output=True, text=True, check=True
-    )
+    result = run_program([sys.executable, "-m", "firmware_sim", "--help"], check=True)
     assert "examples:" in result.stdout
     assert "--effect" in result.stdout

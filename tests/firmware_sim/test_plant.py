@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from stand_in_bench import fly, plant, rotation, slopes
 
 from firmware_sim.layout import ALL_STATES, FREE
-from groundstation.dynamics.vehicle import THESIS_MOTOR, load_vehicle
+from groundstation.dynamics.model import THESIS, save_model
+from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants, load_vehicle, mean_motor
 
 G = 9.80665
 
@@ -161,6 +163,16 @@ def test_motor_steps_follow_the_closed_form(start, armature_mv):
         fly(p, s, 0.002, chunk_s=0.002)
         expected = closed_form(0.002 * step, armature_mv, start)
         assert s["y"][0, 13] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_rotors_of_a_model_turn_by_their_own_motors(tmp_path):
+    motors = tuple(MotorConstants(0.8 + 0.05 * i, 6.0 + i, 0.003 * i) for i in range(4))
+    model = msgspec.structs.replace(THESIS, motor=mean_motor(motors), motors=motors)
+    save_model(model, tmp_path / "model.json")
+    p, s = plant(craft=str(tmp_path / "model.json"))
+    s["duty"][0], s["supply_mv"] = 0.5, 5000.0
+    fly(p, s, 4.0)
+    assert s["y"][0, 13:17] == pytest.approx([one.steady_rev_s(2500.0) for one in motors])
 
 
 def test_a_motor_at_rest_needs_its_starting_voltage():

@@ -11,6 +11,7 @@ import sys
 import numpy as np
 import pytest
 import serial
+from programs import Program
 
 from firmware_sim.__main__ import main
 from firmware_sim.craft import StandIn, StandInSettings
@@ -171,22 +172,18 @@ def test_a_line_runs_in_real_time_only(capsys):
 
 def test_the_program_sends_the_flight_of_its_seed(tmp_path):
     name = tmp_path / "craft"
-    child = subprocess.Popen(
+    with Program(
         [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{name}", "--seed", "4"],
         stdout=subprocess.PIPE,
         text=True,
-    )
-    with child, child.stdout:
-        try:
-            assert child.stdout.readline() == f"telemetry on serial:{name}\n"
-            with opened(name) as reader:
-                deframer = Deframer()
-                got = np.concatenate([deframer.feed(reader.read(4000)) for _ in range(10)])
-            child.send_signal(signal.SIGINT)
-            assert "packets while nobody listened, 0 dropped" in child.stdout.read()
-            assert child.wait(60) == 0
-        finally:
-            child.kill()
+    ) as child:
+        assert child.stdout.readline() == f"telemetry on serial:{name}\n"
+        with opened(name) as reader:
+            deframer = Deframer()
+            got = np.concatenate([deframer.feed(reader.read(4000)) for _ in range(10)])
+        child.send_signal(signal.SIGINT)
+        assert "packets while nobody listened, 0 dropped" in child.stdout.read()
+        assert child.wait(60) == 0
     assert not name.is_symlink()
     assert len(got) > 1000
     flown, _ = StandIn(StandInSettings(seed=4)).advance(60.0)

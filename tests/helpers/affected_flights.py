@@ -32,6 +32,7 @@ MEDIUM = {
     "imu_lever_arm": {"x_m": 0.004, "y_m": -0.003, "z_m": 0.005},
     "ground_effect": {"height_m": 0.1, "gain": 0.3},
     "attitude_filter_lean": {"strength": 1.0},
+    "mass_change": {"percent": 12.0},
 }
 
 

@@ -5,8 +5,8 @@ import functools
 from affected_flights import BASE
 from stand_in_flights import CARRYING_GAINS, recorded
 
-from groundstation.discrepancy.comparison import compare
-from groundstation.discrepancy.recordings import flights_of
+from groundstation.comparison.comparison import compare
+from groundstation.identification.recordings import flights_of
 
 SECONDS = 40.0
 

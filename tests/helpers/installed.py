@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import psutil
+from programs import Program, run_program
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
@@ -22,10 +23,8 @@ PATIENCE_S = 60.0
 
 def groundstation(*arguments, socket_path=None, cwd=None):
     """Run one command to its end."""
-    return subprocess.run(
+    return run_program(
         [COMMAND, *map(str, arguments)],
-        capture_output=True,
-        text=True,
         env=_environment(socket_path),
         cwd=cwd,
         timeout=PATIENCE_S,
@@ -71,7 +70,7 @@ class Daemon:
         self.sessions = self.folder / "sessions"
         self._out, self._err = self.folder / "stdout", self.folder / "stderr"
         with self._out.open("wb") as out, self._err.open("wb") as err:
-            self.process = subprocess.Popen(
+            self.process = Program(
                 [COMMAND, "run", *map(str, arguments)],
                 stdin=subprocess.DEVNULL,
                 stdout=stdout or out,
@@ -84,9 +83,7 @@ class Daemon:
         return self
 
     def __exit__(self, *_):
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
+        self.process.end()
 
     @property
     def stdout(self):
@@ -119,7 +116,8 @@ class Daemon:
             status = self.status()
             return status if status and condition(status) else None
 
-        return until(look, what)
+        # 2 ms of processor time each, here and in the daemon
+        return until(look, what, every_s=0.04)
 
     def recording(self, samples=1):
         """Wait until ``samples`` are in the file; the status then."""

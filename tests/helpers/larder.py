@@ -11,8 +11,8 @@ from firmware_sim.craft import StandIn
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.body_workflow import identify_body
-from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import session_metadata, write_mcap

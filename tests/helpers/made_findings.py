@@ -3,6 +3,7 @@
 from affected_flights import BASE, MEDIUM, affected
 from compared_flights import hidden, judged
 
+from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import (
     Alternative,
     Candidate,
@@ -10,13 +11,17 @@ from groundstation.discrepancy.findings import (
     FoundEffect,
     Leftover,
     NotShown,
+    Reason,
+    Refusal,
     Verdict,
 )
 from groundstation.discrepancy.proof import Proof
-from groundstation.discrepancy.report_json import findings_report
+from groundstation.discrepancy.report_json import discrepancy_report
 from groundstation.dynamics.model import Estimate
 
 NAME = "velocity_moment"
+IMPLAUSIBLE = Refusal(Reason.IMPLAUSIBLE, "not plausible")
+INSIGNIFICANT = Refusal(Reason.INSIGNIFICANT, "not <significant>")
 
 
 def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
@@ -27,20 +32,22 @@ def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
         {"moment": Estimate(15.0, 0.2, "rad/s^2 per m/s")},
         {"likelihood_ratio": 5000.0, "t": 60.0, "held_out": 2300.0},
         (Alternative("rate_damping", 9.0, "hover doublets"),),
-        4.0,
-        1.0,
         ("gyro_x", "gyro_y"),
         affected(NAME),
+        gap_before=4.0,
+        gap_after=1.0,
     )
     some = verdict is Verdict.EFFECTS_FOUND
     return Findings(
         verdict=verdict,
         effects=(found,) if some else (),
         base=BASE,
+        moved=BASE,
+        base_changes=(),
         model=affected(NAME) if some else BASE,
         candidates=(
-            Candidate(NAME, {}, 5000.0, 60.0, 2300.0, some, "" if some else "not plausible"),
-            Candidate("rate_damping", {}, 900.0, 20.0, 0.0, False, "not <significant>"),
+            Candidate(NAME, {}, 5000.0, 60.0, 2300.0, some, None if some else IMPLAUSIBLE),
+            Candidate("rate_damping", {}, 900.0, 20.0, 0.0, False, INSIGNIFICANT),
         ),
         not_shown=(NotShown("ground_effect", "gain", 2.0, 0.25, "", "take off and land"),),
         lost={"attitude_filter_lean": "attitude"},
@@ -61,9 +68,8 @@ def proof(found):
 
 def report(found, proven):
     """The report on them."""
-    return findings_report(
-        found,
-        proven,
+    return discrepancy_report(
+        Discrepancy(found, proven),
         recordings=["a.mcap"],
         validation=["b.mcap"],
         model="base.json",

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 from stand_in_flights import CARRYING_GAINS, recorded
 
-from groundstation.discrepancy.recordings import flights_of
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.identification.recordings import flights_of
 
 BENCH_ERRORS = np.array([1e-4, 1e-3, 2e-6])
 

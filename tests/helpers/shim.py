@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import shutil
 import struct
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from programs import run_program
 
 SOURCE = r"""
 #define _GNU_SOURCE
@@ -96,7 +96,7 @@ def build(folder: Path) -> Shim:
         pytest.skip("stepping a clock needs a C compiler")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "shim.c").write_text(SOURCE)
-    subprocess.run(
+    run_program(
         [compiler, "-shared", "-fPIC", "-O1", "-o", folder / "shim.so", folder / "shim.c", "-ldl"],
         check=True,
     )

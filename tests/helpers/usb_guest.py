@@ -3,12 +3,12 @@
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import virtual_machine
+from programs import run_program
 
 PROJECT = Path(__file__).parents[2]
 HELPERS = Path(__file__).parent
@@ -46,7 +46,7 @@ def _compile_for_the_guest(out):
     """
     compiled = virtual_machine.cache_folder() / "numba"
     generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(compiled)}
-    subprocess.run(
+    run_program(
         [sys.executable, "-m", "firmware_sim", "--settings", out / "sound_flight.toml",
          "--for", str(FLIGHT_S), "--fast", "-o", out / "sound_flight.npz"],
         check=True, cwd=PROJECT, env={**os.environ, **generic},

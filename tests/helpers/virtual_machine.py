@@ -24,6 +24,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from programs import run_program
+
 PROGRAMS = (
     *("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get", "setpriv"),
 )
@@ -92,9 +94,7 @@ def run(
             *counting,
         ]  # fmt: skip
         try:
-            done = subprocess.run(
-                machine, stdin=subprocess.DEVNULL, capture_output=True, timeout=timeout_s
-            )
+            done = run_program(machine, stdin=subprocess.DEVNULL, text=False, timeout=timeout_s)
         except subprocess.TimeoutExpired as late:
             said = (late.stdout or b"").decode(errors="replace") + _read(out / "output")
             raise VmError(f"no end within {timeout_s:g} s; it said: {said[-4000:]}") from late
@@ -161,9 +161,9 @@ def _initramfs(root: Path, version: str) -> bytes:
         init.write_text(_INIT.replace("MODULES", " ".join(lines)))
         init.chmod(0o755)
         names = "\n".join(str(path.relative_to(tree)) for path in sorted(tree.rglob("*")))
-        packed = subprocess.run(
+        packed = run_program(
             ["cpio", "--quiet", "-o", "-H", "newc"],
-            input=names.encode(), cwd=tree, check=True, capture_output=True,
+            input=names.encode(), text=False, cwd=tree, check=True,
         )  # fmt: skip
     compressed = io.BytesIO()
     with gzip.GzipFile(fileobj=compressed, mode="wb", compresslevel=1) as file:
@@ -206,7 +206,7 @@ def _program(name: str) -> str | None:
 
 
 def _command(command: list[str], folder: str) -> str:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    done = run_program(command, cwd=folder)
     if done.returncode:
         raise VmError(f"{' '.join(command)}: {done.stderr.strip() or done.stdout.strip()}")
     return done.stdout

@@ -9,9 +9,9 @@ from stand_in_flights import recorded
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
-from groundstation.identification.arx_workflow import identify_arx
-from groundstation.identification.body_workflow import identify_body
-from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.arx.workflow import identify_arx
+from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
 
 VEHICLE = BUILT_IN["crazyflie1"]
@@ -151,8 +151,8 @@ def test_a_flight_of_another_kind_of_craft(good):
 
 def test_rotors_in_a_wrong_order(good):
     swapped = replace(good["body"], duty=good["body"].duty[:, [2, 1, 0, 3]].copy())
-    found = identify("body", swapped)
-    assert any("c1 came out negative" in text for text in found.account["warnings"])
+    with pytest.raises(BadInputError, match=r"flight: c1 came out negative.*against the torque"):
+        identify("body", swapped)
 
 
 def test_measured_rotors_that_are_not_there(good):

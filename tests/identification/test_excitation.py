@@ -9,14 +9,13 @@ from stand_in_flights import recorded
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.body import fit_body
+from groundstation.identification.body.fit import fit_body
 from groundstation.identification.excitation import (
     body_excitation,
-    expected_noise,
     motor_excitation,
 )
-from groundstation.identification.motor import fit_motor
-from groundstation.identification.motor_problem import MotorRun
+from groundstation.identification.motor.fit import fit_motor
+from groundstation.identification.motor.problem import MotorRun
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
 
@@ -53,14 +52,7 @@ def test_predicted_uncertainty_is_what_the_fit_then_reports(plant, effects, requ
     assert expected.names == fit.estimates.names[:-1]
     ratio = expected.stderr / fit.estimates.stderr[:-1]
     assert np.all((ratio > 0.4) & (ratio < 2.5)), dict(zip(expected.names, ratio, strict=True))
-    assert not expected.lines
-
-
-def test_the_black_box_noise_is_the_innovation_of_the_fit(excited):
-    noise = expected_noise(excited, VEHICLE)
-    fit = fit_body(excited, VEHICLE)
-    for one, other in zip(noise, fit.noise, strict=True):
-        assert one.variance == pytest.approx(other.variance, rel=0.1)
+    assert not any("hardly excited" in line for line in expected.lines)
 
 
 def test_a_still_hover_is_said_to_be_poor_and_what_to_fly_before_the_fit():

@@ -9,10 +9,10 @@ from stand_in_flights import recorded
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.arx_workflow import identify_arx
-from groundstation.identification.body_workflow import identify_body
-from groundstation.identification.evidence import liveliest
-from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.arx.workflow import identify_arx
+from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.fit_record import liveliest
+from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.report import report
 from groundstation.identification.runs import runs_of
 
@@ -71,7 +71,8 @@ def test_every_parameter_stands_there_with_its_interval(pages, kind):
 
 def test_the_verdict_speaks_of_the_least_certain_constant(pages):
     found, text = pages["body"]
-    shares = found.evidence.estimates["body"].stderr / found.evidence.estimates["body"].values
+    estimates = found.evidence.estimates["body"]
+    shares = estimates.stderr / np.maximum(estimates.values, 1e-300)
     worst = ("c0", "c1", "c2")[int(np.argmax(shares[:3]))]
     assert f"The least certain constant is {worst}" in text
     assert 'class="verdict good"' in text

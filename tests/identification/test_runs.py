@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.errors import BadInputError
-from groundstation.identification.runs import flying, hold_out, runs_of
+from groundstation.identification.airborne import turning_parts
+from groundstation.identification.runs import hold_out, runs_of
 from groundstation.telemetry.samples import empty_samples
 
 
@@ -98,8 +99,8 @@ def test_flying_stretches_leave_the_ground_out():
     duty[3000:3010, 2] = 0.05
     duty[4000:] = 0
     (run,) = runs_of(replace(samples, duty=duty))
-    assert [len(part) for part in flying(run)] == [2000]
-    assert [len(part) for part in flying(run, least_s=1.0)] == [2000, 990]
+    assert [len(part) for part in turning_parts(run, 2.0)] == [2000]
+    assert [len(part) for part in turning_parts(run, 1.0)] == [2000, 990]
 
 
 def test_a_part_keeps_its_time():

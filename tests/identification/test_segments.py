@@ -8,7 +8,8 @@ from stand_in_flights import recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.body import fit_body
+from groundstation.identification.airborne import airborne
+from groundstation.identification.body.fit import fit_body
 from groundstation.identification.runs import runs_of
 from groundstation.identification.segments import (
     CRITERIA,
@@ -17,7 +18,7 @@ from groundstation.identification.segments import (
     parse_selection,
     selected,
 )
-from groundstation.identification.stretches import airborne, stretches_of
+from groundstation.identification.stretches import stretches_of
 from groundstation.spans import spans
 
 VEHICLE = BUILT_IN["crazyflie1"]

@@ -5,7 +5,9 @@ from typing import ClassVar
 
 import flights
 import numpy as np
+import pytest
 from link_contract import FiniteLinkContract, LinkContract
+from served_craft import served
 
 from groundstation.links.factory import make_link
 from groundstation.recording.recording_file import write_mcap
@@ -59,6 +61,29 @@ class TestStandInThatFiltersCopies(MadeByTheFactory, LinkContract):
     options = SOUND_RADIO | {"bridge_dedup": True}
     copies = 1
     bad = (("stand-in", {"bridge_dedup": 7}, "bridge_dedup"),)
+
+
+@pytest.fixture(scope="module")
+def craft():
+    with served(craft="crazyflie21", plant="reduced") as running:
+        yield running
+
+
+class TestCrazyflieLog(MadeByTheFactory, LinkContract):
+    """A stock Crazyflie that is asked for its log."""
+
+    kind = SampleBatch
+    bad = (
+        ("radio:0/80", {}, "radio:0/80"),
+        ("teleport://0", {}, "radio://0/80/2M/E7E7E7E7E7"),
+    )
+
+    @pytest.fixture(autouse=True)
+    def address(self, craft):
+        self.name = craft.uri
+
+    def make(self, tmp_path):
+        return make_link(self.name, speed=1.0, stand_in={}, rate_hz=500)
 
 
 class TestReplay(MadeByTheFactory, FiniteLinkContract):

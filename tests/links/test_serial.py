@@ -3,7 +3,6 @@
 import asyncio
 import grp
 import os
-import subprocess
 import sys
 import threading
 import time
@@ -13,6 +12,7 @@ import pytest
 from flights import flight
 from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
 from one_flight import BRIDGES, OneFlight, require_same_on_this_machine
+from programs import run_program
 from serial_craft import SerialCraft
 
 from firmware_sim.serial_port import SerialPort
@@ -171,6 +171,28 @@ def test_damage_on_the_line_costs_its_frames_and_is_told(line):
     assert fault.details == {"damaged": damaged}
 
 
+def test_damage_in_the_last_moment_before_silence_is_told_too(line):
+    frames = bytearray(frame_packets(packets_of(50)))
+    half = 100 * FRAME_BYTES
+    frames[40 * FRAME_BYTES + 7] ^= 0x40
+    frames[half + 40 * FRAME_BYTES + 7] ^= 0x40
+    link = SerialLink(line.path)
+    events = listen(link)
+
+    async def session():
+        async with link:
+            for part in (frames[:half], frames[half:]):
+                os.write(line._fd, bytes(part))
+                await packets_read(link, 99)
+        return link.damaged
+
+    damaged = asyncio.run(session())
+    assert damaged >= 2
+    faults = [event for event in events if event.kind == "fault"]
+    assert len(faults) == 2, "each is told, the second at the latest when the link is closed"
+    assert faults[-1].details == {"damaged": damaged}
+
+
 def test_a_stream_at_another_speed_is_said_to_be_no_telemetry(line):
     link = SerialLink(line.path)
     events = listen(link)
@@ -327,9 +349,7 @@ def test_a_port_without_permission_tells_what_to_do(line, group, advice):
         "os.setgid(65534); os.setuid(65534)\n"
         "asyncio.run(link.open())\n"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", program, line.path], capture_output=True, text=True
-    )
+    result = run_program([sys.executable, "-c", program, line.path])
     last = result.stderr.strip().splitlines()[-1]
     assert "LinkError" in last
     assert "permission denied" in last

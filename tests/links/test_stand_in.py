@@ -76,3 +76,19 @@ def test_faster_than_real_time_the_craft_waits_for_a_stalled_process(monkeypatch
     samples, counts = decode_all(stalled(4.0, 0.3))
     assert counts.lost == 0
     assert set(samples.segment) == {0}
+
+
+def test_an_empty_cell_and_its_successor_are_told_as_what_they_are():
+    events = []
+    link = StandInLink(SOUND_RADIO | {"charge": 0.0, "recharge_s": 1.0}, speed=FAST)
+    link.on_event = events.append
+
+    async def session():
+        async with link:
+            while sum(event.kind == "battery" for event in events) < 2:
+                await link.read()
+
+    asyncio.run(asyncio.wait_for(session(), 60))
+    empty, fresh = (event.text for event in events if event.kind == "battery")
+    assert "cell is empty" in empty
+    assert "charged cell was plugged in" in fresh

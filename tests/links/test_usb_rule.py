@@ -10,6 +10,7 @@ from groundstation.errors import GroundStationError
 def test_the_rule_names_the_configured_device(tmp_path):
     usual = groundstation("install", "udev", "--print")
     assert usual.returncode == 0
+    assert 'ATTR{idVendor}=="1915", ATTR{idProduct}=="7777"' in usual.stdout  # a Crazyradio
     assert 'ATTR{idVendor}=="0483", ATTR{idProduct}=="5741"' in usual.stdout
     config = tmp_path / "station.toml"
     config.write_text('[usb]\ndevice = "1209:00AF"\n')

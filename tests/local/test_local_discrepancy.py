@@ -9,16 +9,15 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from groundstation.discrepancy.engine import find_effects
-from groundstation.discrepancy.recordings import flights_of, without_gaps
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
-from groundstation.identification.body_workflow import identify_body
-from groundstation.identification.motor_workflow import identify_motor
+from groundstation.identification.body.workflow import identify_body
+from groundstation.identification.motor.workflow import identify_motor
+from groundstation.identification.recordings import flights_of, without_gaps
 from groundstation.identification.runs import runs_of
 from groundstation.recording.open_recording import open_recording
 
@@ -28,7 +27,7 @@ pytestmark = pytest.mark.skipif(
     reason="GROUNDSTATION_LOCAL_DATA names no folder with imrc/",
 )
 FLIGHTS = ("00", "12", "22", "27", "34")
-VEHICLE = msgspec.structs.replace(load_vehicle("crazyflie21"), mass_kg=0.037)
+VEHICLE = load_vehicle(Path(__file__).parents[2] / "bench" / "real" / "brushless.toml")
 ARTEFACTS = ("motor_braking_asymmetry", "attitude_filter_lean", "yaw_damping", "gyro_low_pass")
 
 

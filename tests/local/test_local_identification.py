@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.identification.body import fit_body
-from groundstation.identification.body_validation import validate_body
-from groundstation.identification.motor import fit_motor, measured_run, validate_motor
-from groundstation.identification.runs import hold_out, runs_of
+from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.validation import validate_body
+from groundstation.identification.motor.flown import rotor_runs
+from groundstation.identification.motor.rotors import fit_rotors, validate_rotor
+from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import split, stretches_of
 from groundstation.recording.open_recording import open_recording
 
@@ -34,32 +35,34 @@ def flights():
     return runs
 
 
-@pytest.mark.parametrize("motor", range(4))
-def test_pwm_and_battery_explain_measured_rotor_speed(flights, motor):
-    halves = [hold_out([run]) for run in flights]
-    fit = fit_motor([measured_run(run, motor) for one, _ in halves for run in one])
-    assert 0.002 < fit.estimates["delay_s"] < 0.008
-    errors = []
-    for run in [run for _, held in halves for run in held]:
-        _, error = validate_motor(measured_run(run, motor), fit.motor, fit.estimates["delay_s"])
-        errors.append(error)
-    print(f"M{motor + 1}: held-out RMS {', '.join(f'{e:.2f}' for e in errors)} rev/s")
-    assert max(errors) < 2.0
+@pytest.mark.parametrize("left_out", range(len(FLIGHTS)), ids=FLIGHTS)
+def test_pwm_and_battery_explain_measured_rotor_speed(flights, left_out):
+    fit_on = [run for index, run in enumerate(flights) if index != left_out]
+    fit = fit_rotors(rotor_runs(fit_on)[0], BUILT_IN["brushless"].motor)
+    assert 0.002 < fit.lag_s < 0.008
+    (four,), _ = rotor_runs([flights[left_out]])
+    errors = [
+        validate_rotor(run, motor, fit)[1] for run, motor in zip(four, fit.motors, strict=True)
+    ]
+    print(f"eckart{FLIGHTS[left_out]}: RMS {', '.join(f'{e:.2f}' for e in errors)} rev/s")
+    assert max(errors) < 2.1
+    slow = [1 / (motor.a1 + 2 * motor.a2 * fit.speed_rev_s) for motor in fit.motors]
+    assert 0.030 < min(slow) < max(slow) < 0.042
 
 
 @pytest.fixture(scope="module")
-def motor(flights):
-    return fit_motor([measured_run(run, k) for run in flights for k in range(4)])
+def motors(flights):
+    return fit_rotors(rotor_runs(flights)[0], BUILT_IN["brushless"].motor)
 
 
 @pytest.mark.parametrize("measured", [True, False], ids=["measured speed", "modelled speed"])
-def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, motor, measured):
+def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, motors, measured):
     """What turns this craft beside its rotors' thrust and drag: their acceleration on yaw, and a
     moment in proportion to speed, the largest effect of all."""
-    vehicle = BUILT_IN["crazyflie21"]
-    fit_on, held = split(stretches_of(flights, motor.motor, measured))
+    vehicle = BUILT_IN["brushless"]
+    fit_on, held = split(stretches_of(flights, motors.motors, measured))
     base, more = (
-        fit_body(fit_on, vehicle, effects, motor_covariance=motor.estimates.covariance[:3, :3])
+        fit_body(fit_on, vehicle, effects, motor_covariance=motors.estimates.covariance[:3, :3])
         for effects in (
             ("dead_time",),
             ("dead_time", "rotor_acceleration_torque", "velocity_moment"),

@@ -1,6 +1,5 @@
-import subprocess
-
 import pytest
+from programs import run_program
 
 
 @pytest.fixture
@@ -8,10 +7,8 @@ def small_disk(tmp_path):
     """A file system of 1 MiB."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    mount = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True
-    )
+    mount = run_program(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder])
     if mount.returncode:
         pytest.skip("mounting a small tmpfs needs root and a kernel that allows it")
     yield folder
-    subprocess.run(["umount", folder], check=True)
+    run_program(["umount", folder], check=True)

@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from groundstation.cli.app import app
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.column_map import UNITS, load_column_map, read_mapped_csv
+from groundstation.recording.column_map import NAMED, UNITS, load_column_map, read_mapped_csv
 from groundstation.recording.csv_file import read_csv
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.recording_file import write_mcap
 from groundstation.telemetry.packet import STANDARD_GRAVITY, TICK_S
 
 ROOT = Path(__file__).parents[2]
@@ -212,3 +216,55 @@ def test_the_documented_example_is_a_valid_map_that_reads_its_documented_log(tmp
     assert load_column_map(tmp_path / "map.toml").time.unit == tomllib.loads(toml)["time"]["unit"]
     assert len(recording.samples) == csv.count("\n") - 1
     assert np.degrees(recording.samples.gyro[0, 0]) == pytest.approx(-12.5)
+
+
+def a_nanobench_file(folder, drop=()):
+    """Two rows with the header of NanoBench; a column's value is its place in the row."""
+    mapping = load_column_map(NAMED["nanobench"])
+    axes = [f"{kind}_{axis}" for kind in ("imu_acc", "imu_gyro") for axis in "xyz"]
+    angles = [f"att_stateEstimate_{angle}" for angle in ("roll", "pitch", "yaw")]
+    motors = [f"motor_motor_m{m}" for m in range(1, 5)]
+    tables = [column for columns in mapping.tables.values() for column in columns]
+    names = ["t", "roll", *axes, *angles, *motors, *tables, "pwr_pm_vbat"]
+    names = [name for name in names if name not in drop]
+    rows = [",".join(str(place + row) for place in range(len(names))) for row in (0, 1)]
+    (folder / "flight.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+    return folder / "flight.csv", names.index
+
+
+def test_a_header_that_can_only_be_nanobench_is_recognised(tmp_path):
+    path, place = a_nanobench_file(tmp_path)
+    recording = read_csv(path)
+    first = recording.samples[:1]
+    assert first.duty[0, 3] == pytest.approx(place("motor_motor_m4") / 65535)
+    assert first.accelerometer[0, 2] == pytest.approx(place("imu_acc_z") * STANDARD_GRAVITY)
+    assert first.attitude[0, 1] == pytest.approx(-math.radians(place("att_stateEstimate_pitch")))
+    assert recording.metadata["vehicle"] == {"profile": "crazyflie21"}
+    by_name = read_mapped_csv(path, "nanobench")
+    assert np.array_equal(by_name.samples.gyro, recording.samples.gyro)
+
+
+def test_columns_that_are_no_channel_are_kept_as_tables_through_mcap(tmp_path):
+    path, place = a_nanobench_file(tmp_path)
+    write_mcap(read_csv(path), tmp_path / "flight.mcap")
+    kept = open_recording(tmp_path / "flight.mcap").tables
+    assert list(kept) == ["vicon", "setpoint", "controller"]
+    column = kept["controller"].columns["pid_controller_yaw"]
+    assert column.tolist() == [place("pid_controller_yaw"), place("pid_controller_yaw") + 1]
+
+
+def test_a_header_that_lacks_a_column_is_not_recognised_and_the_refusal_says_where_to_look(
+    tmp_path,
+):
+    path, _ = a_nanobench_file(tmp_path, drop=["imu_gyro_z"])
+    with pytest.raises(BadInputError, match="convert --list-columns"):
+        read_csv(path)
+    with pytest.raises(BadInputError, match=r"no column 'imu_gyro_z' \(gyro.z in .*nanobench"):
+        read_mapped_csv(path, "nanobench")
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_every_map_that_ships_says_what_it_is_for_and_is_listed(name):
+    assert load_column_map(NAMED[name]).title
+    listed = CliRunner().invoke(app, ["convert", "--list-columns"])
+    assert (listed.exit_code, name in listed.output) == (0, True)

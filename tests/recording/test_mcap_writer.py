@@ -20,6 +20,7 @@ from flights import (
 )
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
+from programs import Program, run_program
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.mcap_file import McapFile
@@ -236,7 +237,7 @@ def test_a_folder_that_is_a_file_is_one_clear_line(tmp_path):
 
 
 def test_a_read_only_disk_is_one_clear_line(small_disk):
-    subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
+    run_program(["mount", "-o", "remount,ro", small_disk], check=True)
     with pytest.raises(RecordingError, match="cannot be created: Read-only"):
         McapRecorder(small_disk / "flight.mcap", METADATA, low_space_bytes=0)
 
@@ -298,11 +299,9 @@ def fill(path):
 
 def test_a_disk_error_stops_the_recording_and_spares_the_caller(path):
     """The size limit of a process is a write error that needs no special rights."""
-    done = subprocess.run(
+    done = run_program(
         [sys.executable, "-c", SIZE_LIMIT, path],
         env={**os.environ, "PYTHONPATH": str(HELPERS)},
-        capture_output=True,
-        text=True,
     )
     assert done.stderr == ""
     state, *text = done.stdout.splitlines()
@@ -493,7 +492,7 @@ for start in range(0, 1_000_000, 5):
 
 
 def start_child(path):
-    return subprocess.Popen(
+    return Program(
         [sys.executable, "-c", CHILD, path],
         env={**os.environ, "PYTHONPATH": str(HELPERS)},
         stdout=subprocess.PIPE,
@@ -517,15 +516,10 @@ def test_kill_9_at_a_random_moment_loses_half_a_second_at_most(tmp_path):
     moments = random.Random(20260801)
     for group in range(5):
         paths = [tmp_path / f"{group}_{k}.mcap" for k in range(4)]
-        children = [start_child(path) for path in paths]
-        try:
+        with contextlib.ExitStack() as programs:
+            children = [programs.enter_context(start_child(path)) for path in paths]
             lives = sorted(moments.randint(100, 600) for _ in children)
             given = [kill_after(*pair) for pair in zip(children, lives, strict=True)]
-        finally:
-            for child in children:
-                child.kill()
-                child.wait()
-                child.stdout.close()
         for path, rows in zip(paths, given, strict=True):
             report = recover(path)
             assert not report.sound

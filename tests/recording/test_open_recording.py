@@ -6,8 +6,10 @@ from flights import assert_same_samples, flight, write_flight
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
+from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
-from groundstation.viewer.rrd import write_rrd
+
+RECORDINGS = Path(__file__).parents[2] / "recordings"
 
 
 @pytest.fixture
@@ -77,3 +79,18 @@ def test_a_missing_file_is_one_clear_line():
 def test_a_folder_is_one_clear_line(tmp_path):
     with pytest.raises(BadInputError, match="not a file"):
         open_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("nanobench_figure8.mcap", 26.8), ("nanobench_trefoil.mcap", 28.7)]
+)
+def test_a_real_flight_of_todays_craft_is_in_the_repository(name, seconds):
+    recording = open_recording(RECORDINGS / name)
+    samples = recording.samples
+    assert recording.damage == []
+    assert recording.metadata["vehicle"] == {"profile": "crazyflie21"}
+    assert samples.time_s[-1] - samples.time_s[0] == pytest.approx(seconds, abs=0.1)
+    flying = samples.duty.min(axis=1) > 0.5
+    assert samples.accelerometer[flying, 2].mean() == pytest.approx(9.8, abs=0.2)
+    height = recording.tables["vicon"].columns["pz"]
+    assert 0.8 < height[flying].mean() < 1.2

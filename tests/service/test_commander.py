@@ -192,7 +192,7 @@ def test_a_client_that_vanishes_means_level_and_then_motors_off(fly, path):
     assert off_s < 0.6 + 2 * LATE_S
     told = [event["text"] for event in recording.events]
     assert "no setpoint from doomed: level attitude" in told
-    assert "doomed has vanished: motors stopped" in told
+    assert "doomed has vanished: its motors are asked to stop" in told
 
 
 def test_a_daemon_that_ends_stops_the_motors_first(fly, path):

@@ -4,13 +4,13 @@ import json
 import os
 import socket
 import stat
-import subprocess
 import sys
 import time
 
 import psutil
 import pytest
 from installed import free_port, until
+from programs import run_program
 
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service import control
@@ -76,9 +76,7 @@ def test_another_user_cannot_reach_the_socket(serve, path):
             folder.chmod(folder.stat().st_mode | 0o711)  # so that the socket alone refuses
 
     def conversation(station):
-        return subprocess.run(
-            [sys.executable, "-c", code, str(path)], capture_output=True, text=True
-        )
+        return run_program([sys.executable, "-c", code, str(path)])
 
     result = serve(conversation)
     assert result.stdout == "refused\n", result.stderr

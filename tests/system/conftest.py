@@ -1,6 +1,5 @@
-import subprocess
-
 import pytest
+from programs import run_program
 
 from firmware_sim.craft import StandIn
 from firmware_sim.settings import StandInSettings
@@ -15,16 +14,14 @@ def small_disk(tmp_path):
 
     def make(size):
         folder.mkdir()
-        mount = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], capture_output=True
-        )
+        mount = run_program(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder])
         if mount.returncode:
             pytest.skip("mounting a small tmpfs needs root and a kernel that allows it")
         return folder
 
     yield make
     if folder.is_mount():
-        subprocess.run(["umount", folder], check=True)
+        run_program(["umount", folder], check=True)
 
 
 @pytest.fixture(scope="session", autouse=True)

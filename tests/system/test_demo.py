@@ -4,6 +4,7 @@ import signal
 import subprocess
 
 from installed import COMMAND, groundstation, require_failure, until
+from programs import Program
 
 from groundstation.recording.open_recording import open_recording
 
@@ -18,20 +19,17 @@ def test_a_folder_with_something_in_it_is_refused_and_left_alone(tmp_path):
 
 def test_ctrl_c_ends_it_in_one_line_and_what_was_recorded_stays(tmp_path):
     folder = tmp_path / "story"
-    with subprocess.Popen(
+    with Program(
         [COMMAND, "demo", "--seed", "4", "-o", folder],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     ) as demo:
-        try:
-            until((folder / "bench.csv").exists, "the bench is recorded")
-            script = folder / "commands.sh"
-            until(lambda: "bench.csv" in script.read_text(), "the recording is finished")
-            demo.send_signal(signal.SIGINT)
-            said, error = demo.communicate(timeout=60)
-        finally:
-            demo.kill()
+        until((folder / "bench.csv").exists, "the bench is recorded")
+        script = folder / "commands.sh"
+        until(lambda: "bench.csv" in script.read_text(), "the recording is finished")
+        demo.send_signal(signal.SIGINT)
+        said, error = demo.communicate(timeout=60)
     assert demo.returncode == 130
     assert error == "groundstation: interrupted\n"
     assert "$ python -m firmware_sim" in said

@@ -10,6 +10,7 @@ import pytest
 import usb.core
 import usb.util
 from installed import COMMAND, groundstation, require_failure
+from programs import Program, run_program
 from serial.tools.list_ports import comports
 
 from groundstation.cli.devices import port_row
@@ -59,7 +60,7 @@ def test_devices_without_libusb_still_lists_the_ports_and_says_what_is_missing()
         "from groundstation.cli.main import main\n"
         "main()\n"
     )
-    result = subprocess.run([sys.executable, "-c", hide], capture_output=True, text=True)
+    result = run_program([sys.executable, "-c", hide])
     assert result.returncode == 0, result.stderr
     assert "libusb was not found: install" in result.stdout
 
@@ -72,7 +73,7 @@ def test_a_free_port_is_usable_and_says_how(terminal):
 
 
 def test_a_port_that_a_program_has_open_names_it(terminal):
-    holder = subprocess.Popen(
+    holder = Program(
         [sys.executable, "-c", f"f = open({terminal!r}, 'rb', 0); print(flush=True); input()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -97,9 +98,7 @@ def test_a_port_without_permission_tells_which_group_to_join(terminal):
         "os.setgid(65534); os.setuid(65534)\n"
         "print(port_row(sys.argv[1])['why'])\n"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", program, terminal], capture_output=True, text=True, check=True
-    )
+    result = run_program([sys.executable, "-c", program, terminal], check=True)
     assert result.stdout.startswith("permission denied; join its group with 'sudo usermod -aG")
 
 
@@ -190,5 +189,5 @@ def test_a_header_that_cannot_be_written_is_one_line(tmp_path):
 
 @pytest.mark.parametrize("command", [["devices"], ["export", "header"]])
 def test_help_has_an_example(command):
-    result = subprocess.run([COMMAND, *command, "--help"], capture_output=True, text=True)
+    result = run_program([COMMAND, *command, "--help"])
     assert "Example: groundstation" in result.stdout

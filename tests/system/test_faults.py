@@ -13,6 +13,7 @@ import psutil
 import pytest
 import shim
 from installed import Daemon, free_port, groundstation, require_failure, until
+from programs import Program, run_program
 
 from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
@@ -44,18 +45,13 @@ def bridge(name, *arguments):
     """The software craft in a process of its own, on a pseudo-terminal."""
     settings = name.with_suffix(".toml")
     settings.write_text("[loss]\ngood_loss = 0.0\n")
-    process = subprocess.Popen(
+    with Program(
         [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{name}",
          "--settings", settings, *arguments],
         stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
+    ) as process:  # fmt: skip
         assert "serial:" in process.stdout.readline()
         yield process
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def test_a_daemon_that_is_stopped_for_five_seconds_stamps_right_afterwards(tmp_path):
@@ -161,7 +157,7 @@ def test_a_folder_that_becomes_read_only_is_told_and_used_again_afterwards(small
     disk = small_disk("40m")
 
     def remount(mode):
-        subprocess.run(["mount", "-o", f"remount,{mode}", disk], check=True)
+        run_program(["mount", "-o", f"remount,{mode}", disk], check=True)
 
     remount("ro")
     with Daemon(tmp_path / "a", "--recordings", disk) as daemon:
@@ -202,12 +198,10 @@ def test_many_clients_at_once_for_a_while_leave_the_daemon_as_it_was(tmp_path):
     )
 
     def attack(seconds):
-        clients = [
-            subprocess.Popen([sys.executable, "-c", script, daemon.socket, str(seconds)])
-            for _ in range(4)
-        ]
-        for client in clients:
-            assert client.wait(60) == 0
+        command = [sys.executable, "-c", script, daemon.socket, str(seconds)]
+        with contextlib.ExitStack() as programs:
+            for client in [programs.enter_context(Program(command)) for _ in range(4)]:
+                assert client.wait(60) == 0
 
     def settled():
         time.sleep(1.0)

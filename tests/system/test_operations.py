@@ -13,6 +13,7 @@ import time
 
 import pytest
 from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
+from programs import Program, run_program
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, load_config, settings
@@ -89,12 +90,6 @@ def test_the_configuration_is_reloaded(daemon):
 
 def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
     main, screen = pty.openpty()
-    process = subprocess.Popen(
-        [COMMAND, "status", "--watch"], stdin=screen, stdout=screen, stderr=subprocess.PIPE,
-        env={**os.environ, "GROUNDSTATION_SOCKET": str(daemon.socket), "COLUMNS": "140",
-             "TERM": "xterm"},
-    )  # fmt: skip
-    os.close(screen)
     os.set_blocking(main, False)
     shown = b""
 
@@ -104,11 +99,16 @@ def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
             shown += os.read(main, 65536)
         return shown.count(b"samples/s") >= 2 and b"health" in shown
 
-    until(look, "two pictures of the status")
-    process.send_signal(signal.SIGINT)
-    assert process.wait(30) == 130
+    with Program(
+        [COMMAND, "status", "--watch"], stdin=screen, stdout=screen, stderr=subprocess.PIPE,
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(daemon.socket), "COLUMNS": "140",
+             "TERM": "xterm"},
+    ) as process:  # fmt: skip
+        os.close(screen)
+        until(look, "two pictures of the status")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
     os.close(main)
-    process.stderr.close()
     for what in (b"link", b"recording", b"disk", b"viewer", b"stream", b"MB", b"good"):
         assert what in shown
 
@@ -147,9 +147,10 @@ def test_the_service_manager_is_told_ready_alive_and_stopping(tmp_path):
             manager.settimeout(60)
             daemon.process.send_signal(signal.SIGCONT)
             daemon.recording(samples=10)
-            assert daemon.stop() == 0
-            while said[-1] != "STOPPING=1":
+            daemon.process.send_signal(signal.SIGINT)
+            while said[-1] != "STOPPING=1":  # at once: the daemon does not wait for a full queue
                 said.append(manager.recv(100).decode())
+            assert daemon.wait() == 0
 
 
 def test_the_log_can_be_json_one_object_a_line(tmp_path):
@@ -176,11 +177,9 @@ def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
         pytest.skip("checking a unit needs systemd-analyze")
     unit = tmp_path / "groundstation.service"
     unit.write_text(printed.stdout)
-    checked = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
+    checked = run_program(["systemd-analyze", "verify", unit])
     assert "groundstation.service" not in checked.stderr, checked.stderr
-    rated = subprocess.run(
-        ["systemd-analyze", "security", "--offline=yes", unit], capture_output=True, text=True
-    )
+    rated = run_program(["systemd-analyze", "security", "--offline=yes", unit])
     level = re.search(r"exposure level.*: ([\d.]+)", rated.stdout)
     assert level is None or float(level[1]) < 3.0, rated.stdout
 
@@ -201,8 +200,8 @@ def test_nothing_listens_beyond_loopback(tmp_path):
             for connection in process.net_connections("inet")
             if connection.status == psutil.CONN_LISTEN
         ]
-        assert len(listening) == 3
-        assert set(listening) == {"127.0.0.1"}
+        assert len(listening) >= 3
+        assert all(address.startswith("127.") for address in listening)
         assert daemon.stop() == 0
 
 
@@ -210,8 +209,8 @@ def test_no_privilege_is_needed(tmp_path):
     if shutil.which("setpriv") is None:
         pytest.skip("dropping privileges needs setpriv (util-linux)")
     drop = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", "--no-new-privs"]
-    result = subprocess.run(
-        [*drop, COMMAND, "run", "--for", "1.5"], cwd=tmp_path, capture_output=True, text=True,
+    result = run_program(
+        [*drop, COMMAND, "run", "--for", "1.5"], cwd=tmp_path,
         env={**os.environ, "GROUNDSTATION_SOCKET": str(tmp_path / "control.sock")}, timeout=60,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr

@@ -1,10 +1,10 @@
 """The C header, compiled by a C compiler and compared with the Python codec."""
 
 import shutil
-import subprocess
 
 import numpy as np
 import pytest
+from programs import run_program
 
 from groundstation.telemetry import bridge_usb
 from groundstation.telemetry.c_header import c_header
@@ -94,11 +94,9 @@ def compiled(tmp_path):
         source.write_text(program)
         binary = tmp_path / "program"
         command = [compiler, f"-std={standard}", *STRICT, "-o", str(binary), str(source)]
-        result = subprocess.run(command, capture_output=True, text=True)
+        result = run_program(command)
         assert result.returncode == 0, result.stderr
-        return lambda data=b"": (
-            subprocess.run([binary], input=data, capture_output=True, check=True).stdout
-        )
+        return lambda data=b"": run_program([binary], input=data, text=False, check=True).stdout
 
     return build
 
@@ -166,9 +164,11 @@ def test_a_layout_that_differs_does_not_compile(tmp_path):
         pytest.skip("no cc on this machine")
     text = c_header().replace("uint16_t battery;", "uint32_t battery;")
     (tmp_path / "groundstation_telemetry.h").write_text(text)
-    result = subprocess.run(
-        ["cc", "-fsyntax-only", "-x", "c", "-"], input=INCLUDE, text=True,
-        capture_output=True, cwd=tmp_path, env={"PATH": "/usr/bin:/bin", "CPATH": str(tmp_path)},
-    )  # fmt: skip
+    result = run_program(
+        ["cc", "-fsyntax-only", "-x", "c", "-"],
+        input=INCLUDE,
+        cwd=tmp_path,
+        env={"PATH": "/usr/bin:/bin", "CPATH": str(tmp_path)},
+    )
     assert result.returncode != 0
     assert "negative" in result.stderr

@@ -114,7 +114,7 @@ def test_a_silent_window_does_not_repeat_the_figures_of_the_one_before():
 
 def test_samples_of_a_source_without_packets_are_counted():
     meter = LinkMeter(START_NS)
-    meter.add_samples(flight(0, 250)[1])
+    meter.add_samples(flight(0, 250)[1], live=False)
     window = meter.close_window(START_NS + SECOND_NS // 2, Decoder().counts())
     assert window.rate_hz == pytest.approx(1 / SAMPLE_PERIOD_S)
     assert window.latency_ms is None

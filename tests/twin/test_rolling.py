@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from twin_flights import BASE, flight
 
-from groundstation.dynamics.effects.ahead import fly_ahead, observe_run
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import runs_of
+from groundstation.prediction.prediction import fly_ahead, observe_run
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.rolling import blocks_of
 from groundstation.twin.signals import KINDS

@@ -5,7 +5,7 @@ import pytest
 from twin_flights import BASE, flight, told
 
 from groundstation.telemetry.samples import SampleBatch
-from groundstation.twin.judge import LIMIT
+from groundstation.twin.alarm import LIMIT
 from groundstation.twin.twin import Twin, episodes_of, in_words
 
 

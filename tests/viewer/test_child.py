@@ -7,6 +7,7 @@ import time
 
 import psutil
 import pytest
+from programs import Program
 
 from groundstation.viewer.child import Child
 
@@ -64,7 +65,7 @@ def test_its_environment_can_be_extended():
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_it_does_not_outlive_its_parent(how):
-    parent = subprocess.Popen(
+    parent = Program(
         [
             sys.executable,
             "-c",

@@ -1,18 +1,18 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from programs import run_program
 from rerun.chunk import RrdReader
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.rrd import read_rrd, write_rrd
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import COLUMNS, empty_samples
-from groundstation.viewer.rrd import read_rrd, write_rrd
 
 
 def assert_same_samples(left, right):
@@ -106,7 +106,7 @@ def test_a_full_disk_is_one_clear_line_and_leaves_nothing(wobble, tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)]
-    if subprocess.run(mount, capture_output=True).returncode != 0:
+    if run_program(mount).returncode != 0:
         pytest.skip("this machine does not allow mounting a tmpfs")
     try:
         with pytest.raises(RecordingError, match="space on the disk") as caught:
@@ -114,7 +114,7 @@ def test_a_full_disk_is_one_clear_line_and_leaves_nothing(wobble, tmp_path):
         assert "\n" not in str(caught.value)
         assert list(disk.iterdir()) == []
     finally:
-        subprocess.run(["umount", str(disk)], check=True)
+        run_program(["umount", str(disk)], check=True)
 
 
 def test_a_missing_file_is_bad_input(tmp_path):
@@ -162,7 +162,7 @@ def test_a_flipped_byte_or_a_torn_file_is_never_read_as_good(flight, where, tmp_
 
 
 def test_a_file_of_a_later_format_is_refused(flight, tmp_path, monkeypatch):
-    monkeypatch.setattr("groundstation.viewer.rrd.SCHEMA_VERSION", 2)
+    monkeypatch.setattr("groundstation.recording.rrd.SCHEMA_VERSION", 2)
     write_rrd(flight, tmp_path / "flight.rrd")
     monkeypatch.undo()
     with pytest.raises(RecordingError, match="install a newer groundstation"):

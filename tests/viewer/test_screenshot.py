@@ -11,10 +11,10 @@ import pytest
 from PIL import Image
 
 from groundstation.errors import GroundStationError
+from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import empty_samples
 from groundstation.viewer.channels import GROUPS, MOTORS, STATISTICS
-from groundstation.viewer.rrd import write_rrd
 from groundstation.viewer.screenshot import hidden_viewer, software_driver
 
 pytestmark = [

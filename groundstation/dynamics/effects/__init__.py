@@ -1,1 +1,1 @@
-"""Named effects: what a craft has and the base model has not. Pure."""
+"""One file for each physical effect: its law and everything that is known of it."""

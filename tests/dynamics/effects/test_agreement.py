@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from affected_flights import MEDIUM, affected, flown
 
-from groundstation.dynamics.effects.ahead import fly_ahead, observe_run
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
+from groundstation.prediction.prediction import fly_ahead, observe_run
 
 ROWS = 100
 STARTS = {"ground_effect": np.arange(2150, 2500, 50)}
@@ -47,8 +47,7 @@ def flight(request):
         true[:, part] = truth[column][np.maximum(np.arange(len(run)) - late, 0)]
     states = true.copy()
     states[:, ROTOR] = seen.states[:, ROTOR]
-    lags = seen.lags if name == "gyro_low_pass" else np.ascontiguousarray(states[:, RATE])
-    seen = replace(seen, states=states, lags=lags)
+    seen = replace(seen, states=states)
     ahead = fly_ahead(run, seen, starts, np.arange(1, ROWS + 1))
     return name, run, ahead, true[starts + ROWS]
 

@@ -1,0 +1,170 @@
+"""What can be logged and set: the tables of contents of the firmware of 2014 and of today's.
+
+Types are those of the log (1 u8, 2 u16, 3 u32, 4 i8, 5 i16, 6 i32, 7 float, 8 half float) and of
+the parameters (8 u8, 6 float; 0x40 marks what can only be read).
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+from firmware_sim.craft import CraftState, StandIn
+from firmware_sim.physics import PARAMETER_NAMES
+
+U8, U16, U32, I8, I16, I32, FLOAT, HALF = range(1, 9)
+PARAM_FLOAT, PARAM_U8, READ_ONLY = 0x06, 0x08, 0x40
+TODAY = 4
+"""The protocol from which on numbers in the tables have 16 bits."""
+MOTORS_16_BIT = 8
+"""The protocol from which on ``motor.m1`` is an unsigned number of 16 bits."""
+
+Variable = tuple[str, int, Callable[[CraftState], float]]
+"""Full name, type, value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """The tables of one craft, in the order of their numbers."""
+
+    parameters: tuple[tuple[str, int], ...]
+    variables: tuple[Variable, ...]
+    most_blocks: int
+    most_variables: int
+
+    @cached_property
+    def parameter_items(self) -> list[bytes]:
+        return [_item(name, kind) for name, kind in self.parameters]
+
+    @cached_property
+    def log_items(self) -> list[bytes]:
+        return [_item(name, kind) for name, kind, _ in self.variables]
+
+
+def contents_of(craft: StandIn) -> Contents:
+    """What the firmware of this craft lists."""
+    return _contents(craft.protocol, craft.settings.rotor_speed_deck)
+
+
+@cache
+def _contents(protocol: int, rotor_speed_deck: bool) -> Contents:
+    if protocol < TODAY:
+        return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
+    return Contents(
+        tuple(_parameters_of_today()),
+        tuple(_variables_of_today(protocol, rotor_speed_deck)),
+        most_blocks=16,
+        most_variables=128,
+    )
+
+
+def checksum(items: list[bytes]) -> bytes:
+    """By which a client knows a table again."""
+    return zlib.crc32(b"".join(items)).to_bytes(4, "little")
+
+
+def _parts(group: str, kind: int, field: str, names: Sequence[str] = "xyz") -> Iterator[Variable]:
+    for index, name in enumerate(names):
+        yield f"{group}.{name}", kind, _part(field, index)
+
+
+def _part(field: str, index: int) -> Callable[[CraftState], float]:
+    return lambda state: float(getattr(state, field)[index])
+
+
+ANGLES = ("roll", "pitch", "yaw")
+MOTORS = ("m1", "m2", "m3", "m4")
+
+PARAMETERS: tuple[tuple[str, int], ...] = tuple(
+    (name, PARAM_U8 if name in ("imu_acc_lpf.factor", "flightmode.althold") else PARAM_FLOAT)
+    for name in PARAMETER_NAMES
+)
+"""Of 2014."""
+
+VARIABLES: tuple[Variable, ...] = (
+    *_parts("stabilizer", FLOAT, "angles_deg", ANGLES),
+    ("stabilizer.thrust", U16, lambda s: s.thrust),
+    *_parts("gyro", FLOAT, "gyro_dps"),
+    *_parts("acc", FLOAT, "accel_g"),
+    *_parts("motor", I32, "motors", MOTORS),
+    ("pm.vbat", FLOAT, lambda s: s.battery_v),
+    ("pm.state", I8, lambda s: s.power_state),
+)
+"""Of 2014."""
+
+
+def _parameters_of_today() -> Iterator[tuple[str, int]]:
+    for name, kind in PARAMETERS:
+        if not name.startswith(("sensorfusion6.", "imu_acc_lpf.")):
+            yield name, kind
+
+
+def _variables_of_today(protocol: int, rotor_speed_deck: bool) -> Iterator[Variable]:
+    motors = U16 if protocol >= MOTORS_16_BIT else U32
+    yield from _parts("gyro", FLOAT, "gyro_dps")
+    yield from _parts("acc", FLOAT, "accel_g")
+    yield from _parts("stabilizer", FLOAT, "angles_deg", ANGLES)
+    yield "stabilizer.thrust", FLOAT, lambda s: s.thrust
+    yield from _parts("stateEstimate", FLOAT, "angles_deg", ANGLES)
+    for index, name in enumerate(("qx", "qy", "qz", "qw")):
+        yield f"stateEstimate.{name}", FLOAT, _quaternion_part(index)
+    yield "stateEstimateZ.quat", U32, lambda s: compressed(quaternion_of(s.angles_deg))
+    yield from _parts("motor", motors, "motors", MOTORS)
+    yield from _parts("pwm", U32, "motors", [f"{m}_pwm" for m in MOTORS])
+    yield "pm.vbat", FLOAT, lambda s: s.battery_v
+    yield "pm.vbatMV", U16, lambda s: 1000.0 * s.battery_v
+    yield "pm.state", I8, lambda s: s.power_state
+    yield "supervisor.info", U16, supervisor_bits
+    if rotor_speed_deck:
+        for index, name in enumerate(MOTORS):
+            yield f"rpm.{name}", U16, _rotor_rpm(index)
+
+
+def supervisor_bits(state: CraftState) -> int:
+    """Can be armed, is armed, arms itself, can fly, flies, ..., locked."""
+    flying = any(state.motors)
+    return (
+        (not state.stopped) | state.armed << 1 | (state.armed and not state.stopped) << 3
+        | flying << 4 | state.stopped << 6
+    )  # fmt: skip
+
+
+def _quaternion_part(index: int) -> Callable[[CraftState], float]:
+    return lambda state: quaternion_of(state.angles_deg)[index]
+
+
+def _rotor_rpm(index: int) -> Callable[[CraftState], float]:
+    return lambda state: 60.0 * state.rotor_rev_s[index]
+
+
+def quaternion_of(angles_deg: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """(x, y, z, w), body to inertial, from roll, pitch (nose up) and yaw in deg."""
+    roll, pitch, yaw = (math.radians(angle) / 2 for angle in angles_deg)
+    pitch = -pitch
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def compressed(quaternion: tuple[float, float, float, float]) -> int:
+    """32 bits: the place of the largest part, then sign and 9 bits of each of the others."""
+    largest = max(range(4), key=lambda i: abs(quaternion[i]))
+    code = largest
+    for index, part in enumerate(quaternion):
+        if index != largest:
+            negative = (part < 0) != (quaternion[largest] < 0)
+            code = code << 10 | negative << 9 | int(511 * abs(part) * math.sqrt(2) + 0.5)
+    return code
+
+
+def _item(name: str, kind: int) -> bytes:
+    group, _, variable = name.partition(".")
+    return bytes([kind]) + group.encode() + b"\0" + variable.encode() + b"\0"

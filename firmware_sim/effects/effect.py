@@ -1,0 +1,84 @@
+"""What each file of this folder defines: an effect as the stand-in has it, written apart.
+
+Nothing here is the physics of ``groundstation``: a test flies both from one state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+G = 9.80665
+POSITIVE = (0.0, math.inf)
+ROTOR = (1.0, 4.0)
+"""Limits of a size, and of the number of a rotor."""
+Values = dict[str, float]
+Draw = Callable[[np.random.Generator], Values]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """parameters: name -> (default, unit). apply: (PARAMETERS record, values) puts it there.
+    present: what a record has of it, None where nothing is or where nobody asks for it. draw: a
+    size that a craft may have. limits: parameter -> (least, most) that the plant can fly, any
+    finite number without. listed: whether the design names it. hidden: its place among those that
+    ``firmware_sim.hide`` hides, None: not there.
+    """
+
+    parameters: Mapping[str, tuple[float, str]]
+    apply: Callable[[Any, Values], None]
+    draw: Draw
+    present: Callable[[Any], Values | None] = lambda p: None
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    listed: bool = True
+    hidden: int | None = None
+
+
+def sets(**fields: str) -> Callable[[Any, Values], None]:
+    """Puts parameters into fields of the record as they stand: field=parameter."""
+
+    def apply(p: Any, values: Values) -> None:
+        for name, parameter in fields.items():
+            p[name] = values[parameter]
+
+    return apply
+
+
+def reads(**fields: str) -> Callable[[Any], Values | None]:
+    """What such fields hold, None where all are zero."""
+
+    def present(p: Any) -> Values | None:
+        values = {parameter: float(p[name]) for name, parameter in fields.items()}
+        return values if any(values.values()) else None
+
+    return present
+
+
+def size(generator: np.random.Generator, low: float, high: float) -> float:
+    """Log-uniform."""
+    return float(np.exp(generator.uniform(math.log(low), math.log(high))))
+
+
+def one(parameter: str, low: float, high: float) -> Draw:
+    """A single size."""
+    return lambda generator: {parameter: size(generator, low, high)}
+
+
+def vector(low: float, high: float, *parameters: str) -> Draw:
+    """A size in a random direction."""
+
+    def drawn(generator: np.random.Generator) -> Values:
+        direction = generator.normal(size=len(parameters))
+        turned = size(generator, low, high) * direction / np.linalg.norm(direction)
+        return dict(zip(parameters, turned.tolist(), strict=True))
+
+    return drawn
+
+
+def fixed(**values: float) -> Draw:
+    """Always the same."""
+    return lambda generator: dict(values)

@@ -1,0 +1,85 @@
+"""What today's firmware holds constant: gains, thrust curves, filters, by craft."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.vehicle import Vehicle
+
+G = 9.80665
+LOOP_HZ = 1000.0
+GYRO_BANDWIDTH_HZ, ACCELEROMETER_BANDWIDTH_HZ = 116.0, 145.0
+"""Of the BMI088's own filters at 1 kHz and 1.6 kHz."""
+BUS_S = 0.3e-3
+MOST_THRUST = 65535.0
+
+_BRUSHED = {
+    "rate_kp": (250.0, 250.0, 120.0),
+    "rate_ki": (500.0, 500.0, 16.7),
+    "rate_kd": (2.5, 2.5, 0.0),
+    "angle_kp": (6.0, 6.0, 6.0),
+    "angle_ki": (3.0, 3.0, 1.0),
+    "angle_kd": (0.0, 0.0, 0.35),
+}
+_BRUSHLESS = {**_BRUSHED, "rate_kp": (200.0, 200.0, 120.0), "rate_ki": (400.0, 400.0, 16.7)}
+_LEGACY = ((-0.014831, 0.047245, -0.018474, 0.0059609), 0.12)
+_CURVES = {
+    "crazyflie21": _LEGACY,
+    "crazyflie21plus": ((-0.024765, 0.065238, -0.026793, 0.0067768), 0.12),
+    "brushless": ((-0.014059, 0.042653, 0.0018328, 0.0020577), 0.2),
+}
+"""Thrust of a motor in N from its voltage (constant, linear, ...), and the most it gives."""
+BRUSHLESS_OHM = 1.0
+"""Windings of brushless motors are below it, those of brushed ones above."""
+
+
+def platform_of(vehicle: Vehicle) -> str:
+    """The built-in craft whose firmware a vehicle runs."""
+    if vehicle.name in _CURVES:
+        return vehicle.name
+    return "brushless" if vehicle.winding_ohm < BRUSHLESS_OHM else "crazyflie21"
+
+
+def stock_gains(vehicle: Vehicle) -> dict[str, tuple[float, float, float]]:
+    """Gains of roll, pitch and yaw by field of the FIRMWARE record."""
+    return _BRUSHLESS if platform_of(vehicle) == "brushless" else _BRUSHED
+
+
+def thrust_curve(vehicle: Vehicle) -> tuple[tuple[float, ...], float]:
+    """The firmware's idea of thrust (N) from motor voltage, and of the most a motor gives."""
+    return _CURVES[platform_of(vehicle)]
+
+
+def needs_arming(vehicle: Vehicle) -> bool:
+    return platform_of(vehicle) == "brushless"
+
+
+def protection_a(vehicle: Vehicle) -> float:
+    """Current at which the cell's protection opens: a brushless craft hovers at 5 A."""
+    return 30.0 if platform_of(vehicle) == "brushless" else 4.0
+
+
+def hover_command(vehicle: Vehicle) -> float:
+    """16-bit thrust that carries the craft, whatever the battery: what the firmware's curve, which
+    need not be the craft's own, makes of the voltage that its motors need."""
+    curve, most_n = thrust_curve(vehicle)
+    rotor_rev_s = math.sqrt(G / (4 * vehicle.thrust_per_mass))
+    volts = vehicle.motor.armature_mv(rotor_rev_s) / 1000.0
+    thrust_n = sum(factor * volts**power for power, factor in enumerate(curve))
+    return thrust_n / most_n * MOST_THRUST
+
+
+def low_pass(corner_hz: float) -> NDArray[np.float64]:
+    """(b0, b1, b2, a1, a2) of the firmware's second-order Butterworth filter at 1 kHz; of none
+    for a corner of 0."""
+    if corner_hz == 0.0:
+        return np.array([1.0, 0.0, 0.0, 0.0, 0.0])
+    warped = math.tan(math.pi * corner_hz / LOOP_HZ)
+    scale = 1.0 + 2.0 * math.cos(math.pi / 4.0) * warped + warped**2
+    b0 = warped**2 / scale
+    a1 = 2.0 * (warped**2 - 1.0) / scale
+    a2 = (1.0 - 2.0 * math.cos(math.pi / 4.0) * warped + warped**2) / scale
+    return np.array([b0, 2.0 * b0, b0, a1, a2])

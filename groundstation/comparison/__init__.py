@@ -1,0 +1,1 @@
+"""Where model and recordings disagree, beside what noise alone would do. Pure."""

@@ -1,0 +1,109 @@
+"""A model against recordings: its prediction errors beside the noise floor of the same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.comparison.consistency import require_consistent
+from groundstation.comparison.gap import AheadErrors, ahead_errors, overall, pooled_rms
+from groundstation.comparison.localisation import Place, where
+from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, learn, prepare
+from groundstation.comparison.refusals import (
+    require_body,
+    require_channels,
+    require_flight,
+)
+from groundstation.comparison.regimes import motion_of
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.identification.recordings import without_gaps
+from groundstation.identification.runs import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One model on some runs.
+
+    errors, floors: one of each per run. black_box: what the floors come from.
+    """
+
+    model: Model
+    errors: tuple[AheadErrors, ...]
+    floors: tuple[Floor, ...]
+    black_box: BlackBox
+
+    @cached_property
+    def rms(self) -> Array:
+        """Of the errors 20 and 50 ms ahead, (9,), SI."""
+        return pooled_rms([error for one in self.errors for error in one.horizons])
+
+    @cached_property
+    def noise_floor(self) -> Array:
+        """The same of what noise leaves, (9,), SI."""
+        return pooled_rms([error for one in self.floors for error in one.horizons])
+
+    @property
+    def gap(self) -> float:
+        """All channels in one number; 1.0 says that nothing is left to explain."""
+        return overall(self.rms, self.noise_floor)
+
+    def beside(self, other: Comparison) -> float:
+        """The gap in units of another comparison's noise floor."""
+        return overall(self.rms, other.noise_floor)
+
+    @cached_property
+    def places(self) -> list[Place]:
+        """Channel by regime, the most significant excess first."""
+        return where(self.errors, self.floors)
+
+    def at_horizon(self, number: int) -> tuple[Array, Array]:
+        """(error, noise floor), (9,) each, SI, at one of ``HORIZONS_S``."""
+        error = pooled_rms([one.horizons[number] for one in self.errors])
+        return error, pooled_rms([one.horizons[number] for one in self.floors])
+
+    def with_model(self, model: Model) -> Comparison:
+        """Another model on the same runs, beside the same floor."""
+        errors = tuple(ahead_errors(one.recorded, model, motion=one.motion) for one in self.errors)
+        return Comparison(model, errors, self.floors, self.black_box)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Rows ``first`` to ``last`` of a run; those before only tell the state in which it begins."""
+
+    run: Run
+    first: int
+    last: int
+
+
+def compare(
+    flights: Sequence[Run | Judged], model: Model, black_box: BlackBox | None = None
+) -> Comparison:
+    """Judge a model on runs (``recordings.flights_of``), or on parts of them.
+
+    black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
+
+    Raises BadInputError where the model has no body or is another craft's, where channels that
+    every prediction needs are missing or do not fit together, and where nothing flies.
+    """
+    parts = [one if isinstance(one, Judged) else Judged(one, 0, len(one)) for one in flights]
+    require_channels([part.run for part in parts])
+    require_body(model)
+    motions = [motion_of(without_gaps(part.run), model) for part in parts]
+    require_consistent([part.run for part in parts], model, motions)
+    errors = tuple(
+        ahead_errors(part.run, model, slice(part.first, part.last), motion=motion)
+        for part, motion in zip(parts, motions, strict=True)
+    )
+    require_flight(errors)
+    configuration = model_vehicle(model).configuration
+    prepared = [prepare(one, configuration) for one in errors]
+    learnt = black_box if black_box is not None else learn(prepared)
+    floors = tuple(floor_errors(learnt, one) for one in prepared)
+    return Comparison(model, errors, floors, learnt)

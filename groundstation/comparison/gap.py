@@ -1,0 +1,126 @@
+"""The gap: how far a model predicts wrong 20 and 50 ms ahead, beside what noise alone would do.
+
+An unstable craft cannot be simulated freely over a flight, so the model starts afresh from what
+was measured at every row and is judged 20 and 50 ms later. The gap of a channel is the RMS of
+these errors over both horizons, divided by the channel's noise floor (``floor``): 1.0 says that
+nothing is left to explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.regimes import Motion, motion_of
+from groundstation.dynamics.model import Model
+from groundstation.identification.recordings import without_gaps
+from groundstation.identification.runs import Run
+from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
+from groundstation.prediction.prediction import predict_ahead
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+HORIZONS_S = (0.02, 0.05)
+GYRO, ACCELEROMETER, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
+UNITS = {
+    **dict.fromkeys(CHANNELS[GYRO], "deg/s"),
+    **dict.fromkeys(CHANNELS[ACCELEROMETER], "g"),
+    **dict.fromkeys(CHANNELS[ATTITUDE], "deg"),
+}
+PER_SI = np.array([180 / np.pi] * 3 + [1 / STANDARD_GRAVITY] * 3 + [180 / np.pi] * 3)
+"""Unit of ``UNITS`` per SI unit, by channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class AheadErrors:
+    """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
+    order of ``CHANNELS`` and in the row they are judged at.
+
+    recorded: the run as it is, run: lost rows filled in. step: at the shortest horizon,
+    ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows only.
+    horizons: one for each of ``HORIZONS_S``, which are ``rows`` (9,) each. NaN where the first or
+    last row is outside flight or was not measured afresh.
+    """
+
+    recorded: Run
+    run: Run
+    motion: Motion
+    step_rows: NDArray[np.int64]
+    step: Array
+    horizons: tuple[Array, ...]
+    rows: tuple[NDArray[np.int64], ...]
+
+
+def ahead_errors(
+    run: Run, model: Model, rows_judged: slice | None = None, *, motion: Motion | None = None
+) -> AheadErrors:
+    """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
+
+    rows_judged: only these; the rows before tell the state. motion: that of another model on the
+    same run, so that the same rows are judged; None: of this one.
+
+    Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
+    """
+    whole = without_gaps(run)
+    moved = motion_of(whole, model) if motion is None else motion
+    if rows_judged is not None:
+        inside = np.zeros(len(run), bool)
+        inside[rows_judged] = True
+        moved = replace(moved, flown=moved.flown & inside)
+    every, fresh = fresh_rhythm(whole.attitude).stride, fresh_rows(whole.attitude)
+    known = np.isfinite(_measured(run)) & moved.flown[:, None]
+    known[:, ATTITUDE] &= fresh[:, None]
+    step_rows = np.array([1] * 6 + [every] * 3)
+    horizons = [max(round(horizon / run.period_s), every) for horizon in HORIZONS_S]
+    rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
+    # The model flies on every input; what was not measured afresh must not look measured.
+    shown = np.where(fresh[:, None], run.attitude, np.nan)
+    driven = replace(run, duty=whole.duty, supply_v=whole.supply_v, attitude=shown)
+    counts = np.unique(np.concatenate([step_rows, *rows]))
+    ahead = predict_ahead(model, driven, counts, stride=1)
+    made = ahead.errors(driven)
+
+    def errors(wanted: NDArray[np.int64]) -> Array:
+        error = np.full(known.shape, np.nan)
+        for part in (slice(0, 6), ATTITUDE):
+            count = int(wanted[part][0])
+            at = ahead.rows + count
+            values = made[:, int(np.searchsorted(counts, count)), part]
+            error[at, part] = np.where(known[at, part] & known[ahead.rows, part], values, np.nan)
+        return error
+
+    return AheadErrors(
+        run,
+        whole,
+        moved,
+        step_rows,
+        errors(step_rows),
+        tuple(errors(one) for one in rows),
+        rows,
+    )
+
+
+def pooled_rms(errors: Sequence[Array]) -> Array:
+    """RMS (9,) over runs and horizons (n, 9); NaN for a channel without a value."""
+    squares, counts = np.zeros(9), np.zeros(9)
+    for error in errors:
+        squares += np.nansum(np.square(error), axis=0)
+        counts += np.isfinite(error).sum(axis=0)
+    return np.sqrt(np.divide(squares, counts, out=np.full(9, np.nan), where=counts > 0))
+
+
+def overall(rms: Array, floor: Array) -> float:
+    """One number for all channels: root mean square of error over noise floor, (channels,)."""
+    ratio = np.divide(rms, floor, out=np.full(len(rms), np.nan), where=floor > 0)
+    known = np.isfinite(ratio)
+    return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any() else float("nan")
+
+
+def _measured(run: Run) -> Array:
+    return np.hstack([run.gyro, run.accelerometer, run.attitude])

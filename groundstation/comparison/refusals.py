@@ -1,0 +1,50 @@
+"""Recordings that a model cannot be held against, refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from groundstation.comparison.gap import AheadErrors
+from groundstation.dynamics.model import Model
+from groundstation.errors import BadInputError
+from groundstation.identification.runs import Run
+
+LEAST_FLIGHT_S = 3.0
+
+
+def require_channels(runs: Sequence[Run]) -> None:
+    """Raises BadInputError where a channel that nothing works without is missing throughout."""
+    needed = {
+        "gyro": "the gyro",
+        "duty": "the motors' PWM",
+        "supply_v": "the battery voltage",
+    }
+    for run in runs:
+        for name, what in needed.items():
+            if not np.isfinite(getattr(run, name)).any(axis=0).all():
+                raise BadInputError(
+                    f"{run.name}: {what} is not in the recording; where a model and a flight"
+                    " disagree cannot be told without it: record it"
+                )
+
+
+def require_body(model: Model) -> None:
+    """Raises BadInputError for a model that cannot fly."""
+    if model.body is None:
+        raise BadInputError(
+            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
+            " fit a body ('groundstation fit body')"
+        )
+
+
+def require_flight(errors: Sequence[AheadErrors]) -> None:
+    """Raises BadInputError where hardly anything flies."""
+    flown = sum(float(one.motion.flown.sum()) * one.run.period_s for one in errors)
+    if flown < LEAST_FLIGHT_S:
+        names = ", ".join(sorted({one.run.name for one in errors}))
+        raise BadInputError(
+            f"{names}: {flown:.1f} s in the air, at least {LEAST_FLIGHT_S:.0f} s are needed;"
+            " record a flight"
+        )

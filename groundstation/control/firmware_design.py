@@ -1,0 +1,190 @@
+"""Gains for the firmware's loops: designed axis by axis, tried on what the fit is unsure of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design, Limits, optimise
+from groundstation.control.firmware_loop import (
+    GAIN_MOST,
+    STOCK,
+    SUPPLY_MV,
+    CascadeJudge,
+    cascade_margins,
+    gain_names,
+)
+from groundstation.control.margins import Margins
+from groundstation.control.plant import Plant, plant_of_model
+from groundstation.control.search import Budget
+from groundstation.control.uncertainty import corners, draws, estimates_of, require_certain
+from groundstation.dynamics.model import Model
+
+Array = NDArray[np.float64]
+
+WINDOW_S = 1.5
+LOW = {"roll": (0.5, 0.2, 0.05, 0.002), "yaw": (1.0, 1.0)}
+HIGH = {"roll": (300.0, 60.0, 100.0, 10.0), "yaw": (GAIN_MOST, GAIN_MOST)}
+"""Where gains are searched; pitch as roll."""
+EFFORT = 0.15
+"""Largest step of a motor, as a share of full PWM: what hover leaves to either side, less a
+reserve for the height."""
+YIELDING = 2.0
+"""A push moves the craft this much further at most than with the stiffest gains allowed."""
+DESIGN_BAND = 0.035
+"""Responses that settle only just within the 5 % are not looked for: noise would unsettle them."""
+BUDGET = Budget(first=250, population=24, generations=36)
+DRAWS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class AxisDesign:
+    """Gains of one axis by the firmware's names, with what they do on the nominal model.
+
+    before: the judgement of the stock gains (inf where they are unstable or beyond a maximum
+    sensitivity of 4), stock_margins theirs in any case. reasons: one line for each gain.
+    """
+
+    axis: str
+    gains: dict[str, float]
+    design: Design
+    nominal: Array
+    margins: Margins
+    stock_margins: Margins
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Robustness:
+    """Judgements (n, 7) of a design on n drawn models, per axis; stable: how many stayed so."""
+
+    drawn: int
+    stable: dict[str, int]
+    judgements: dict[str, Array]
+
+
+def cascade_limits(sensitivity: float = 2.0, delay_s: float = 0.002) -> Limits:
+    """The limits of a design for the firmware."""
+    return Limits(sensitivity=sensitivity, delay_s=delay_s, effort=EFFORT, yielding=YIELDING)
+
+
+def design_cascade(
+    model: Model,
+    axes: Sequence[str],
+    limits: Limits,
+    seed: int = 0,
+    supply_mv: float = SUPPLY_MV,
+    budget: Budget = BUDGET,
+    progress: Callable[[str, float], None] = lambda axis, share: None,
+) -> list[AxisDesign]:
+    """Gains for each axis of a fitted model, on every core.
+
+    A design must keep its limits on the model and two standard errors away from it
+    (``uncertainty.corners``).
+
+    Raises BadInputError where the model is too uncertain, or no gains keep the limits.
+    """
+    require_certain(model, axes)
+
+    def one(axis: str) -> AxisDesign:
+        plants = [plant_of_model(other) for other in corners(model, axis)]
+        judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
+        kind = "yaw" if axis == "yaw" else "roll"
+        low, high = np.array(LOW[kind]), np.array(HIGH[kind])
+        design = optimise(
+            judge, low, high, limits, seed, budget, progress=lambda s: progress(axis, s)
+        )
+        names = gain_names(axis)
+        gains = {n: _rounded(v) for n, v in zip(names, design.gains, strict=True)}
+        stock = {name: STOCK[name] for name in names}
+        alone = CascadeJudge(plants[:1], axis, WINDOW_S, 0.0, supply_mv)
+        nominal = alone(np.array([list(gains.values())]))[0]
+        return AxisDesign(
+            axis,
+            gains,
+            design,
+            nominal,
+            cascade_margins(plants[0], gains, axis, supply_mv),
+            cascade_margins(plants[0], stock, axis, supply_mv),
+            tuple(_reason(alone, gains, name, limits) for name in names),
+        )
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        return list(pool.map(one, axes))
+
+
+def robustness(
+    model: Model,
+    gains: Mapping[str, float],
+    axes: Sequence[str],
+    count: int = DRAWS,
+    seed: int = 0,
+    supply_mv: float = SUPPLY_MV,
+) -> Robustness | None:
+    """How gains do on models drawn from the fit's covariance; None where it carries none."""
+    if not estimates_of(model):
+        return None
+    plants = [plant_of_model(other) for other in draws(model, count, seed)]
+    cores = os.cpu_count() or 1
+    judgements = {}
+    with ThreadPoolExecutor(cores) as pool:
+        for axis in axes:
+            values = np.array([[gains[name] for name in gain_names(axis)]])
+            slices = [plants[i::cores] for i in range(cores)]
+
+            def judged(part: Sequence[Plant], axis: str = axis, values: Array = values) -> Array:
+                return np.vstack(
+                    [CascadeJudge([p], axis, WINDOW_S, 0.0, supply_mv)(values) for p in part]
+                )
+
+            judgements[axis] = np.vstack(list(pool.map(judged, slices)))
+    stable = {axis: int(np.isfinite(table[:, 0]).sum()) for axis, table in judgements.items()}
+    return Robustness(count, stable, judgements)
+
+
+def _rounded(value: float) -> float:
+    """To four significant digits, which is more than a gain means."""
+    return float(f"{value:.4g}")
+
+
+def _reason(judge: CascadeJudge, gains: dict[str, float], name: str, limits: Limits) -> str:
+    """What a gain is for, as what happens without its present size."""
+    rows = [
+        [value * (factor if key == name else 1.0) for key, value in gains.items()]
+        for factor in (1.0, 1.25, 0.8)
+    ]
+    now, more, less = judge(np.array(rows))
+    what = f"{name} = {gains[name]:g}: {PURPOSE[name.split('.')[0], name.split('_')[-1]]}; "
+    return (
+        what + f"25 % more: {_change(now, more, limits)}; 20 % less: {_change(now, less, limits)}"
+    )
+
+
+PURPOSE = {
+    ("pid_rate", "kp"): "damps the rate against the motors' lag",
+    ("pid_rate", "ki"): "removes lasting rate errors, such as trim",
+    ("pid_attitude", "kp"): "sets how fast the angle follows",
+    ("pid_attitude", "ki"): "removes the lean of the attitude filter and trim",
+    ("pid_attitude", "kd"): "pushes at once when the setpoint moves, ahead of the motors' lag",
+}
+
+
+def _change(now: Array, then: Array, limits: Limits) -> str:
+    if not np.isfinite(then).all():
+        return "does not settle or is near instability"
+    words = []
+    if abs(then[SETTLING] - now[SETTLING]) > 0.004:
+        words.append(
+            f"settles in {1e3 * then[SETTLING]:.0f} ms instead of {1e3 * now[SETTLING]:.0f}"
+        )
+    if abs(then[OVERSHOOT] - now[OVERSHOOT]) > 0.5:
+        words.append(f"overshoot {then[OVERSHOOT]:.0f} % instead of {now[OVERSHOOT]:.0f}")
+    if abs(then[SENSITIVITY] - now[SENSITIVITY]) > 0.03:
+        beyond = " (beyond the limit)" if then[SENSITIVITY] > limits.sensitivity else ""
+        words.append(f"maximum sensitivity {then[SENSITIVITY]:.2f}{beyond}")
+    return ", ".join(words) or "little changes"

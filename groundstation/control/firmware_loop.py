@@ -1,0 +1,328 @@
+"""The firmware's loops: an angle PID that commands a rate PID, as release 2014.01.0 runs them.
+
+Gains go by the firmware's parameter names (``pid_rate.roll_kp``). Angle loops: error in deg,
+output deg/s, 250 Hz; rate loops: error in deg/s, output in 16-bit PWM units, 500 Hz; yaw is
+commanded as a rate. Each integral is clamped, not the product with its gain. Here angles are in
+rad, pitch nose down positive; inside, the kernel turns them into the firmware's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.control.margins import Margins, loop_margins
+from groundstation.control.pid import AXES
+from groundstation.control.plant import Plant
+from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+Array = NDArray[np.float64]
+Complex = NDArray[Any]
+
+STOCK: dict[str, float] = {
+    **{f"pid_rate.{axis}_kp": kp for axis, kp in zip(AXES, (70.0, 70.0, 50.0), strict=True)},
+    **{f"pid_rate.{axis}_ki": ki for axis, ki in zip(AXES, (0.0, 0.0, 25.0), strict=True)},
+    **{f"pid_rate.{axis}_kd": 0.0 for axis in AXES},
+    **{f"pid_attitude.{axis}_kp": kp for axis, kp in zip(AXES, (3.5, 3.5, 0.0), strict=True)},
+    **{f"pid_attitude.{axis}_ki": ki for axis, ki in zip(AXES, (2.0, 2.0, 0.0), strict=True)},
+    **{f"pid_attitude.{axis}_kd": 0.0 for axis in AXES},
+}
+"""The release's gains."""
+GAIN_MOST = 1000.0
+"""No gain of the release comes near it."""
+SUPPLY_MV = 3700.0
+STEP_RAD = {"roll": math.radians(10), "pitch": math.radians(10), "yaw": math.radians(90)}
+"""Sizes of the steps by which loops are judged; yaw's in rad/s."""
+
+FIRMWARE = np.dtype(
+    [
+        ("rate_kp", "f8", (3,)),
+        ("rate_ki", "f8", (3,)),
+        ("rate_kd", "f8", (3,)),
+        ("angle_kp", "f8", (3,)),
+        ("angle_ki", "f8", (3,)),
+        ("angle_kd", "f8", (3,)),
+        ("rate_limit", "f8", (3,)),
+        ("angle_limit", "f8", (3,)),
+        ("fusion_kp", "f8"),
+        ("fusion_ki", "f8"),
+        ("quirk_attitude_dt", "i8"),
+        ("quirk_clamp_macro", "i8"),
+        ("quirk_lower_limit", "i8"),
+        ("quirk_negate", "i8"),
+        ("quantised", "i8"),
+        ("integral", "f8", (2, 3)),
+        ("previous", "f8", (2, 3)),
+        ("quaternion", "f8", (4,)),
+        ("feedback", "f8", (3,)),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Quirks:
+    """Peculiarities of release 2014.01.0, each as flown by default.
+
+    attitude_dt: the angle PIDs run at 250 Hz and integrate as if at 500 Hz.
+    clamp_macro: a rate PID is evaluated up to three times a pass: its integral is three times
+    as fast, its derivative without effect.
+    lower_limit: an integral's lower limit stays -5000.
+    negate: the negative of -32768 stays -32768 on yaw.
+    """
+
+    attitude_dt: bool = True
+    clamp_macro: bool = True
+    lower_limit: bool = True
+    negate: bool = True
+
+
+AS_RELEASED = Quirks()
+
+
+@dataclass(frozen=True, slots=True)
+class CascadeResponse:
+    """One row per pass of 2 ms: angles (k, 3) rad as the firmware estimates them, gyro (k, 3)
+    rad/s as it measures them, pwm (k, 4) steps of 512."""
+
+    angles: Array
+    gyro: Array
+    pwm: Array
+
+
+def require_gains(gains: Mapping[str, float], where: str) -> None:
+    """Raises BadInputError for a name the firmware has not, or a gain that is not 0..1000."""
+    for name, value in gains.items():
+        if name not in STOCK:
+            raise BadInputError(f"{where}: {name!r} is no gain of the firmware: {', '.join(STOCK)}")
+        if not (math.isfinite(value) and 0.0 <= value <= GAIN_MOST):
+            raise BadInputError(f"{where}: {name} is {value}, must be 0..{GAIN_MOST:g}")
+
+
+def firmware_of(
+    gains: Mapping[str, float], quirks: Quirks = AS_RELEASED, quantised: bool = False
+) -> NDArray[np.void]:
+    """The firmware at rest, shape (1,); gains not named are stock."""
+    record = np.zeros(1, FIRMWARE)
+    f = record[0]
+    values = {**STOCK, **gains}
+    for group, loop in (("pid_rate", "rate"), ("pid_attitude", "angle")):
+        for index, axis in enumerate(AXES):
+            for gain in ("kp", "ki", "kd"):
+                f[f"{loop}_{gain}"][index] = values[f"{group}.{axis}_{gain}"]
+    f["rate_limit"], f["angle_limit"] = (100.0, 100.0, 500.0), (20.0, 20.0, 360.0)
+    f["fusion_kp"], f["fusion_ki"] = 0.8, 0.002
+    f["quirk_attitude_dt"], f["quirk_clamp_macro"] = quirks.attitude_dt, quirks.clamp_macro
+    f["quirk_lower_limit"], f["quirk_negate"] = quirks.lower_limit, quirks.negate
+    f["quantised"] = quantised
+    f["quaternion"][0] = 1.0
+    return record
+
+
+def run_cascade(
+    plant: Plant,
+    gains: Mapping[str, float],
+    setpoints: ArrayLike,
+    thrust: ArrayLike | None = None,
+    supply_mv: ArrayLike = SUPPLY_MV,
+    quirks: Quirks = AS_RELEASED,
+    quantised: bool = False,
+) -> CascadeResponse:
+    """Fly setpoints (k, 3), roll and pitch in rad, yaw rate in rad/s, one row per 2 ms.
+
+    thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise.
+    quantised: the PWM has 512 steps and outputs are whole numbers; otherwise what a flight gives
+    on average, in which the thrust wanders across many steps.
+    The craft starts level, at rest, its rotors at the speed that carries it.
+    """
+    from groundstation.control.flight_kernels import cascade_run
+
+    wanted = np.ascontiguousarray(setpoints, np.float64)
+    rows = len(wanted)
+    supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
+    if thrust is None:
+        thrust = plant.hover_duty(supply) * 65536.0
+    lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
+    angles, gyro, pwm = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
+    cascade_run(
+        plant.craft[0],
+        plant.sensor[0],
+        plant.airframe_x,
+        plant.fusion,
+        plant.start,
+        firmware_of(gains, quirks, quantised)[0],
+        wanted,
+        lift,
+        supply,
+        SAMPLE_PERIOD_S,
+        angles,
+        gyro,
+        pwm,
+    )
+    return CascadeResponse(angles, gyro, pwm)
+
+
+def step_response(
+    plant: Plant,
+    gains: Mapping[str, float],
+    axis: str,
+    seconds: float = 1.5,
+    supply_mv: float = SUPPLY_MV,
+    quirks: Quirks = AS_RELEASED,
+) -> Array:
+    """The answer (k,) to a step of ``STEP_RAD`` on one axis, as a share of the step."""
+    index = AXES.index(axis)
+    setpoints = np.zeros((round(seconds / SAMPLE_PERIOD_S), 3))
+    setpoints[:, index] = STEP_RAD[axis]
+    response = run_cascade(plant, gains, setpoints, None, supply_mv, quirks)
+    measured = response.gyro if axis == "yaw" else response.angles
+    return np.asarray(measured[:, index] / STEP_RAD[axis])
+
+
+def loop_response(
+    plant: Plant,
+    gains: Mapping[str, float],
+    axis: str,
+    omega: Array,
+    supply_mv: float = SUPPLY_MV,
+    quirks: Quirks = AS_RELEASED,
+) -> Complex:
+    """The loop broken at the motors' input, linear around hover, at omega (n,) in rad/s.
+
+    The rate path is sampled and held for 2 ms. The angle path sums gyro samples and holds for
+    4 ms; together that is an integral of the samples without further delay.
+    """
+    index = AXES.index(axis)
+    s = 1j * omega
+    base, hold, lean, integral, derivative, _ = _loop_parts(plant, index, s, supply_mv)
+    f = firmware_of(gains, quirks)[0]
+    rate = (
+        f["rate_kp"][index] + (3.0 if quirks.clamp_macro else 1.0) * f["rate_ki"][index] * integral
+    )
+    if not quirks.clamp_macro:
+        rate = rate + f["rate_kd"][index] * (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
+    ratio = 0.5 if quirks.attitude_dt else 1.0
+    angle = f["angle_kp"][index] + ratio * f["angle_ki"][index] * integral
+    angle = angle + f["angle_kd"][index] / ratio * derivative
+    return np.asarray(base * rate * (hold + angle * lean))
+
+
+def cascade_margins(
+    plant: Plant, gains: Mapping[str, float], axis: str, supply_mv: float = SUPPLY_MV
+) -> Margins:
+    """Margins of an axis's loops, broken at the motors' input; meaningful where it is stable."""
+    omega = np.geomspace(0.05, math.pi / SAMPLE_PERIOD_S, 1500)
+    return loop_margins(loop_response(plant, gains, axis, omega, supply_mv), omega)
+
+
+UNUSABLE = 4.0
+"""Maximum sensitivity beyond which a loop is not worth simulating."""
+
+
+def gain_names(axis: str) -> tuple[str, ...]:
+    """The firmware's names of the gains that a design chooses for an axis.
+
+    The release's rate derivative has no effect (``Quirks``), yaw has no angle loop, and the
+    integral of roll and pitch is the angle loop's; their rate integral stays at its stock 0.
+    """
+    if axis == "yaw":
+        return "pid_rate.yaw_kp", "pid_rate.yaw_ki"
+    return f"pid_rate.{axis}_kp", *(f"pid_attitude.{axis}_{k}" for k in ("kp", "ki", "kd"))
+
+
+class CascadeJudge:
+    """Judges gains (m, d) of one axis, in the order of ``gain_names``, by a step of ``STEP_RAD``.
+
+    Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of
+    a motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
+    rad/s^2. What is unstable or has a sensitivity beyond
+    ``UNUSABLE`` is infinite throughout.
+    """
+
+    def __init__(
+        self,
+        plants: Sequence[Plant],
+        axis: str,
+        seconds: float,
+        spare_s: float = 0.0,
+        supply_mv: float = SUPPLY_MV,
+        band: float = 0.05,
+    ) -> None:
+        self._band = band
+        self._index, self._size = AXES.index(axis), STEP_RAD[axis]
+        self._rows = round(seconds / SAMPLE_PERIOD_S)
+        self._plants = tuple(plants)
+        self._supply = np.full(self._rows, supply_mv)
+        omega = np.geomspace(0.5, 700.0, 160)
+        s = 1j * omega
+        self._late = -omega * spare_s
+        self._parts = [_loop_parts(plant, self._index, s, supply_mv) for plant in plants]
+        self._rest = firmware_of({})
+
+    def __call__(self, candidates: Array) -> Array:
+        from groundstation.control.flight_kernels import cascade_many
+        from groundstation.control.linear_loop_kernels import measure_many
+
+        gains = np.zeros((len(candidates), 5))
+        # columns of the kernel: rate kp, ki, angle kp, ki, kd
+        gains[:, [0, 1] if self._index == 2 else [0, 2, 3, 4]] = candidates
+        worst, one = np.zeros((len(gains), 7)), np.zeros((len(gains), 7))
+        peak, effort, compliance = (np.empty(len(gains)) for _ in range(3))
+        y = np.zeros((len(gains), self._rows))
+        room = self._rest.copy()
+        for plant, parts in zip(self._plants, self._parts, strict=True):
+            left = np.flatnonzero(np.isfinite(worst[:, 0]))
+            thrust = plant.hover_duty(self._supply) * 65536.0
+            cascade_many(
+                plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion, plant.start,
+                self._rest[0], room[0], self._index, gains[left], *parts,
+                self._late, 3.0 if AS_RELEASED.clamp_macro else 1.0,
+                0.5 if AS_RELEASED.attitude_dt else 1.0, UNUSABLE, self._size, thrust,
+                self._supply, SAMPLE_PERIOD_S,
+                peak[: len(left)], effort[: len(left)], compliance[: len(left)],
+                y[: len(left)],
+            )  # fmt: skip
+            measure_many(y[: len(left)], SAMPLE_PERIOD_S, self._band, one)
+            here = one[: len(left)]
+            here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
+            here[:, 3] = np.abs(here[:, 3])
+            here[:, 4], here[:, 5] = peak[: len(left)], effort[: len(left)]
+            here[:, 6] = compliance[: len(left)]
+            here[~np.isfinite(here[:, 4])] = np.inf
+            worst[left] = np.maximum(worst[left], here)
+        return worst
+
+
+def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Complex, ...]:
+    """base, hold, lean, integral, derivative, push: L = base (rate gains) (hold +
+    (angle gains) lean), and what a push of 1 rad/s^2 moves without a controller."""
+    damping = plant.slopes(index)[0]
+    base = math.degrees(1) * _rate_per_pwm(plant, index, s, supply_mv)
+    base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
+    leak = 0.4 if plant.fusion else 0.0
+    lean = np.zeros_like(s) if index == 2 else 1 / (s + leak)
+    twice = 2 * SAMPLE_PERIOD_S
+    derivative = (1 - np.exp(-twice * s)) / twice
+    push = np.abs(1 / (s + damping) * (1.0 if index == 2 else lean))
+    integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
+    return base, _hold(s, SAMPLE_PERIOD_S), lean, integral, derivative, push
+
+
+def _hold(s: Complex, period_s: float) -> Complex:
+    return np.asarray((1 - np.exp(-period_s * s)) / (period_s * s))
+
+
+def _rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
+    """rad/s of the craft per 16-bit PWM unit of the controller's output."""
+    motor = {key: float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2")}
+    pole = motor["a1"] + 2 * motor["a2"] * plant.hover_rev_s
+    speed = motor["a0"] * supply_mv / 65536.0 / (s + pole)
+    damping, by_speed, by_slope = plant.slopes(index)
+    # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
+    share = 0.5 if plant.airframe_x and index < 2 else 1.0
+    return np.asarray(share * (by_speed + by_slope * s) * speed / (s + damping))

@@ -1,0 +1,285 @@
+"""A flown programme as step responses, measured and predicted, with the same metrics.
+
+The setpoints of a recording carry the time at which the host sent them. When each took effect is
+found in the motors: the row in which the controller's output on that axis jumps. The prediction
+flies the model through the same setpoints, at the battery voltage and mean thrust of the flight;
+the measured motion has no part in it. Both are then cut and averaged alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.control.firmware_loop import run_cascade
+from groundstation.control.metrics import StepMetrics, step_metrics
+from groundstation.control.pid import AXES
+from groundstation.control.plant import Plant
+from groundstation.dynamics.mixer import MIXERS, Configuration
+from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+from groundstation.telemetry.samples import SampleBatch
+
+Array = NDArray[np.float64]
+
+EARLIEST_S, LATEST_S = -0.45, 0.12
+"""Where an edge is looked for, from the moment its setpoint was sent, and not beyond half the way
+to its neighbours. Before it, because the time of a simulated craft stands still while its host is
+busy: up to as much as the telemetry may be late."""
+APART_S = 0.006
+CLEAR = 8.0
+"""An edge further than that from the others' usual delay takes it instead, unless the jump in the
+motors stands out by so many standard deviations."""
+LEAST_WINDOW_S = 0.15
+ENVELOPE = 20
+"""Parts of a flight in each of which the promptest packet ties host to device time."""
+CLOSE_RATIO, CLOSE_POINTS, CLOSE_S = 0.15, 3.0, 0.020
+"""When measured and predicted agree: within 15 %, or 3 points of overshoot, or 20 ms."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A change of one axis's setpoint: at device time ``time_s``, from and to (rad, rad/s).
+    until_s: the next change of any axis."""
+
+    axis: int
+    time_s: float
+    before: float
+    after: float
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FlownAxis:
+    """One axis of a flight: averages (k,) over its edges, as shares of the step, and metrics."""
+
+    axis: str
+    edges: int
+    step: float
+    measured: StepMetrics
+    response: Array
+    predicted: StepMetrics | None = None
+    predicted_response: Array | None = None
+
+    @property
+    def apart(self) -> list[str]:
+        """Where measured and predicted do not agree, in words; empty where they do."""
+        if self.predicted is None:
+            return []
+        found = []
+        one, other = self.measured, self.predicted
+        if abs(one.rms - other.rms) > CLOSE_RATIO * abs(other.rms):
+            found.append(f"RMS {one.rms / self.step:.3f} against {other.rms / self.step:.3f}")
+        gap = abs(one.overshoot_pct - other.overshoot_pct)
+        if gap > max(CLOSE_POINTS, CLOSE_RATIO * other.overshoot_pct):
+            found.append(f"overshoot {one.overshoot_pct:.1f} against {other.overshoot_pct:.1f} %")
+        if (one.settling_s is None) != (other.settling_s is None):
+            found.append(f"settling {one.settling_s} against {other.settling_s} s")
+        elif one.settling_s is not None and other.settling_s is not None:
+            gap = abs(one.settling_s - other.settling_s)
+            if gap > max(CLOSE_S, CLOSE_RATIO * other.settling_s):
+                found.append(f"settling {one.settling_s:.3f} against {other.settling_s:.3f} s")
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``pid fly --json``."""
+        return {
+            "edges": self.edges,
+            "step": self.step,
+            "measured": self.measured.as_dict(),
+            "predicted": None if self.predicted is None else self.predicted.as_dict(),
+            "apart": self.apart,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """axes that were moved. delay_s: from sending a setpoint to its effect, median; spread_s:
+    the middle half of it. found: edges whose effect was seen in the motors, of edges."""
+
+    axes: tuple[FlownAxis, ...]
+    delay_s: float
+    spread_s: float
+    found: int
+    edges: int
+
+
+def setpoint_table(
+    commands: Sequence[Mapping[str, Any]], client: str
+) -> tuple[NDArray[np.int64], Array]:
+    """Host times (k,) in ns and setpoints (k, 3) in rad and rad/s that a client sent while the
+    motors ran, from a recording's commands."""
+    rows = [
+        entry
+        for entry in commands
+        if entry.get("kind") == "setpoint"
+        and entry.get("client") == client
+        and entry.get("thrust", 0) > 0
+    ]
+    times = np.array([entry["time_ns"] for entry in rows], np.int64)
+    names = ("roll_deg", "pitch_deg", "yaw_dps")
+    values = np.array([[entry[name] for name in names] for entry in rows], np.float64)
+    return times, np.radians(values.reshape(-1, 3))
+
+
+def analyse(
+    samples: SampleBatch,
+    times_ns: NDArray[np.int64],
+    setpoints: Array,
+    configuration: Configuration = "plus",
+    plant: Plant | None = None,
+    gains: Mapping[str, float] | None = None,
+) -> Flown:
+    """Metrics of a flown programme, beside the prediction where a plant and its gains are given.
+
+    samples: of one segment. times_ns, setpoints: as ``setpoint_table`` gives them.
+
+    Raises BadInputError where there is no telemetry of the setpoints, or no edge among them.
+    """
+    grid, measured, duty, supply = _on_grid(samples)
+    sent = _device_times(samples, times_ns)
+    edges, delay, spread, found = _effective(grid, duty, sent, setpoints, configuration)
+    if not edges:
+        raise BadInputError("the setpoints of this flight never change: nothing to measure")
+    predicted = None
+    if plant is not None:
+        predicted = _predict(grid, duty, supply, edges, plant, gains or {})
+    axes = []
+    for index, axis in enumerate(AXES):
+        own = [edge for edge in edges if edge.axis == index]
+        if not own:
+            continue
+        response, step = _average(grid, measured[:, index], own)
+        flown = step_metrics(response * step, SAMPLE_PERIOD_S, step)
+        if predicted is None:
+            axes.append(FlownAxis(axis, len(own), step, flown, response))
+            continue
+        model, _ = _average(grid, predicted[:, index], own)
+        metrics = step_metrics(model * step, SAMPLE_PERIOD_S, step)
+        axes.append(FlownAxis(axis, len(own), step, flown, response, metrics, model))
+    return Flown(tuple(axes), delay, spread, found, len(edges))
+
+
+def _on_grid(samples: SampleBatch) -> tuple[Array, Array, Array, Array]:
+    """Device times every 2 ms, and on them: what is controlled (roll, pitch, yaw rate), duty,
+    supply in mV."""
+    time = samples.time_s
+    if len(time) < 100 or len(np.unique(samples.segment)) > 1:
+        raise BadInputError("the flight's telemetry is too short, or the craft restarted in it")
+    grid = np.arange(time[0], time[-1], SAMPLE_PERIOD_S)
+    controlled = np.column_stack([samples.attitude[:, :2], samples.gyro[:, 2]])
+
+    def on(values: Any) -> Array:
+        table = np.asarray(values, np.float64).reshape(len(time), -1)
+        return np.column_stack([np.interp(grid, time, column) for column in table.T])
+
+    return grid, on(controlled), on(samples.duty), 1000.0 * on(samples.battery_v)[:, 0]
+
+
+def _device_times(samples: SampleBatch, times_ns: NDArray[np.int64]) -> Array:
+    """Host times as device times: packets are late by chance, never early, so the promptest of
+    each part of the flight tie the clocks together."""
+    device = samples.time_s
+    start = int(samples.host_time_ns[0])
+    host = (samples.host_time_ns - start) * 1e-9
+    parts = np.array_split(np.arange(len(device)), ENVELOPE)
+    prompt = np.array([part[np.argmin((host - device)[part])] for part in parts if len(part)])
+    # a straight line below all of them: the crystals' rates differ, nothing else may
+    slope, offset = np.polyfit(device[prompt], (host - device)[prompt], 1)
+    offset += np.min((host - device)[prompt] - slope * device[prompt] - offset)
+    sent = (times_ns - start) * 1e-9
+    return np.asarray((sent - offset) / (1 + slope))
+
+
+def _effective(
+    grid: Array, duty: Array, sent: Array, setpoints: Array, configuration: Configuration
+) -> tuple[list[Edge], float, float, int]:
+    """Edges at the device times of their effect, the usual delay, its spread, how many were seen.
+
+    A row's motors were computed one row earlier: there the setpoint acts.
+    """
+    output = duty @ MIXERS[configuration].T
+    jumps = np.diff(output, axis=0, prepend=output[:1])
+    changes: list[tuple[int, int]] = []  # (row of setpoints, axis)
+    for axis in range(3):
+        rows = np.flatnonzero(np.diff(setpoints[:, axis]) != 0) + 1
+        changes += [(int(row), axis) for row in rows]
+    changes.sort()
+    noise = 1.4826 * np.median(np.abs(jumps), axis=0) + 1e-9
+    moments = np.array([sent[row] for row, _ in changes])
+    room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
+    delays, clear = [], []
+    for (row, axis), before, after in zip(changes, room[:-1], room[1:], strict=True):
+        sign = np.sign(setpoints[row, axis] - setpoints[row - 1, axis])
+        low = np.searchsorted(grid, sent[row] + max(EARLIEST_S, -before))
+        high = np.searchsorted(grid, sent[row] + min(LATEST_S, after))
+        if high - low < 5:
+            raise BadInputError("telemetry does not cover the whole programme")
+        strongest = low + int(np.argmax(sign * jumps[low:high, axis]))
+        delays.append(grid[strongest - 1] - sent[row])
+        clear.append(sign * jumps[strongest, axis] > CLEAR * noise[axis])
+    if not delays:
+        return [], 0.0, 0.0, 0
+    usual = float(np.median(delays))
+    spread = float(np.subtract(*np.percentile(delays, [75, 25])))
+    near = [
+        bool(stands_out or abs(delay - usual) <= APART_S)
+        for delay, stands_out in zip(delays, clear, strict=True)
+    ]
+    starts = [
+        sent[row] + (delay if good else usual)
+        for (row, _), delay, good in zip(changes, delays, near, strict=True)
+    ]
+    ends = [*starts[1:], grid[-1]]
+    edges = [
+        Edge(axis, float(start), setpoints[row - 1, axis], setpoints[row, axis], float(end))
+        for (row, axis), start, end in zip(changes, starts, ends, strict=True)
+    ]
+    return edges, usual, spread, sum(near)
+
+
+def _predict(
+    grid: Array,
+    duty: Array,
+    supply: Array,
+    edges: Sequence[Edge],
+    plant: Plant,
+    gains: Mapping[str, float],
+) -> Array:
+    """What the model does with the flight's setpoints: roll, pitch (rad), yaw rate (rad/s), one
+    row for each of ``grid``; level until a second before the first edge."""
+    begin = max(0, int(np.searchsorted(grid, edges[0].time_s - 1.0)))
+    setpoints = np.zeros((len(grid) - begin, 3))
+    for edge in edges:
+        row = int(np.searchsorted(grid, edge.time_s - 0.25 * SAMPLE_PERIOD_S)) - begin
+        setpoints[max(row, 0) :, edge.axis] = edge.after
+    thrust = 65536.0 * duty.mean(axis=1)
+    # after the landing the motors stand still, which no model of flight explains
+    thrust = np.maximum(thrust, 0.5 * np.median(thrust))
+    response = run_cascade(plant, gains, setpoints, thrust[begin:], supply[begin:])
+    flown = np.zeros((len(grid), 3))
+    flown[begin:, :2] = response.angles[:, :2]
+    flown[begin:, 2] = response.gyro[:, 2]
+    return flown
+
+
+def _average(grid: Array, values: Array, edges: Sequence[Edge]) -> tuple[Array, float]:
+    """The response to a unit step, averaged over edges by the squares of their sizes (least
+    squares), and the size of the smallest step."""
+    usable = [edge for edge in edges if edge.after != 0.0]
+    length = min(edge.until_s - edge.time_s for edge in usable)
+    rows = int(length / SAMPLE_PERIOD_S + 1e-6)
+    if rows * SAMPLE_PERIOD_S < LEAST_WINDOW_S:
+        raise BadInputError("the setpoints change too fast for step responses; hold them longer")
+    total, weight = np.zeros(rows), 0.0
+    for edge in usable:
+        size = edge.after - edge.before
+        at = edge.time_s + np.arange(rows) * SAMPLE_PERIOD_S
+        response = (np.interp(at, grid, values) - edge.before) / size
+        total += size * size * response
+        weight += size * size
+    return total / weight, min(abs(edge.after - edge.before) for edge in usable)

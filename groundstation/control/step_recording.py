@@ -1,0 +1,48 @@
+"""A recording of ``pid fly`` judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from groundstation.control.plant import plant_of_model
+from groundstation.control.step_analysis import Flown, analyse, setpoint_table
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.errors import BadInputError
+
+if TYPE_CHECKING:
+    from groundstation.recording.session import Recording
+
+MARGIN_NS = 200_000_000
+
+
+def analyse_recording(
+    recording: Recording, model: Model | None, gains: Mapping[str, float], client: str
+) -> Flown:
+    """Step metrics of the programme that ``client`` flew, from its recording alone.
+
+    model: for the prediction, None for none. gains: those that were flown.
+
+    Raises BadInputError where the file holds no such programme.
+    """
+    marks = {
+        str(event.get("text")): int(event["time_ns"])
+        for event in recording.events
+        if event.get("kind") == "mark"
+    }
+    begin, end = marks.get("pid fly programme"), marks.get("pid fly landing")
+    if begin is None or end is None:
+        raise BadInputError(f"{recording.path}: holds no whole programme of 'pid fly'")
+    times, setpoints = setpoint_table(recording.commands, client)
+    inside = (times >= begin - MARGIN_NS) & (times <= end)
+    samples = recording.samples
+    host = samples.host_time_ns
+    flying = np.flatnonzero((host >= begin - MARGIN_NS) & (host <= end + MARGIN_NS))
+    vehicle = load_vehicle("crazyflie1") if model is None else model_vehicle(model)
+    plant = None if model is None else plant_of_model(model)
+    return analyse(
+        samples[flying], times[inside], setpoints[inside], vehicle.configuration, plant, gains
+    )

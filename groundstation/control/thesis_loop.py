@@ -1,0 +1,156 @@
+"""The thesis's whole simulation (Figure 8.10): its controllers with everything between them and
+the angles.
+
+Reference, PIDs, their saturation at +-4096 PWM counts, power distribution (8.3), output stage
+with the battery (8.2.6), four motors (3.82), mixer (7.19), body, measurement delay. Gains are
+PWM counts per rad here. The printed gains are not: they act on u' in (rev/s)^2, on the loop of
+``direct.py``; a saturation at +-4096 does not go with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.control.linear_loop import axis_plant, frequency_response, grid
+from groundstation.control.margins import Margins, loop_margins
+from groundstation.control.pid import AXES, AntiWindup, PidGains
+from groundstation.control.plant import Plant, motors_of_model, plant_of_model
+from groundstation.dynamics.mixer import PWM_FULL
+from groundstation.dynamics.model import Model
+from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+Array = NDArray[np.float64]
+
+SUPPLY_MV = 3700.0
+
+
+class Body(IntEnum):
+    """Which model turns u' into angles."""
+
+    ARX = 0
+    """The model's polynomials, with the delay that is in them."""
+    GREY_BOX = 1
+    """Three decoupled double integrators (thesis 3.58-3.60, 7.12-7.14)."""
+    RIGID = 2
+    """The rigid body with the model's effects."""
+
+
+@dataclass(frozen=True, slots=True)
+class WholeResponse:
+    """angles (k, 3) rad as the controller hears them, controls (k, 3) and pwm (k, 4) in counts."""
+
+    angles: Array
+    controls: Array
+    pwm: Array
+
+
+def run_whole(
+    model: Model,
+    gains: Sequence[PidGains],
+    reference: ArrayLike,
+    body: Body = Body.ARX,
+    *,
+    delay: int | None = None,
+    thrust: ArrayLike | None = None,
+    supply_mv: ArrayLike = SUPPLY_MV,
+    saturation: float = PWM_FULL,
+    anti_windup: AntiWindup = AntiWindup.NONE,
+) -> WholeResponse:
+    """Follow a reference (k, 3) in rad, one row per 2 ms, from a level hover.
+
+    gains: for roll, pitch, yaw. delay: samples of measurement delay; by default what the model
+    says (the ARX's nk, or its dead time). thrust: PWM counts, by default what carries the craft.
+
+    Raises BadInputError for a model without the body asked for.
+    """
+    from groundstation.control.flight_kernels import whole_run
+
+    if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
+        raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
+    plant = _plant(model)
+    polynomials = model.arx or {}
+    na = max((one.na for one in polynomials.values()), default=1)
+    nb = max((one.nb for one in polynomials.values()), default=1)
+    a, b, nk = np.zeros((3, na)), np.zeros((3, nb)), np.zeros(3, np.int64)
+    for index, axis in enumerate(AXES if body is Body.ARX else ()):
+        one = polynomials[axis]
+        a[index, : one.na], b[index, : one.nb] = one.a, one.b
+        nk[index] = one.nk if delay is None else delay
+    wanted = np.ascontiguousarray(reference, np.float64)
+    rows = len(wanted)
+    supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
+    if thrust is None:
+        thrust = plant.hover_duty(supply) * PWM_FULL
+    lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
+    own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S)
+    angles, controls, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
+    whole_run(
+        plant.craft[0],
+        plant.mixer,
+        plant.start,
+        a,
+        b,
+        nk,
+        int(body),
+        np.array([one.as_tuple() for one in gains]),
+        saturation,
+        anti_windup is AntiWindup.CONDITIONAL,
+        lift,
+        supply,
+        wanted,
+        SAMPLE_PERIOD_S,
+        own if delay is None else delay,
+        angles,
+        controls,
+        pwm,
+    )
+    return WholeResponse(angles, controls, pwm)
+
+
+def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
+    """PWM counts that change u' by 1 (rev/s)^2 at hover once the motors have settled, (3,).
+
+    Turns gains of the direct loop into gains of the whole simulation.
+    """
+    plant, motor = _plant(model), model.motor
+    slope = motor.a0 * supply_mv / PWM_FULL / (motor.a1 + 2 * motor.a2 * plant.hover_rev_s)
+    return np.asarray(1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0])))
+
+
+def whole_margins(
+    model: Model,
+    gains: PidGains,
+    axis: str,
+    body: Body = Body.ARX,
+    delay: int | None = None,
+    supply_mv: float = SUPPLY_MV,
+) -> Margins:
+    """Margins of one axis, linear around hover and broken at the controller's output.
+
+    The rigid body is the grey box there. Meaningful where the loop is stable.
+    """
+    if body is not Body.ARX:
+        model = msgspec.structs.replace(model, arx=None)
+        delay = None if delay is None else delay + 1  # the held double integrator's own
+    plant = axis_plant(model, axis, delay)
+    omega = grid(plant.ts)
+    z = np.exp(1j * omega * plant.ts)
+    pole = model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s
+    counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
+    motor = pole / (1j * omega + pole) / counts
+    kp, ki, kd = gains.as_tuple()
+    controller = kp + ki * plant.ts / (z - 1) + kd / plant.ts * (1 - 1 / z)
+    return loop_margins(frequency_response(plant, z) * motor * controller, omega)
+
+
+def _plant(model: Model) -> Plant:
+    if model.body is None:
+        return motors_of_model(model)
+    return plant_of_model(model, fusion=False)

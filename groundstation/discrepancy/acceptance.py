@@ -1,0 +1,230 @@
+"""Whether an effect is believed: the gates that every name has to pass, in their order.
+
+A gate is a question that is asked at one stage of the procedure (``search.py``), a threshold with
+its source, and the reason that a refused candidate carries. Adding a gate is one function and one
+line of ``GATES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum, auto
+
+import numpy as np
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.discrepancy.evidence import Evidence
+from groundstation.discrepancy.findings import Reason, Refusal
+from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
+from groundstation.identification.likelihood.parameters import Variant, estimates_of
+from groundstation.identification.likelihood.problem import Fit
+
+WORTH = 16.0
+"""Drop of -2 log L in the screening that is worth a joint fit: 4 standard errors."""
+SHARE = 0.35
+"""An effect that explains less than this share of what the best one does waits: what it explains
+may be the best one's. Two effects of one family share up to two thirds (sealed pairs)."""
+LEAST_T = 4.5
+"""Standard errors, from scores by blocks: about one false alarm in 100 000 trials."""
+LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
+"""The same as a drop of -2 log L for one parameter, and the quantile's growth with each more."""
+LEAST_HELD_OUT, HELD_OUT_SHARE = 3.0, 0.2
+"""Drop of -2 log L on held-out rows: more than chance gives (95 % of chi-squared with one degree
+of freedom is 3.8, for a size that is not fitted to them half of it), and a fifth of the promise,
+for a held-out flight may excite less."""
+KEEP = 14.0
+"""An accepted effect whose removal costs less than this leaves: 3.7 standard errors, below what it
+took to join so that nothing joins and leaves in turn."""
+DISAGREE, DISAGREE_SHARE = 5.0, 0.4
+"""Parts disagree where they lie this many standard errors and this share of the size apart."""
+DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
+"""An effect that explains less than this share of the structure that is left in the channels it
+touches, or in all of them, is not believed."""
+PREDICTED_SHARE = 0.1
+"""But it is where so much of the squared excess of predictions over noise goes with it."""
+
+
+class Stage(Enum):
+    """Where in the procedure a gate stands."""
+
+    SCREENED = auto()
+    """The columns of every effect are known."""
+    FITTED = auto()
+    """It has been fitted jointly with what was accepted."""
+    WEIGHED = auto()
+    """Its evidence has been gathered, on held-out rows too."""
+    JOINED = auto()
+    """Another effect has joined since."""
+    STABLE = auto()
+    """Nothing joins any more."""
+    LEFT = auto()
+    """What no effect explains has been looked at."""
+    NAMED = auto()
+    """The last one."""
+
+
+@dataclass(slots=True)
+class Trial:
+    """A candidate on its way through the gates; each stage fills in what it found.
+
+    fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
+    best: (gain, name) of the strongest plausible candidate of the same turn. tried: whether this
+    very set of effects was accepted before. removal: what -2 log L gains when it leaves. slow:
+    channel -> structure that nothing explains, in -2 log L. predicted: share of the squared excess
+    of held-out predictions over noise that goes with it.
+    """
+
+    variant: Variant
+    fit: Fit | None = None
+    gain: float = 0.0
+    best: tuple[float, str] = (0.0, "")
+    evidence: Evidence | None = None
+    tried: bool = False
+    removal: float = np.inf
+    slow: Mapping[int, float] | None = None
+    predicted: float = 0.0
+    scored: Scored | None = None
+
+
+def weak(trial: Trial) -> str:
+    """The screening promises too little."""
+    assert trial.scored is not None
+    most = WORTH + PENALTY * (len(trial.variant.keys) - 1)
+    return "no significant improvement" if trial.scored.drop < most else ""
+
+
+def wrong_sign(trial: Trial) -> str:
+    """A one-sided size points to the wrong side."""
+    variant = trial.variant
+    assert trial.scored is not None
+    if len(variant.sizes) > 1:
+        return ""
+    size = variant.unknowns[0]
+    possible = size.plausible[0] < 0 or trial.scored.values[0] + size.absent > 0
+    return "" if possible else "fits only with a sign that physics does not allow"
+
+
+def explains_less(trial: Trial) -> str:
+    """Another candidate explains much more of the same data."""
+    best, strongest = trial.best
+    if trial.gain > 0.0 and trial.gain >= SHARE * best:
+        return ""
+    return f"explains less than {strongest}"
+
+
+def implausible(trial: Trial) -> str:
+    """No small craft has such a size."""
+    assert trial.fit is not None
+    if plausible(trial.variant, trial.fit.point):
+        return ""
+    values = ", ".join(
+        f"{name} {estimate.value:.3g} {estimate.unit}".strip()
+        for name, estimate in estimates_of(trial.variant, trial.fit.point, {}).items()
+    )
+    return f"not plausible: {values}"
+
+
+def insignificant(trial: Trial) -> str:
+    """Chance can do it."""
+    evidence = _evidence(trial)
+    least = LEAST_DROP + DROP_PER_PARAMETER * (len(trial.variant.keys) - 1)
+    enough = evidence.drop >= least and evidence.t >= LEAST_T
+    return "" if enough else f"not significant: {evidence.t:.1f} standard errors"
+
+
+def not_held_out(trial: Trial) -> str:
+    """Rows that no fit saw are not predicted better, one row ahead."""
+    evidence = _evidence(trial)
+    enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)
+    return "" if enough else "does not predict held-out rows better"
+
+
+def tried_before(trial: Trial) -> str:
+    """The search would go round in a circle."""
+    return "tried before" if trial.tried else ""
+
+
+def superfluous(trial: Trial) -> str:
+    """The others do as well without it."""
+    return "superfluous once another effect had joined" if trial.removal < KEEP else ""
+
+
+def channels_disagree(trial: Trial) -> str:
+    """Channels tell different sizes. Asked of the final fit only: as long as something else is
+    missing, its traces make any effect's parts disagree."""
+    return _disagreement(_evidence(trial), 1, "channels")
+
+
+def recordings_disagree(trial: Trial) -> str:
+    """Recordings tell different sizes."""
+    return _disagreement(_evidence(trial), 0, "recordings")
+
+
+def drowned(trial: Trial) -> str:
+    """It is small beside a structure that nothing explains.
+
+    A pendulum under the craft, say, also looks a little like a lever arm: a name for a hundredth
+    of what is wrong is no explanation.
+    """
+    evidence, slow = _evidence(trial), trial.slow or {}
+    near = sum(slow.get(channel, 0.0) for channel in evidence.channels)
+    small = evidence.drop < max(DROWNED * near, DROWNED_ANYWHERE * sum(slow.values()))
+    small = small and trial.predicted < PREDICTED_SHARE
+    return "small beside a structure that nothing explains" if small else ""
+
+
+def negligible(trial: Trial) -> str:
+    """It is surely there, and always is: too small to be called an effect."""
+    assert trial.fit is not None
+    effect = trial.variant.definition
+    size = float(np.linalg.norm(sizes_at(trial.variant, trial.fit.point)))
+    return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
+
+
+GATES: tuple[tuple[Stage, Reason, Callable[[Trial], str]], ...] = (
+    (Stage.SCREENED, Reason.WEAK, weak),
+    (Stage.SCREENED, Reason.WRONG_SIGN, wrong_sign),
+    (Stage.FITTED, Reason.EXPLAINS_LESS, explains_less),
+    (Stage.WEIGHED, Reason.IMPLAUSIBLE, implausible),
+    (Stage.WEIGHED, Reason.INSIGNIFICANT, insignificant),
+    (Stage.WEIGHED, Reason.NOT_HELD_OUT, not_held_out),
+    (Stage.WEIGHED, Reason.TRIED_BEFORE, tried_before),
+    (Stage.JOINED, Reason.SUPERFLUOUS, superfluous),
+    (Stage.STABLE, Reason.CHANNELS_DISAGREE, channels_disagree),
+    (Stage.STABLE, Reason.RECORDINGS_DISAGREE, recordings_disagree),
+    (Stage.LEFT, Reason.DROWNED, drowned),
+    (Stage.NAMED, Reason.NEGLIGIBLE, negligible),
+)
+"""When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
+
+
+def refusal(stage: Stage, trial: Trial) -> Refusal | None:
+    """Why a candidate does not pass a stage; None where it does."""
+    for where, reason, question in GATES:
+        if where is stage and (words := question(trial)):
+            return Refusal(reason, words)
+    return None
+
+
+def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
+    """Whether the values are ones that a small craft can have."""
+    values = estimates_of(variant, point, {})
+    return variant.definition.plausible({k: e.value for k, e in values.items()})
+
+
+def _disagreement(evidence: Evidence, by: int, what: str) -> str:
+    errors, share = evidence.spread(by)
+    if errors <= DISAGREE or share <= DISAGREE_SHARE:
+        return ""
+    names = (evidence.recordings, CHANNELS)[by]
+    told = ", ".join(
+        f"{names[key] if key < len(names) else key} {size:.2g}"
+        for key, (size, _) in evidence.sizes(by).items()
+    )
+    return f"{what} disagree on its size by {errors:.0f} standard errors (times the fit: {told})"
+
+
+def _evidence(trial: Trial) -> Evidence:
+    assert trial.evidence is not None
+    return trial.evidence

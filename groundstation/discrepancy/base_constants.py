@@ -1,0 +1,122 @@
+"""The constants that the given model had already: which of them data improve, and what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
+from groundstation.discrepancy.findings import BaseChange
+from groundstation.discrepancy.screening import removal_cost
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
+from groundstation.identification.likelihood.problem import Fit, Problem, bounded
+
+Group = tuple[str, ...]
+"""Constants that change or stay together."""
+
+TOUCHES: dict[str, tuple[int, ...]] = {
+    "c0": (0, 6),
+    "c1": (1, 7),
+    "c2": (2, 8),
+    "thrust_per_mass": (5,),
+}
+"""Channels (0..8 as in ``comparison.channels``) that a constant moves first; others move all."""
+
+
+def groups(start: Point, known: Sequence[Group]) -> list[Group]:
+    """Each constant of the body, the motor's, and those of each effect that a model has already."""
+    motor = tuple(key for key in MOTOR_KEYS if start[key] != 0.0)
+    return [*((key,) for key in BODY_KEYS), motor, *known]
+
+
+def not_improved(
+    problem: Problem, free: Fit, every: Sequence[Group], validation: Sequence[Flight]
+) -> tuple[set[str], Point]:
+    """The constants that these data do not improve, and where the others move without them.
+
+    One stays as it was given where going back costs as little as an effect that leaves, or where
+    held-out rows are predicted no better with the change. free: the joint fit.
+    """
+    held: set[str] = set()
+    rest, left = free, list(every)
+    while left:
+        group = min(left, key=lambda one: _cost_of_going_back(rest, one, problem.start))
+        if _cost_of_going_back(rest, group, problem.start) >= KEEP:
+            break
+        rest = _gone_back(rest, group, problem.start)
+        held.update(group)
+        left.remove(group)
+    if validation:
+        changed, _, _ = problem.cost(rest.point, validation)
+        for group in left:
+            back = _gone_back(rest, group, problem.start)
+            given, _, _ = problem.cost(back.point, validation)
+            if given - changed < LEAST_HELD_OUT:
+                rest, changed = back, given
+                held.update(group)
+    return held, rest.point
+
+
+def _cost_of_going_back(fit: Fit, group: Group, start: Point) -> float:
+    own = [fit.keys.index(key) for key in group]
+    away = np.array([fit.point[key] - start.get(key, absent(key)) for key in group])
+    return removal_cost(away, fit.covariance[np.ix_(own, own)])
+
+
+def _gone_back(fit: Fit, group: Group, start: Point) -> Fit:
+    """The fit with constants as given, the others following to first order."""
+    own = [fit.keys.index(key) for key in group]
+    rest = [i for i in range(len(fit.keys)) if i not in own]
+    away = np.array([start.get(key, absent(key)) - fit.point[key] for key in group])
+    gain = fit.covariance[np.ix_(rest, own)] @ np.linalg.pinv(fit.covariance[np.ix_(own, own)])
+    keys = tuple(fit.keys[i] for i in rest)
+    point = bounded(fit.point, keys, gain @ away)
+    point |= {key: start.get(key, absent(key)) for key in group}
+    covariance = fit.covariance[np.ix_(rest, rest)] - gain @ fit.covariance[np.ix_(own, rest)]
+    return Fit(point, keys, fit.cost, covariance)
+
+
+def base_changes(
+    start: Point, final: Point, errors: Mapping[str, float], keys: Sequence[str]
+) -> tuple[BaseChange, ...]:
+    """The constants among ``keys`` that moved. errors: standard errors by key."""
+    found = []
+    for key in keys:
+        given, now = start.get(key, absent(key)), final.get(key, absent(key))
+        if given != now:
+            percent = 100.0 * (now / given - 1.0) if given else None
+            found.append(BaseChange(key, given, now, errors.get(key), percent))
+    return tuple(found)
+
+
+def in_words(change: BaseChange) -> str:
+    """A change, and what it may mean."""
+    if change.percent is None:
+        return f"{change.name} {change.given:.4g} -> {change.value:.4g}"
+    spread = ""
+    if change.stderr is not None:
+        spread = f" +- {_short(100.0 * change.stderr / abs(change.given))}"
+    return f"{change.name} {_short(change.percent, sign=True)} %{spread}{_meaning(change)}"
+
+
+def _meaning(change: BaseChange) -> str:
+    if change.name == "thrust_per_mass":
+        heavier = 100.0 * (change.given / change.value - 1.0)
+        if heavier > 0.0:
+            return f": the craft is {_short(heavier)} % heavier or its rotors weaker"
+        return f": the craft is {_short(-heavier)} % lighter or its rotors stronger"
+    axis = {"c0": "roll", "c1": "pitch", "c2": "yaw"}.get(change.name)
+    if axis is None:
+        return ""
+    assert change.percent is not None
+    how = "more" if change.percent > 0 else "less"
+    why = "drag of the rotors" if axis == "yaw" else "thrust of the rotors or their distance"
+    return f": {axis} answers {how} to its torque (inertia, {why})"
+
+
+def _short(value: float, sign: bool = False) -> str:
+    """Two figures, or all of those before the point."""
+    text = f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"
+    return f"+{text}" if sign and value > 0 else text

@@ -1,0 +1,167 @@
+"""What speaks for one effect: likelihood, held-out rows, blocks of time, channels, recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.discrepancy.screening import sizes_at
+from groundstation.identification.estimate import inverse
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.problem import Fit, Problem
+from groundstation.identification.likelihood.spectra import Spectrum
+
+Array = NDArray[np.float64]
+
+BLOCK_S = 1.0
+"""Longer than any residual is correlated once it is whitened."""
+INFORMED = 0.05
+"""Least share of Fisher information for the homogeneity test: where an effect hardly shows, a
+small fault of a strong one looks like a disagreement."""
+TOUCHED = 0.02
+"""Share of an effect's power in its strongest channel, from which it touches a channel."""
+LEAST_INFORMATION = 9.0
+"""A part that knows the size to a third of it, or better, takes part in the comparison."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """drop: of -2 log L in the fit; held_out: of the same on held-out rows, expected: what the
+    fitted ones promise for it. t: by blocks. parts: (flight, channel) -> size relative to the
+    joint fit, and its standard error. gap: whitened RMS on held-out rows before and after, over
+    the channels it touches. recordings: names by number of the flight."""
+
+    drop: float
+    held_out: float
+    expected: float
+    t: float
+    parts: dict[tuple[int, int], tuple[float, float]]
+    gap: tuple[float, float]
+    channels: tuple[int, ...]
+    recordings: tuple[str, ...] = ()
+
+    def sizes(self, by: int) -> dict[int, tuple[float, float]]:
+        """(size relative to the joint fit, its weight) as recordings (by 0) or channels (by 1) tell
+        it, of those that are informed."""
+        groups: dict[int, list[tuple[float, float]]] = {}
+        for place, part in self.parts.items():
+            groups.setdefault(place[by], []).append(part)
+        found = {}
+        for key, parts in groups.items():
+            weight = sum(error**-2 for _, error in parts)
+            found[key] = sum(size * error**-2 for size, error in parts) / weight, weight
+        every = sum(weight for _, weight in found.values())
+        return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
+
+    def spread(self, by: int) -> tuple[float, float]:
+        """(standard deviations, share of the size) by which parts disagree most."""
+        parts = np.array(list(self.sizes(by).values()))
+        if len(parts) < 2:
+            return 0.0, 0.0
+        every, trust = parts.T
+        away = np.abs(every - float((every * trust).sum() / trust.sum()))
+        worst = int(np.argmax(away * np.sqrt(trust)))
+        return float(away[worst] * np.sqrt(trust[worst])), float(away[worst])
+
+
+def gather(
+    problem: Problem, validation: Sequence[Flight], before: Fit, after: Fit, variant: Variant
+) -> Evidence:
+    """What speaks for a variant: ``before`` and ``after`` it joined."""
+    held, expected, gap, channels = 0.0, 0.0, (1.0, 1.0), touched(problem, after, variant)
+    drop = before.cost - after.cost
+    if validation:
+        one, own, freedom = problem.cost(before.point, validation)
+        other, better, _ = problem.cost(after.point, validation)
+        held = one - other
+        rows = sum(f.last - f.first for f in problem.flights)
+        expected = drop * sum(f.last - f.first for f in validation) / rows
+        count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
+        gap = (
+            float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
+            float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
+        )
+    t, parts = by_parts(problem, after, variant)
+    names = tuple(flight.run.name for flight in problem.flights)
+    return Evidence(drop, held, expected, t, parts, gap, channels, names)
+
+
+def touched(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
+    """Channels that a variant touches."""
+    linear = problem.linear(fit.point, variant.keys, problem.flights[:1])
+    power = {
+        s.channel: float(
+            (
+                s.weight * (np.abs(s.columns) ** 2).sum(axis=0) / problem.noise[s.channel].at(s.hz)
+            ).sum()
+        )
+        for s in linear.spectra
+        if len(s.columns)
+    }
+    most = max(power.values(), default=0.0)
+    return tuple(sorted(c for c, p in power.items() if p > TOUCHED * most))
+
+
+def by_parts(
+    problem: Problem, fit: Fit, variant: Variant
+) -> tuple[float, dict[tuple[int, int], tuple[float, float]]]:
+    """t of the whole effect from scores by blocks of time, and its size by flight and channel.
+
+    The effect's columns, weighted with its values, are one column whose coefficient is 1 in the
+    joint fit; what the other unknowns can imitate of it is taken out.
+    """
+    linear = problem.linear(fit.point, fit.keys, problem.flights)
+    total = problem.with_prior(linear)
+    own = linear.place(variant.sizes)
+    rest = [i for i, key in enumerate(linear.keys) if key not in variant.keys]
+    sizes = sizes_at(variant, linear.point)
+    weights = np.zeros(len(linear.keys))
+    weights[own] = sizes
+    normal = total.normal
+    imitated = inverse(normal[np.ix_(rest, rest)]) @ (normal[np.ix_(rest, own)] @ sizes)
+    weights[rest] = -imitated
+    information, variance = 0.0, 0.0
+    parts: dict[tuple[int, int], tuple[float, float]] = {}
+    scores: dict[int, list[Array]] = {}
+    for s in linear.spectra:
+        if not len(s.place):
+            continue
+        column = weights[s.place] @ s.columns
+        scale = s.weight / problem.noise[s.channel].at(s.hz)
+        strength = float((scale * column**2).sum())
+        score = float((scale * column * s.residual).sum())
+        information += strength
+        if strength > LEAST_INFORMATION and np.isin(s.place, own).any():
+            parts[s.flight, s.channel] = (1.0 + score / strength, strength**-0.5)
+        scores.setdefault(s.flight, []).append(_block_scores(s, column, problem, s.channel))
+    for pieces in scores.values():
+        blocks = min(len(p) for p in pieces)
+        summed = np.sum([p[:blocks] for p in pieces], axis=0)
+        variance += float((summed**2).sum())
+    if information <= 0.0:
+        return 0.0, parts
+    # Scores have mean zero at the optimum: their sum of squares is the variance of their sum.
+    return information / max(variance, information) ** 0.5, parts
+
+
+def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) -> Array:
+    """Scores of whitened rows, summed over blocks of a second."""
+    from scipy.fft import irfft
+
+    root = 1.0 / np.sqrt(problem.noise[channel].at(s.hz))
+    bins = len(s.hz) // 2
+    size = 2 * (bins - 1)
+
+    def rows_of(values: Array) -> Array:
+        white = values * root
+        return np.asarray(irfft(white[:bins] + 1j * white[bins:], size))
+
+    rows = rows_of(column) * rows_of(s.residual) * 0.5 * float(s.weight.sum())
+    step = 1.0 / (2.0 * s.hz[bins - 1])
+    block = max(1, round(BLOCK_S / step))
+    count = len(rows) // block
+    return np.asarray(rows[: count * block].reshape(count, block).sum(axis=1))

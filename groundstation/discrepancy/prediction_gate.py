@@ -1,0 +1,103 @@
+"""The last gate: what was found has to predict held-out rows, 20 and 50 ms ahead.
+
+The search looks one row ahead, where torque shows best; what a model is for is further ahead. An
+effect or a changed constant with which a channel is predicted worse than by the given model, or
+with which all channels together are, is taken back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.discrepancy.base_constants import TOUCHES, Group
+from groundstation.discrepancy.findings import Reason, Refusal
+from groundstation.identification.likelihood.parameters import Point
+from groundstation.identification.likelihood.problem import Fit
+
+if TYPE_CHECKING:
+    from groundstation.discrepancy.search import Accepted, Search
+
+RAISES, LOWERS = 0.005, 0.01
+"""Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
+again by so much. Noise in a gap of a minute is below 0.2 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
+    predicted worse than by the given model."""
+
+    gap: float
+    worse: dict[int, float]
+
+    @property
+    def badness(self) -> tuple[float, float]:
+        return sum(self.worse.values()), self.gap
+
+
+Judge = Callable[[Point], Predicted]
+
+
+def answer_to_predictions(search: Search, judge: Judge) -> bool:
+    """Take back, one by one, what predictions speak against; whether anything was.
+
+    Where a channel is predicted worse than by the given model, something leaves each time: at the
+    end of that way stands the given model.
+    """
+    now, changed = judge(search.now.point), False
+    while True:
+        options = _touching(search, now.worse) if now.worse else _raising(search, judge)
+        trials: list[tuple[Predicted, Accepted | Group, Fit]] = []
+        for option in options:
+            search.progress("asking predictions of held-out rows", 0.93)
+            rest = [one for one in search.accepted if one is not option]
+            held = search.held.union(option) if isinstance(option, tuple) else search.held
+            fit = search.refit(rest, held)
+            trials.append((judge(fit.point), option, fit))
+        if not trials:
+            return changed
+        left, option, fit = min(trials, key=lambda trial: trial[0].badness)
+        if not now.worse and (left.worse or left.gap > (1.0 - LOWERS) * now.gap):
+            return changed
+        if isinstance(option, tuple):
+            search.held.update(option)
+        else:
+            search.accepted.remove(option)
+            search.refused[option.variant.label] = _refusal(now, left)
+        search.now, now, changed = fit, left, True
+
+
+def _refusal(now: Predicted, left: Predicted) -> Refusal:
+    names = [CHANNELS[channel] for channel in now.worse if channel not in left.worse]
+    if names:
+        words = f"predicts {', '.join(names)} on held-out rows worse than the given model"
+    else:
+        words = (
+            f"held-out rows are predicted better without it: gap {left.gap:.2f}, not {now.gap:.2f}"
+        )
+    return Refusal(Reason.PREDICTS_WORSE, words)
+
+
+def _touching(search: Search, worse: Iterable[int]) -> Sequence[Accepted | Group]:
+    """Effects and changed constants that touch these channels, or else all."""
+    bad = set(worse)
+    effects = [one for one in search.accepted if bad.intersection(one.evidence.channels)]
+    changed = [group for group in search.groups if not search.held.issuperset(group)]
+    every = range(len(CHANNELS))
+    moved = [group for group in changed if bad.intersection(TOUCHES.get(group[0], every))]
+    return [*effects, *moved] or [*search.accepted, *changed]
+
+
+def _raising(search: Search, judge: Judge) -> Sequence[Accepted]:
+    """Effects whose step, in their order and at their final sizes, raises the gap."""
+    found = []
+    before = judge(search.point_with([])).gap
+    for number, one in enumerate(search.accepted, 1):
+        gap = judge(search.point_with(search.accepted[:number])).gap
+        if gap > (1.0 + RAISES) * before:
+            found.append(one)
+        before = gap
+    return found

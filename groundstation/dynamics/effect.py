@@ -1,0 +1,240 @@
+"""What is known of a physical effect: the vocabulary of the files in ``dynamics/effects``.
+
+Each of those files defines one ``EFFECT``: parameters, law, what it needs, where it shows and what
+it is confused with. Everything that flies, fits, searches or describes effects reads it there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from groundstation.errors import BadInputError
+
+Stage = Literal["delay", "supply", "motor", "rotor", "body", "sensor", "attitude"]
+Channel = Literal[
+    "gyro x",
+    "gyro y",
+    "gyro z",
+    "accelerometer x",
+    "accelerometer y",
+    "accelerometer z",
+    "roll",
+    "pitch",
+    "yaw",
+]
+Kind = Literal["size", "shape", "choice"]
+Need = Literal["accelerometer", "attitude", "modelled rotors"]
+Unmeasured = Literal["velocity", "height"]
+Law = Callable[..., Any]
+"""See ``dynamics/law.py`` for the signature of each stage."""
+
+GYRO: tuple[Channel, ...] = ("gyro x", "gyro y", "gyro z")
+TILT_RATES: tuple[Channel, ...] = ("gyro x", "gyro y")
+FORCE: tuple[Channel, ...] = ("accelerometer x", "accelerometer y", "accelerometer z")
+ANGLES: tuple[Channel, ...] = ("roll", "pitch", "yaw")
+
+TILTING = frozenset(
+    {"high roll or pitch rate", "roll or pitch torque", "turning about several axes"}
+)
+YAWING = frozenset({"high yaw rate", "after yaw commands", "turning about several axes"})
+ROTORS = frozenset({"rotor acceleration", "rotors slowing down", "thrust change"})
+THRUST = frozenset({"high thrust", "low thrust", "climb", "descent", "thrust change"})
+STEADY = frozenset({"whole flight", "hover"})
+TRANSLATION = frozenset({"translation", "tilted"})
+"""Regimes of ``comparison/regimes.py``, in groups."""
+
+THRUST_STEPS = (
+    "steps of collective thrust over 60..140 % of hover, once with a full and once with an"
+    " empty battery, and the motor bench"
+)
+DOUBLETS = "fast roll and pitch doublets with attitude in the recording"
+HOVER_DOUBLETS = "fast roll and pitch doublets on the spot, too short to gain speed"
+TRANSLATE = "steady flight to and fro along both axes at 1..2 m/s, then hover"
+YAW_STEPS = "yaw steps both ways, then a steady turn at 3 rad/s"
+CLIMBS = "climbs and descents at several steady speeds, well above the ground"
+"""Manoeuvres that several effects name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """The number that fits and the search estimate instead of a parameter.
+
+    of: its value for one of the parameter; back: the other way. A time constant, say, for a
+    bandwidth, so that the effect is absent at 0.
+    """
+
+    name: str
+    unit: str
+    of: Callable[[float], float]
+    back: Callable[[float], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect.
+
+    low, high: what is plausible on a small craft, signs included; beyond it a finding is refused.
+    absent: the value at which the effect is not there (of a shape: what it is taken for then).
+    kind: a size makes the effect, a shape only forms it, a choice is one of the whole numbers
+    low..high (which rotor). least, most: values that can be flown at all.
+
+    The rest speaks of the unknown that is estimated, in its own unit: unknown: which, where it is
+    not the parameter itself. bounds: where a fit keeps it. step: of finite differences, 0 means a
+    hundredth of ``worth``. stride: largest change in one step of a fit. worth: the size worth
+    finding, the default's where None. starts: from where joint fits begin. near: columns hold so
+    far from where they were evaluated; None: everywhere, the law is linear.
+    """
+
+    name: str
+    unit: str
+    default: float
+    low: float
+    high: float
+    absent: float = 0.0
+    kind: Kind = "size"
+    least: float = -math.inf
+    most: float = math.inf
+    unknown: Unknown | None = None
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    step: float = 0.0
+    stride: float = math.inf
+    worth: float | None = None
+    starts: tuple[float, ...] = ()
+    near: float | None = None
+
+    def to_unknown(self, value: float) -> float:
+        """A value of the parameter in the unit in which it is estimated."""
+        return value if self.unknown is None else self.unknown.of(value)
+
+    def from_unknown(self, value: float) -> float:
+        """The other way."""
+        return value if self.unknown is None else self.unknown.back(value)
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """One number that an effect remembers.
+
+    follows: a channel of ``Reading``'s gyro or accelerometer in body axes that the state is a
+    delayed copy of: it begins at that channel's value and an observer corrects the two alike.
+    """
+
+    name: str
+    initial: float = 0.0
+    follows: Channel | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Confusion:
+    """Another effect that can look the same, and the manoeuvre that separates the two."""
+
+    other: str
+    manoeuvre: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rename:
+    """The base constant whose change an effect is, and what its size makes of the given value."""
+
+    constant: str
+    moved: Callable[[float, float], float]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One physical effect.
+
+    name: that of its file. stage, law: where it enters and how (``dynamics/law.py``). order: laws
+    of a stage act in this order. states: what it remembers, in the order in which the law takes
+    them. fastest: values -> fastest rate in 1/s of these states, for the integrator's step.
+    adds: its law in words. signature: by what a person knows it. excited_by: what to fly so that
+    it shows. channels, regimes: where it shows first. needs: channels without which it cannot be
+    told; ``modelled rotors``: not where rotor speeds were measured. unmeasured: what its law reads
+    that no sensor shows.
+    renames: the base constant whose change it is. It is no candidate beside that constant, which
+    explains the same, but its name once that has moved.
+    negligible, because: a size (norm of all sizes) below which it is fitted but no finding.
+    doubt: values -> standard errors that no residual shows, by parameter.
+    """
+
+    name: str
+    stage: Stage
+    parameters: tuple[Parameter, ...]
+    adds: str
+    signature: str
+    excited_by: str
+    channels: tuple[Channel, ...]
+    law: Law
+    regimes: frozenset[str] = frozenset()
+    order: int = 0
+    states: tuple[State, ...] = ()
+    fastest: Callable[[Mapping[str, float]], float] | None = None
+    needs: tuple[Need, ...] = ()
+    unmeasured: tuple[Unmeasured, ...] = ()
+    renames: Rename | None = None
+    negligible: float = 0.0
+    because: str = ""
+    doubt: Callable[[Mapping[str, float]], dict[str, float]] | None = None
+    confused_with: tuple[Confusion, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Effect({self.name}: {self.adds})"
+
+    @property
+    def sizes(self) -> tuple[Parameter, ...]:
+        """Parameters that alone make the effect."""
+        return tuple(p for p in self.parameters if p.kind == "size")
+
+    @property
+    def choice(self) -> Parameter | None:
+        """The parameter that picks one of several (a rotor), if it has one."""
+        return next((p for p in self.parameters if p.kind == "choice"), None)
+
+    def parameter(self, name: str) -> Parameter:
+        """One of its parameters. Raises BadInputError, naming those there are."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        names = ", ".join(p.name for p in self.parameters)
+        raise BadInputError(f"effect {self.name}: no parameter {name!r}; there are {names}")
+
+    def values(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Every parameter: the given value, or its default.
+
+        Raises BadInputError for a parameter that does not exist or a value that cannot be flown.
+        """
+        for name in given:
+            self.parameter(name)
+        values = {p.name: float(given.get(p.name, p.default)) for p in self.parameters}
+        for p in self.parameters:
+            value = values[p.name]
+            if not math.isfinite(value):
+                raise BadInputError(f"effect {self.name}: {p.name} is {value}, must be finite")
+            if not p.least <= value <= p.most:
+                limits = (
+                    "must not be negative"
+                    if p.least == 0.0 > value
+                    else (f"must lie in {p.least:g}..{p.most:g}")
+                )
+                raise BadInputError(f"effect {self.name}: {p.name} is {value:g}, {limits}")
+            if p.kind == "choice" and value not in range(int(p.low), int(p.high) + 1):
+                raise BadInputError(
+                    f"effect {self.name}: {p.name} is {value:g}, must be a whole number in"
+                    f" {p.low:.0f}..{p.high:.0f}"
+                )
+        return values
+
+    def absent(self, given: Mapping[str, float]) -> bool:
+        """Whether these values amount to no effect at all."""
+        values = self.values(given)
+        return all(values[p.name] == p.absent for p in self.sizes)
+
+    def plausible(self, given: Mapping[str, float]) -> bool:
+        """Whether every value lies in its range, or is the one that means absent."""
+        values = {p.name: float(given.get(p.name, p.default)) for p in self.parameters}
+        return all(
+            p.low <= values[p.name] <= p.high or values[p.name] == p.absent for p in self.parameters
+        )

@@ -1,0 +1,76 @@
+"""A first-order lag of the gyro: d gyro/dt = (rate - gyro) 2 pi bandwidth.
+
+Source: the MPU-6050's digital low-pass (data sheet, register 26), and any filter of a firmware.
+0 Hz means no lag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from groundstation.dynamics.effect import (
+    DOUBLETS,
+    GYRO,
+    ROTORS,
+    STEADY,
+    TILTING,
+    YAWING,
+    Confusion,
+    Effect,
+    Parameter,
+    State,
+    Unknown,
+)
+from groundstation.dynamics.law import Reading
+
+
+def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
+    """(what the gyro shows, slopes of the lagged rates)."""
+    pace = 2.0 * math.pi * values[0]
+    x, y, z = reading.gyro
+    return Reading((state[0], state[1], state[2]), reading.accelerometer, reading.rotor), (
+        pace * (x - state[0]),
+        pace * (y - state[1]),
+        pace * (z - state[2]),
+    )
+
+
+def _inverse(value: float) -> float:
+    """Time constant (s) of a bandwidth (Hz) and the other way; 0 stands for no lag in both."""
+    return 1.0 / (2.0 * math.pi * value) if value > 0.0 else 0.0
+
+
+def _fastest(values: Mapping[str, float]) -> float:
+    return 2.0 * math.pi * values["bandwidth_hz"]
+
+
+EFFECT = Effect(
+    name="gyro_low_pass",
+    stage="sensor",
+    law=law,
+    states=tuple(State(f"lagged {axis}", follows=axis) for axis in GYRO),
+    fastest=_fastest,
+    parameters=(
+        Parameter(
+            "bandwidth_hz",
+            "Hz",
+            default=30.0,
+            low=4.0,
+            high=400.0,
+            least=0.0,
+            unknown=Unknown("time_constant_s", "s", of=_inverse, back=_inverse),
+            bounds=(0.0, 0.05),
+            step=1e-4,
+            stride=3e-3,
+            near=3e-4,
+        ),
+    ),
+    adds="the gyro lags the true rate, first order; 0 Hz means no lag",
+    signature="the gyro comes after the attitude that is its integral; fast motion is attenuated",
+    excited_by=DOUBLETS,
+    channels=GYRO,
+    regimes=TILTING | YAWING | ROTORS | STEADY,
+    confused_with=(Confusion("dead_time", f"{DOUBLETS}: a delay moves the attitude as well"),),
+)

@@ -1,0 +1,47 @@
+"""Roll and pitch moment proportional to the body velocity: roll +c v, pitch -c u.
+
+Source: blade flapping tips the rotors back against the motion (Pounds, Mahony and Corke, 2010).
+(u, v) is the body velocity forward and left. Drag in the rotors' plane adds to it above the centre
+of gravity and takes from it below: with a centre of gravity above that plane the sign can turn.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from groundstation.dynamics.effect import (
+    HOVER_DOUBLETS,
+    TILT_RATES,
+    TRANSLATE,
+    TRANSLATION,
+    Confusion,
+    Effect,
+    Parameter,
+)
+
+
+def law(values: Any, craft: Any, body: Any) -> Any:
+    """Angular and linear acceleration that it adds."""
+    forward, left, _ = body.velocity
+    return (values[0] * left, -values[0] * forward, 0.0), (0.0, 0.0, 0.0)
+
+
+EFFECT = Effect(
+    name="velocity_moment",
+    stage="body",
+    law=law,
+    parameters=(
+        Parameter("moment", "rad/s^2 per m/s", default=10.0, low=-80.0, high=80.0, step=1.0),
+    ),
+    adds="roll +c v, pitch -c u, (u, v) the body velocity forward and left",
+    signature="the craft rears up against its motion: torque in proportion to speed",
+    excited_by=TRANSLATE,
+    channels=TILT_RATES,
+    regimes=TRANSLATION,
+    needs=("accelerometer", "attitude"),
+    unmeasured=("velocity",),
+    confused_with=(
+        Confusion("rate_damping", f"{HOVER_DOUBLETS}; {TRANSLATE}"),
+        Confusion("centre_of_gravity_offset", "flight to and fro: an offset keeps its sign"),
+    ),
+)

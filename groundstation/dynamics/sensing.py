@@ -1,0 +1,141 @@
+"""What gyro and accelerometer show of a craft, with the sensors' effects and their states."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from groundstation.dynamics.chains import chain, own_chain, state_access
+from groundstation.dynamics.compiled import called, inner, kernel, spliced
+from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES
+from groundstation.dynamics.integrator import runge_kutta
+from groundstation.dynamics.law import FAR_M, Body, Reading
+from groundstation.dynamics.rigid_body import SENSOR, physics
+
+sensor_chain, own_sensor = chain("sensor"), own_chain("sensor")
+read_states, write_states = state_access("sensor")
+OWN_SENSOR = LISTED_STATES["sensor"]
+STEP = 0.25
+"""Longest step of the integrator over the fastest time constant of the sensors."""
+SETTLE_S, SETTLE_STEP_S = 2.0, 0.002
+
+
+@spliced
+def sense(p: Any, body: Any, z: Any, dz: Any) -> Any:
+    """The ``Reading`` of a body, sensors' states z (``SENSOR_STATES``,); fills their slopes."""
+    reading = Reading(body.rate, body.force, body.rotor)
+    if p.acts_sensor != 0:
+        before = read_states(z, 0)
+        reading, slopes = sensor_chain(p.effects[SENSOR], p.craft, body, reading, before)
+        write_states(dz, 0, slopes)
+        if p.own[SENSOR] != 0:
+            reading = own_sensor(
+                p.own[SENSOR], p.own_values, p.craft, body, reading, z, dz, OWN_SENSOR
+            )
+    return reading
+
+
+@inner
+def between(one: Any, other: Any, span: float, share: float) -> Any:
+    """A body within a row: rates by Hermite's cubic, specific force linear, the rest from the end.
+
+    span: s between the two; share: 0..1.
+    """
+    s, r = share, 1.0 - share
+    rate0, rate1, slope0, slope1 = one.rate, other.rate, one.angular, other.angular
+    a, b = (1.0 + 2.0 * s) * r * r, s * s * (3.0 - 2.0 * s)
+    c, d = span * s * r * r, -span * s * s * r
+    e, f, g = 6.0 * s * r / span, (1.0 - 3.0 * s) * r, s * (3.0 * s - 2.0)
+    rate = (
+        a * rate0[0] + b * rate1[0] + c * slope0[0] + d * slope1[0],
+        a * rate0[1] + b * rate1[1] + c * slope0[1] + d * slope1[1],
+        a * rate0[2] + b * rate1[2] + c * slope0[2] + d * slope1[2],
+    )
+    angular = (
+        e * (rate1[0] - rate0[0]) + f * slope0[0] + g * slope1[0],
+        e * (rate1[1] - rate0[1]) + f * slope0[1] + g * slope1[1],
+        e * (rate1[2] - rate0[2]) + f * slope0[2] + g * slope1[2],
+    )
+    force = (
+        r * one.force[0] + s * other.force[0],
+        r * one.force[1] + s * other.force[1],
+        r * one.force[2] + s * other.force[2],
+    )
+    return Body(
+        other.height,
+        other.quaternion,
+        other.velocity,
+        rate,
+        other.rotor,
+        other.rotor_slope,
+        other.thrust,
+        angular,
+        force,
+    )
+
+
+@spliced
+def _slope(context: Any, half: int, z: Any, dz: Any) -> None:
+    p, one, other, span, first, step = context
+    sense(p, between(one, other, span, first + 0.5 * half * step), z, dz)
+
+
+_step = runge_kutta(_slope)
+
+
+@called
+def follow(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
+    """The sensors' states room[0] from a body to the next, ``span`` s later; room: (4, states)."""
+    p = physics(craft)
+    z, dz, base, total = room[0], room[1], room[2], room[3]
+    parts = max(1, math.ceil(span * craft.fastest / STEP))
+    for part in range(parts):
+        context = (p, one, other, span, part / parts, 1.0 / parts)
+        _step(context, span / parts, SENSOR_STATES, z, dz, base, total)
+
+
+@spliced
+def begin(craft: Any, body: Any, z: Any) -> None:
+    """Sensors' states of a craft that has moved as it does for long."""
+    for i in range(SENSOR_STATES):
+        z[i] = craft.sensor_initial[i]
+        follows = craft.follows[i]
+        if follows >= 3:
+            z[i] = body.force[follows - 3]
+        elif follows >= 0:
+            z[i] = body.rate[follows]
+
+
+@kernel
+def gyro_step(craft: Any, period: float, out: Any) -> None:
+    """Fills what the roll gyro shows (k,) after a step of the rate by 1 rad/s."""
+    p = physics(craft)
+    zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+    begun = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, zero, still, still, 0.0, zero, zero)
+    body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, (1.0, 0.0, 0.0), still, still, 0.0, zero, zero)
+    room = np.zeros((4, SENSOR_STATES))
+    begin(craft, begun, room[0])
+    bias = sense(p, begun, room[0], room[1]).gyro[0]
+    for k in range(len(out)):
+        follow(craft, body, body, period, room)
+        out[k] = sense(p, body, room[0], room[1]).gyro[0] - bias
+
+
+@kernel
+def settled_reading(craft: Any, rate: Any, force: Any, out: Any) -> None:
+    """What gyro and accelerometer (6,) show of constant rates (3,) and specific force (3,) of a
+    craft whose angular acceleration is zero, once their filters have settled."""
+    p = physics(craft)
+    zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+    turn, felt = (rate[0], rate[1], rate[2]), (force[0], force[1], force[2])
+    body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, turn, still, still, 0.0, zero, felt)
+    room = np.zeros((4, SENSOR_STATES))
+    begin(craft, body, room[0])
+    if craft.sensor_states > 0:
+        for _ in range(int(SETTLE_S / SETTLE_STEP_S)):
+            follow(craft, body, body, SETTLE_STEP_S, room)
+    reading = sense(p, body, room[0], room[1])
+    for i in range(3):
+        out[i], out[3 + i] = reading.gyro[i], reading.accelerometer[i]

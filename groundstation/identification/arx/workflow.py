@@ -1,0 +1,229 @@
+"""From flights to ARX polynomials, with the thesis's tables and tests (7.3.7)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.model import ArxAxis, Model, rotor_motors
+from groundstation.dynamics.vehicle import Vehicle
+from groundstation.errors import BadInputError
+from groundstation.identification.arx.data import ArxData, arx_data, input_shows, require_usable
+from groundstation.identification.arx.fit import (
+    ArxSearch,
+    Criterion,
+    arx_estimates,
+    free_run_rms,
+    prediction_rms,
+    predictions,
+    residuals,
+    search_arx,
+    step_response,
+)
+from groundstation.identification.estimate import Estimates
+from groundstation.identification.fit_record import (
+    Evidence,
+    Identified,
+    Progress,
+    ResidualTest,
+    Step,
+    Trace,
+    liveliest,
+    residual_test,
+    silent,
+)
+from groundstation.identification.runs import Run, hold_out
+from groundstation.identification.segments import EVERYTHING, Selection
+from groundstation.identification.stretches import stretches_of
+from groundstation.identification.torque import AXES
+
+Array = NDArray[np.float64]
+
+TABLE_ROWS = 20
+STEPS_DRAWN = 4
+AHEAD_S = (0.02, 0.05)
+DRAWN_S = 3.0
+LEAST_F = 3.0
+LONGEST_ROWS = 12
+"""Rows that the largest structure looks back."""
+UNITS = {"attitude": ("rad", "angle"), "gyro": ("rad/s", "rate")}
+
+
+def identify_arx(
+    runs: Sequence[Run],
+    held: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    criterion: Criterion = Criterion.FREE_RUN,
+    channel: str = "attitude",
+    decimate: int = 1,
+    selection: Selection = EVERYTHING,
+    progress: Progress = silent,
+) -> Identified:
+    """One ARX polynomial per axis, angle (or rate) from u', with the table of the best.
+
+    held: what no fit sees (none: the last third). channel: ``attitude`` or ``gyro``. decimate:
+    rows of the recording per row of the model.
+    """
+    fit_on, validate_on = _flown(runs, before, selection), []
+    if held:
+        validate_on = _flown(held, before, selection)
+    else:
+        fit_on, validate_on = hold_out(fit_on)
+    data = {
+        axis: tuple(
+            [
+                arx_data(
+                    run,
+                    axis,
+                    rotor_motors(before),
+                    vehicle.configuration,
+                    channel=channel,
+                    decimate=decimate,
+                )
+                for run in part
+            ]
+            for part in (fit_on, validate_on)
+        )
+        for axis in AXES
+    }
+    found: dict[str, ArxAxis] = {}
+    report: dict[str, Any] = {}
+    warnings: list[str] = []
+    estimates: dict[str, Estimates] = {}
+    traces: list[Trace] = []
+    tests: list[ResidualTest] = []
+    steps: list[Step] = []
+    for axis in AXES:
+        for part in (*data[axis][0], *data[axis][1]):
+            require_usable(part, data[axis][0][0].period_s, LONGEST_ROWS)
+    for number, (axis, (one, other)) in enumerate(data.items()):
+        progress(number / 3, f"searching models of {axis}")
+        shown = _require_shown(axis, one)
+        search = search_arx(one, other, criterion=criterion)
+        chosen = search.chosen.axis
+        found[axis] = chosen
+        estimates[f"{axis} {search.chosen.label}"] = arx_estimates(chosen, one)
+        test = residual_test(
+            f"{axis} {UNITS[channel][1]}",
+            residuals(chosen, other[0]),
+            f"{axis} u'",
+            other[0].inputs[-len(residuals(chosen, other[0])) :],
+            sum(len(part.outputs) for part in one),
+        )
+        tests.append(test)
+        traces.append(_trace(axis, channel, chosen, other[0]))
+        steps += _steps(axis, search)
+        if not search.chosen.plausible:
+            warnings.append(f"{axis}: the step response of the chosen model is not plausible")
+        if not test.cross.passes:
+            warnings.append(f"{axis}: the residuals of the chosen model follow its input")
+        report[axis] = {
+            "chosen": search.chosen.label,
+            "input_shows_f": shown,
+            "estimates": estimates[f"{axis} {search.chosen.label}"].as_dict(),
+            **_ahead("identification", chosen, one, UNITS[channel][0]),
+            **_ahead("validation", chosen, other, UNITS[channel][0]),
+            **test.as_dict(),
+            "table": _table(search, one, other, UNITS[channel][0]),
+        }
+    account = {
+        "what": "arx",
+        "method": f"least squares, chosen by {criterion.value.replace('_', ' ')}",
+        "channel": channel,
+        "decimate": decimate,
+        "samples": sum(len(run) for run in fit_on),
+        "selection": str(selection),
+        "axes": report,
+        "other_axis": {
+            "roll_model_on_pitch": free_run_rms(found["roll"], data["pitch"][1]),
+            "pitch_model_on_roll": free_run_rms(found["pitch"], data["roll"][1]),
+        },
+        "warnings": warnings,
+    }
+    model = msgspec.structs.replace(before, arx=found)
+    return Identified(model, account, Evidence(estimates, traces, tests, steps))
+
+
+def _flown(runs: Sequence[Run], before: Model, selection: Selection) -> list[Run]:
+    return [one.run[one.rows] for one in stretches_of(runs, rotor_motors(before), False, selection)]
+
+
+def _require_shown(axis: str, data: Sequence[ArxData]) -> float:
+    shown = input_shows(data)
+    if shown < LEAST_F:
+        names = ", ".join(sorted({one.name for one in data}))
+        raise BadInputError(
+            f"{names}: torque does not show in {axis} (F = {shown:.1f}, at least {LEAST_F:.0f} is"
+            " needed); excite that axis"
+        )
+    return shown
+
+
+def _ahead(part: str, axis: ArxAxis, data: Sequence[ArxData], unit: str) -> dict[str, float]:
+    unit = unit.replace("/", "_")
+    return {
+        f"rms_{1e3 * horizon:.0f}ms_{part}_{unit}": prediction_rms(
+            axis, data, max(1, round(horizon / axis.ts))
+        )
+        for horizon in AHEAD_S
+    }
+
+
+def _table(
+    search: ArxSearch, one: Sequence[ArxData], other: Sequence[ArxData], unit: str
+) -> list[dict[str, Any]]:
+    """The best structures by free run, as the thesis's tables 7.3 and 7.5."""
+    name = unit.replace("/", "_")
+    return [
+        {
+            "model": candidate.label,
+            f"rms_identification_{name}": candidate.rms_fit,
+            f"rms_validation_{name}": candidate.rms_validation,
+            f"rms_1row_identification_{name}": candidate.rms_step,
+            **_ahead("identification", candidate.axis, one, unit),
+            **_ahead("validation", candidate.axis, other, unit),
+            "plausible_step": candidate.plausible,
+        }
+        for candidate in search.candidates[:TABLE_ROWS]
+    ]
+
+
+def _trace(axis: str, channel: str, chosen: ArxAxis, data: ArxData) -> Trace:
+    ahead = max(1, round(AHEAD_S[1] / chosen.ts))
+    modelled, first = predictions(chosen, data, ahead)
+    measured = data.outputs[first:]
+    rows = liveliest(measured, data.period_s, DRAWN_S)
+    scale = 180.0 / np.pi
+    unit, name = ("deg", "angle") if channel == "attitude" else ("deg/s", "rate")
+    return Trace(
+        f"{axis} {name}",
+        unit,
+        np.asarray(data.period_s * (first + np.arange(len(measured)))[rows], np.float64),
+        scale * measured[rows],
+        scale * modelled[first:][rows],
+        f"predicted {1e3 * AHEAD_S[1]:.0f} ms ahead by {_label(chosen)}",
+    )
+
+
+def _steps(axis: str, search: ArxSearch) -> list[Step]:
+    """Step responses of the chosen structure and of the best ones by validation."""
+    best = [one for one in search.candidates[:STEPS_DRAWN] if one is not search.chosen]
+    return [
+        Step(
+            axis,
+            one.label,
+            *step_response(one.axis),
+            plausible=one.plausible,
+            chosen=one is search.chosen,
+        )
+        for one in (search.chosen, *best)
+    ]
+
+
+def _label(axis: ArxAxis) -> str:
+    return f"ARX({axis.na},{axis.nb},{axis.nk})"

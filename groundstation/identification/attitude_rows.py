@@ -1,0 +1,150 @@
+"""The attitude of a flight on the rows on which it was new, and what the gyro says beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.runs import Run
+from groundstation.prediction.attitude_rhythm import changed_rows, rhythm_of
+
+Array = NDArray[np.float64]
+
+FIRMWARE_GAIN = 0.4
+"""1/s: half of the firmware's twoKp, which acts on a vector product with half of gravity."""
+ACCELEROMETER_SHARE, FIRMWARE_PERIOD_S = 0.125, 0.002
+"""The fusion's own filter of the accelerometer: 32/256 each 2 ms."""
+LEAST_ROWS = 100
+
+
+class Gaps:
+    """Rows that were not received, treated alike in data and model.
+
+    Data between known rows lie on a straight line; ``spread`` and ``bridge`` do to a model's
+    differences and values what that line does to the data's.
+    """
+
+    def __init__(self, lost: NDArray[np.bool_]) -> None:
+        self.lost = lost if lost.any() else None
+        if self.lost is not None:
+            # A row starts a group unless the row before it was lost.
+            self.starts = np.flatnonzero(~np.concatenate([[False], lost[:-1]]))
+            self.counts = np.diff(np.concatenate([self.starts, [len(lost)]]))
+
+    def spread(self, differences: Array) -> Array:
+        """Differences over a gap, all replaced by their mean."""
+        if self.lost is None:
+            return differences
+        sums = np.add.reduceat(differences, self.starts, axis=0)
+        return np.repeat(sums / self.counts[:, None], self.counts, axis=0)
+
+    def bridge(self, values: Array) -> Array:
+        """Values within a gap, replaced by those on the line between its neighbours."""
+        if self.lost is None:
+            return values
+        index = np.arange(len(values), dtype=np.float64)
+        known = ~self.lost
+        out = values.copy()
+        for column in out.T:
+            column[self.lost] = np.interp(index[self.lost], index[known], column[known])
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeRows:
+    """Everything (m, 3) unless said otherwise, one row per new attitude after the first.
+
+    stride: rows of the run between two of them; first: the run's row of the first. to_euler:
+    (m, 3, 3) from body to Euler rates (thesis eq. 3.11). rate: measured Euler rates. gyro: mean
+    of the gyro over the stride. timing: its last row less that mean. slope: its mean slope,
+    rad/s^2. lean: the rate by which a Mahony filter would turn the estimate, over its
+    gain.
+    """
+
+    stride: int
+    first: int
+    gaps: Gaps
+    to_euler: Array
+    rate: Array
+    gyro: Array
+    timing: Array
+    slope: Array
+    lean: Array
+
+
+def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> AttitudeRows | None:
+    """The rows between ``first`` and ``last`` of a run without gaps; None where there are few.
+
+    known: (n,) rows that were received.
+    """
+    rows = _fresh(run, known, first, last)
+    if len(rows) < LEAST_ROWS:
+        return None
+    stride = int(rows[1] - rows[0])
+    index = np.arange(len(rows), dtype=np.float64)
+    there = known[rows]
+    angles = np.column_stack(
+        [np.interp(index, index[there], run.attitude[rows[there], i]) for i in range(3)]
+    )
+    ends = rows[1:]
+    seconds = stride * run.period_s
+    mean = np.zeros((len(ends), 3))
+    for back in range(stride + 1):
+        mean += (0.5 if back in (0, stride) else 1.0) / stride * run.gyro[ends - back]
+    now = run.gyro[ends]
+    return AttitudeRows(
+        stride,
+        int(ends[0]),
+        Gaps(~there[1:]),
+        _to_euler(0.5 * (angles[1:] + angles[:-1])),
+        np.diff(angles, axis=0) / seconds,
+        mean,
+        now - mean,
+        (now - run.gyro[ends - stride]) / seconds,
+        _lean(run, angles[:-1], ends),
+    )
+
+
+def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray[np.int64]:
+    """Rows with a new attitude: an even comb, its stride and phase as most changes have them."""
+    received = known[first:last]
+    changed = changed_rows(run.attitude[first:last])
+    changed[1:] &= received[1:] & received[:-1]
+    if np.count_nonzero(changed) < LEAST_ROWS:
+        return np.empty(0, np.int64)
+    return first + rhythm_of(changed).rows(last - first)
+
+
+def _lean(run: Run, before: Array, ends: NDArray[np.int64]) -> Array:
+    """Smoothed specific force x estimated up, both of unit length."""
+    if not np.isfinite(run.accelerometer).all():
+        return np.zeros((len(ends), 3))
+    from groundstation.identification.likelihood.kernels import first_order
+
+    smooth = np.empty_like(run.accelerometer)
+    keep = (1.0 - ACCELEROMETER_SHARE) ** (run.period_s / FIRMWARE_PERIOD_S)
+    first_order(np.ascontiguousarray(run.accelerometer), keep, smooth)
+    felt = smooth[ends]
+    length = np.linalg.norm(felt, axis=1, keepdims=True)
+    up = np.column_stack(
+        [
+            -np.sin(before[:, 1]),
+            np.cos(before[:, 1]) * np.sin(before[:, 0]),
+            np.cos(before[:, 1]) * np.cos(before[:, 0]),
+        ]
+    )
+    return np.asarray(np.cross(felt / np.maximum(length, 1e-9), up))
+
+
+def _to_euler(attitude: Array) -> Array:
+    roll, pitch = attitude[:, 0], attitude[:, 1]
+    cr, sr, cp = np.cos(roll), np.sin(roll), np.cos(pitch)
+    tp = np.tan(pitch)
+    out = np.zeros((len(attitude), 3, 3))
+    out[:, 0, 0] = 1.0
+    out[:, 0, 1], out[:, 0, 2] = sr * tp, cr * tp
+    out[:, 1, 1], out[:, 1, 2] = cr, -sr
+    out[:, 2, 1], out[:, 2, 2] = sr / cp, cr / cp
+    return out

@@ -1,0 +1,334 @@
+"""Grey-box identification of the body from closed-loop flights (thesis 7.3.6).
+
+A quadrotor flies in closed loop and its rates are the integral of torque: to simulate it freely
+over a flight would compare a diverging integral with a stabilised one. Here each rate is predicted
+one row ahead, on the likelihood of the search (``likelihood/``), with a noise spectrum of each
+flight's own that is free at every frequency. Several starts; nuisances and effects fitted along.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.model import BodyConstants
+from groundstation.dynamics.unknowns import to_stderr, to_values
+from groundstation.dynamics.vehicle import Vehicle
+from groundstation.errors import BadInputError
+from groundstation.identification.body.certainty import certain
+from groundstation.identification.body.judgement import (
+    cross_talk,
+    hints,
+    require_told,
+    require_usable,
+    untold,
+    warnings_of,
+)
+from groundstation.identification.body.setup import (
+    CONSTANTS,
+    DELAY,
+    PACE,
+    SPIN_UP,
+    SUPPLY_EFFECTS,
+    Setup,
+    reported_name,
+    require_known,
+    set_up,
+)
+from groundstation.identification.estimate import Estimates, inverse, sandwich
+from groundstation.identification.likelihood.free_spectra import (
+    FreeFit,
+    Limits,
+    cost_of,
+    fit_free,
+    reweighted,
+    smoothed,
+)
+from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
+from groundstation.identification.likelihood.problem import Linear
+from groundstation.identification.likelihood.residuals import BASE_STEPS
+from groundstation.identification.likelihood.rotors import spin_rotors
+from groundstation.identification.stretches import Stretch, paced
+
+Array = NDArray[np.float64]
+
+TRIAL_STEP_S, TRIED_S, TRIED_LAG_S = 2e-3, 0.016, 3e-3
+"""Delays some ms apart can predict almost equally well: each is tried, the best are followed."""
+FOLLOWED = 2
+BLOCK_S = 0.5
+PACE_ERRORS = 3.0
+"""Standard errors from which a motor is said to answer faster or slower than its constants."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyFit:
+    """Outcome of ``fit_body``.
+
+    estimates: c0, c1, c2, thrust_per_mass and one ``effect.parameter`` for each effect.
+    nuisances: what was fitted along and is not in the model, by key, with standard errors.
+    setup, free: predict with the fit. innovation: (3,) RMS of the gyro's one-step prediction error
+    in rad/s. motor_share: (p,) of each estimate's variance that comes from the motor's. pace: by
+    which a0, a1, a2 were multiplied, and its relative standard error.
+    """
+
+    body: BodyConstants
+    estimates: Estimates
+    effects: tuple[str, ...]
+    nuisances: Mapping[str, tuple[float, float]]
+    setup: Setup
+    free: FreeFit
+    innovation: Array
+    motor_share: Array
+    warnings: tuple[str, ...]
+    not_identified: Mapping[str, str]
+    pace: tuple[float, float] = (1.0, 0.0)
+
+    @property
+    def point(self) -> Point:
+        return self.free.point
+
+    @property
+    def delay_s(self) -> float:
+        """The delay behind the rotors, however it was fitted; otherwise 0."""
+        return value(self.point, DELAY)
+
+
+def fit_body(
+    stretches: Sequence[Stretch],
+    vehicle: Vehicle,
+    effects: Sequence[str] = (),
+    tie_roll_pitch: bool = False,
+    motor_covariance: Array | None = None,
+    motor_known: bool = True,
+) -> BodyFit:
+    """Estimate c0, c1, c2 and thrust_per_mass from all stretches together.
+
+    effects: names in ``FIT_WITH`` that are known to be there. tie_roll_pitch: c1 = c0, as in the
+    thesis. vehicle: configuration, mass, arm, and the ratio of the inertias. motor_covariance:
+    (3, 3) of a0, a1, a2; what the motor's uncertainty does to each estimate is added to theirs.
+    motor_known: otherwise how fast the motors answer is fitted as well, their steady speeds are
+    believed.
+
+    Raises BadInputError for stretches without torque or motion. What the data hardly tell is
+    named in ``warnings``.
+    """
+    require_known(effects)
+    if not stretches:
+        raise BadInputError("body fit: nothing to fit on; give a longer recording")
+    require_usable(stretches, vehicle)
+    acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
+    pace, doubt = 0.0, 0.0
+    if not motor_known and stretches[0].motor is not None:
+        pace, doubt = motor_pace(stretches, vehicle)
+        pace = pace if abs(pace) > PACE_ERRORS * doubt else 0.0
+        stretches = [paced(one, math.exp(pace)) for one in stretches]
+    rotors = range(4 if "rotor_mismatch" in effects else 1)
+    plain = set_up(stretches, vehicle, vehicle.thrust_per_mass, ())
+    thrust, _ = fit_thrust(plain, plain.start)
+    found = []
+    for rotor in rotors:
+        setup = set_up(stretches, vehicle, thrust, acting, tie_roll_pitch, rotor)
+        found.append((setup, likeliest(setup)))
+    setup, free = min(found, key=lambda one: one[1].cost)
+    if vehicle.gyro_filter_hz > 0.0:
+        # Whether a log holds filtered rates depends on the firmware: its likelihood says.
+        raw = setup.unfiltered()
+        other = fit_free(raw.linearise, free.point, raw.limits(), white=False)
+        if other.cost < free.cost:
+            setup, free = raw, likeliest(raw)
+    require_told(setup, free)
+    if doubt:
+        motor = np.array([free.point[key] for key in MOTOR_KEYS])
+        motor_covariance = doubt**2 * np.outer(motor, motor)
+    return replace(_outcome(setup, free, acting, motor_covariance), pace=(math.exp(pace), doubt))
+
+
+def motor_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
+    """How much faster the motors reach their speeds than their constants say (logarithm), and its
+    standard error, from roll and pitch: yaw answers to the change of speed itself."""
+    setup = set_up(stretches, vehicle, vehicle.thrust_per_mass, (), pace=True)
+    free = likeliest(setup)
+    place = setup.keys.index(PACE)
+    return free.point[PACE], float(np.sqrt(inverse(free.normal)[place, place]))
+
+
+def likeliest(setup: Setup) -> FreeFit:
+    """The best of several starts: delays, from white noise and from the vehicle's geometry."""
+    limits = setup.limits()
+    starts = [setup.start]
+    plain = limits.held(setup.keys, (SENSOR_LAG,))
+    if DELAY in setup.keys:
+        step = max(TRIAL_STEP_S, setup.problem.flights[0].period_s)
+        least = limits.low[setup.keys.index(DELAY)]
+        delays = np.arange(max(least, -step), TRIED_S, step).tolist()
+        linear = setup.linearise(setup.start)
+        trials = sorted((_trial(setup, linear, delay, plain), delay) for delay in delays)
+        starts = [{**setup.start, DELAY: delay} for _, delay in trials[:FOLLOWED]]
+    fits = [fit_free(setup.linearise, point, plain, white=False) for point in starts]
+    fits.append(fit_free(setup.linearise, starts[0], plain))
+    best = min(fits, key=lambda one: one.cost)
+    if SENSOR_LAG in setup.keys:
+        later = best.point[DELAY] + TRIED_LAG_S if DELAY in setup.keys else 0.0
+        point = {**best.point, SENSOR_LAG: TRIED_LAG_S, **({DELAY: later} if later else {})}
+        lagging = fit_free(setup.linearise, point, limits, white=False)
+        best = min(best, lagging, key=lambda one: one.cost)
+    if not setup.tied:
+        return best
+    return replace(best, point={**best.point, "c1": best.point["c0"]})
+
+
+def _trial(setup: Setup, linear: Linear, delay: float, limits: Limits) -> float:
+    """-2 log L with the rotors' torques of the start point late by ``delay``, all else at its
+    best; the shift is one of phase."""
+    now = np.array([value(setup.start, key) for key in setup.keys])
+    moved = np.array([key in (*CONSTANTS, SPIN_UP) for key in setup.keys])
+    spectra = []
+    for s in linear.spectra:
+        late = moved[s.place]
+        columns = s.columns.copy()
+        turn = np.exp(-2j * np.pi * np.split(s.hz, 2)[0] * delay)
+        real, imaginary = np.split(columns[late], 2, axis=1)
+        shifted = (real + 1j * imaginary) * turn
+        columns[late] = np.concatenate([shifted.real, shifted.imag], axis=1)
+        residual = s.residual + now[s.place] @ s.columns - now[s.place] @ columns
+        spectra.append(replace(s, residual=residual, columns=columns))
+    held = limits.held(setup.keys, (DELAY, PACE), now)
+    first = smoothed(spectra, [s.residual for s in spectra])
+    change, _, powers = reweighted(
+        replace(linear, spectra=spectra), first, held.low - now, held.high - now
+    )
+    left = [s.residual - change[s.place] @ s.columns for s in spectra]
+    return cost_of(spectra, powers, left)
+
+
+def fit_thrust(setup: Setup, point: Point) -> tuple[float, float]:
+    """thrust_per_mass and its standard error.
+
+    Plain least squares through the origin, so that the mean counts, which is known best; its
+    error allows for slow disturbances (climbs, drag), which a noise model would take for signal.
+
+    Raises BadInputError where no stretch has an accelerometer.
+    """
+    measured, squares = vertical(setup, point)
+    if not len(measured):
+        names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
+        raise BadInputError(f"{names}: no accelerometer, so thrust_per_mass cannot be fitted")
+    normal = float(squares @ squares)
+    found = float(measured @ squares) / normal
+    score = squares * (measured - found * squares)
+    block = max(round(BLOCK_S / setup.problem.flights[0].period_s), 1)
+    sums = np.add.reduceat(score, np.arange(0, len(score), block))
+    covariance = sandwich(np.array([[normal]]), sums[:, None])
+    return found, float(np.sqrt(covariance[0, 0]))
+
+
+def vertical(setup: Setup, point: Point) -> tuple[Array, Array]:
+    """Measured specific force along z (m/s^2) and the sum of squared rotor speeds behind it."""
+    measured, modelled = [], []
+    strength = np.array([1.0 + value(point, f"rotor_mismatch.{i}") for i in (1, 2, 3, 4)])
+    for flight in setup.problem.flights:
+        if flight.has_accelerometer:
+            late = np.arange(flight.first, flight.last) - value(point, DELAY) / flight.period_s
+            total = spin_rotors(flight, point, setup.problem.frame).end ** 2 @ strength
+            measured.append(flight.run.accelerometer[flight.rows, 2])
+            modelled.append(np.interp(late, np.arange(len(total)), total))
+    if not measured:
+        return np.empty(0), np.empty(0)
+    return np.concatenate(measured), np.concatenate(modelled)
+
+
+def _outcome(
+    setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
+) -> BodyFit:
+    keys, point = setup.keys, free.point
+    size = len(keys)
+    thrust, thrust_error = fit_thrust(setup, point)
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size], moves = certain(setup, free)
+    covariance[size, size] = thrust_error**2
+    own = np.diag(covariance).copy()
+    if motor_covariance is not None and not setup.problem.flights[0].rotor_measured:
+        slopes = _by_motor(setup, free)
+        covariance += slopes @ motor_covariance @ slopes.T
+    nuisances = {
+        key: (value(point, key), float(np.sqrt(covariance[keys.index(key), keys.index(key)])))
+        for key in setup.nuisances
+    }
+    reported = [i for i, key in enumerate(keys) if key not in setup.nuisances] + [size]
+    names, found, scale = _reported(setup, {**point, "thrust_per_mass": thrust})
+    covariance = covariance[np.ix_(reported, reported)] * np.outer(scale, scale)
+    rows = sum(f.last - f.first for f in setup.problem.flights)
+    estimates = Estimates(names, found, covariance, rows - size)
+    share = 1.0 - own[reported] * scale**2 / np.maximum(np.diag(covariance), 1e-300)
+    free = replace(free, point={**point, "thrust_per_mass": thrust})
+    c2, reasons = point["c2"], untold(estimates, moves, setup.problem.flights)
+    if "c2" in reasons:
+        c2 = setup.problem.frame.vehicle.body_constants[2]
+    return BodyFit(
+        BodyConstants(point["c0"], point["c1"], c2, thrust),
+        estimates,
+        effects,
+        nuisances,
+        setup,
+        free,
+        _innovation(free),
+        share,
+        (
+            *(
+                f"{key} is not identified, because {reason}; the model has the profile's"
+                for key, reason in reasons.items()
+            ),
+            *warnings_of(estimates, moves),
+            *cross_talk(setup, free),
+            *hints(setup, free, nuisances),
+        ),
+        reasons,
+    )
+
+
+def _by_motor(setup: Setup, free: FreeFit) -> Array:
+    """How the estimates (p + 1) move with the motor's a0, a1, a2: (p + 1, 3)."""
+    linear = setup.linearise(free.point, MOTOR_KEYS)
+    count, size = len(linear.keys), len(setup.keys)
+    normal = np.zeros((count, count))
+    for s, power in zip(linear.spectra, free.powers, strict=True):
+        scaled = s.columns * (s.weight / np.tile(power, 2))
+        normal[np.ix_(s.place, s.place)] += scaled @ s.columns.T
+    slopes = -inverse(normal[:size, :size]) @ normal[:size, size:]
+    thrust = []
+    for key in MOTOR_KEYS:
+        step = BASE_STEPS[key] * free.point[key]
+        moved = {**free.point, key: free.point[key] + step}
+        change = fit_thrust(setup, moved)[0] - fit_thrust(setup, free.point)[0]
+        thrust.append(change / step if step else 0.0)
+    return np.vstack([slopes, thrust])
+
+
+def _reported(setup: Setup, point: Point) -> tuple[tuple[str, ...], Array, Array]:
+    """Names and values as models hold them, and the derivative of each by the fit's own."""
+    names = [key for key in setup.keys if key in CONSTANTS]
+    found, scale = [point[key] for key in names], [1.0 for _ in names]
+    for keys in setup.variants:
+        values = to_values(keys, point)
+        slopes = to_stderr(keys, point, {one.key: 1.0 for one in keys})
+        for one in keys:
+            names.append(reported_name(one))
+            found.append(values[one.parameter.name])
+            falls = one.parameter.unknown is not None
+            scale.append(-slopes[one.parameter.name] if falls else slopes[one.parameter.name])
+    thrust = "thrust_per_mass"
+    return (*names, thrust), np.array([*found, point[thrust]]), np.array([*scale, 1.0])
+
+
+def _innovation(free: FreeFit) -> Array:
+    """RMS (3,) of one-step errors in rad/s, by Kolmogorov's formula from the spectra."""
+    logs, weights = np.zeros(3), np.zeros(3)
+    for s, power in zip(free.linear.spectra, free.powers, strict=True):
+        weight = s.weight[: len(power)]
+        logs[s.channel] += float(weight @ np.log(power * s.period_s**2))
+        weights[s.channel] += float(weight.sum())
+    return np.exp(0.5 * logs / np.maximum(weights, 1e-300))

@@ -1,0 +1,120 @@
+"""How well a body model predicts flights it has not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.vehicle import Vehicle
+from groundstation.identification.body.fit import BodyFit, vertical
+from groundstation.identification.body.setup import Setup, on_other
+from groundstation.identification.estimate import fit_percent, rms
+from groundstation.identification.likelihood.free_spectra import minimum_phase_whitener
+from groundstation.identification.likelihood.parameters import Point
+from groundstation.identification.stretches import Stretch
+from groundstation.identification.torque import AXES
+
+Array = NDArray[np.float64]
+
+HORIZONS_S = (0.02, 0.05)
+REMEMBERED_S = 0.05
+"""Trim and air are those of the seconds before, as many as are looked ahead at most."""
+SHAKEN_S = 0.05
+"""The rotors shake the accelerometer by many times what the craft does: means are compared."""
+
+
+def validate_body(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
+    """Held-out figures: per axis the RMS errors at one row, 20 and 50 ms (rad/s) and the fit %
+    at 20 and 50 ms, and both for the vertical specific force (m/s^2, means over 50 ms). The
+    nuisances count as part of the fit."""
+    figures: dict[str, float] = {}
+    setup = on_other(fit.setup, stretches)
+    for horizon in (0.0, *HORIZONS_S):
+        label = f"{horizon * 1e3:.0f}ms" if horizon else "1row"
+        pairs = predicted_rates(setup, fit.point, horizon)
+        measured = np.vstack([one for one, _ in pairs])
+        modelled = np.vstack([other for _, other in pairs])
+        for axis, name in enumerate(AXES):
+            figures[f"gyro_{name}_rms_{label}"] = rms(measured[:, axis] - modelled[:, axis])
+            if horizon:
+                figures[f"gyro_{name}_fit_percent_{label}"] = fit_percent(
+                    measured[:, axis], modelled[:, axis]
+                )
+    measured, squares = vertical(setup, fit.point)
+    rows = max(1, round(SHAKEN_S / stretches[0].run.period_s))
+    if len(measured) >= 2 * rows:
+        measured, squares = (_means(one, rows) for one in (measured, squares))
+        modelled = fit.body.thrust_per_mass * squares
+        figures["accelerometer_z_rms"] = rms(measured - modelled)
+        figures["accelerometer_z_fit_percent"] = fit_percent(measured, modelled)
+    return figures
+
+
+def predicted_rates(
+    setup: Setup, point: Point, horizon_s: float = 0.0
+) -> list[tuple[Array, Array]]:
+    """(measured, predicted) rates (k, 3) in rad/s of each flight, predicted ``horizon_s`` before.
+
+    A prediction starts at a measured rate and knows nothing of the future but the motors'
+    inputs; what has turned the craft beside the model just before is expected to go on. The
+    shortest horizon is one row, the first prediction belongs to row ``horizon``.
+    """
+    from scipy.signal import lfilter
+
+    found = []
+    for flight, left in zip(setup.problem.flights, setup.residuals(point), strict=True):
+        rows = max(1, round(horizon_s / flight.period_s))
+        measured = flight.run.gyro[flight.first - 1 : flight.last]
+        sums = np.vstack([np.zeros(3), np.cumsum(left, axis=0) * flight.period_s])
+        keep = math.exp(-flight.period_s / REMEMBERED_S)
+        past = np.vstack([np.zeros(3), lfilter([1.0 - keep], [1.0, -keep], left, axis=0)])
+        wrong = sums[rows:] - sums[:-rows] - past[:-rows] * rows * flight.period_s
+        found.append((measured[rows:], measured[rows:] - wrong))
+    return found
+
+
+def prediction_errors(
+    stretches: Sequence[Stretch], fit: BodyFit, values: Mapping[str, float], horizon_s: float = 0.0
+) -> Array:
+    """RMS errors (3,) in rad/s of ``predicted_rates`` with some values of a fit replaced."""
+    pairs = predicted_rates(on_other(fit.setup, stretches), {**fit.point, **values}, horizon_s)
+    errors = [measured - predicted for measured, predicted in pairs]
+    return np.sqrt(np.mean(np.square(np.vstack(errors)), axis=0))
+
+
+def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
+    """One-step errors (n, 3) of a fit, whitened by the mean spectrum of the flights it was made
+    on, in standard deviations; the first rows are NaN."""
+    (left,) = on_other(fit.setup, [stretch]).residuals(fit.point)
+    out = np.full(left.shape, np.nan)
+    for axis in range(3):
+        whitener = minimum_phase_whitener(fit.free, axis)
+        white = np.convolve(left[:, axis], whitener, "valid")
+        out[len(left) - len(white) :, axis] = white
+    return out
+
+
+def fit_free_run(stretches: Sequence[Stretch], vehicle: Vehicle) -> Array:
+    """c0, c1, c2 by simulating whole stretches and matching the rates: what not to do.
+
+    Kept to be shown beside ``fit_body``: every torque disturbance stays in the integral for ever,
+    and in closed loop the controller's answer to it is taken for the cause.
+    """
+    top, bottom = np.zeros(3), np.zeros(3)
+    for stretch in stretches:
+        torque = stretch.squares.mixed(vehicle.configuration)[stretch.rows]
+        simulated = np.cumsum(torque, axis=0) * stretch.run.period_s
+        rate = stretch.run.gyro[stretch.rows]
+        simulated, rate = simulated - simulated.mean(axis=0), rate - rate.mean(axis=0)
+        top += (simulated * rate).sum(axis=0)
+        bottom += (simulated**2).sum(axis=0)
+    return np.asarray(top / bottom)
+
+
+def _means(values: Array, rows: int) -> Array:
+    """Means over blocks of so many rows."""
+    whole = len(values) // rows * rows
+    return np.asarray(values[:whole].reshape(-1, rows).mean(axis=1))

@@ -1,0 +1,252 @@
+"""From flights to a model with its body and the effects fitted along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_motors, with_motor
+from groundstation.dynamics.vehicle import Vehicle
+from groundstation.errors import BadInputError
+from groundstation.identification.body.fit import BodyFit, fit_body, vertical
+from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
+from groundstation.identification.body.validation import (
+    SHAKEN_S,
+    fit_free_run,
+    predicted_rates,
+    prediction_errors,
+    prediction_residuals,
+    validate_body,
+)
+from groundstation.identification.excitation import body_excitation
+from groundstation.identification.fit_record import (
+    Evidence,
+    Identified,
+    Progress,
+    ResidualTest,
+    Trace,
+    effect_terms,
+    fitted_effects,
+    liveliest,
+    residual_test,
+    silent,
+    unit_of,
+    with_effects,
+)
+from groundstation.identification.motor.supply import SupplyEstimate, supply_terms, undo_supply
+from groundstation.identification.runs import Run
+from groundstation.identification.segments import EVERYTHING, Selection
+from groundstation.identification.stretches import Stretch, paced, quicker, split, stretches_of
+from groundstation.identification.torque import AXES, mostly_saturated
+
+Array = NDArray[np.float64]
+
+AHEAD_S, DRAWN_S = 0.02, 3.0
+OF_THE_MOTORS = (*SUPPLY_EFFECTS, "motor_dead_voltage", "motor_braking_asymmetry")
+
+
+def identify_body(
+    runs: Sequence[Run],
+    held: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    effects: Sequence[str] = (),
+    tie_roll_pitch: bool = False,
+    measured: bool = False,
+    selection: Selection = EVERYTHING,
+    progress: Progress = silent,
+) -> Identified:
+    """c0, c1, c2, thrust_per_mass and the effects fitted along, from flights.
+
+    before: the motor, with its covariance where it was identified, and effects that act already:
+    what this fit knows of them is fitted again. held: what no fit sees (none: the last third).
+    measured: recorded rotor speeds instead of the motor model.
+    """
+    pointless = [name for name in effects if name in OF_THE_MOTORS]
+    if pointless and measured:
+        raise BadInputError(
+            f"--with {', '.join(pointless)}: with measured rotor speeds it does not matter what"
+            " drives the motors"
+        )
+    known = [name for name in FIT_WITH if not (measured and name in OF_THE_MOTORS)]
+    names = fitted_effects(effects, before, known)
+    supplied = [name for name in names if name in SUPPLY_EFFECTS]
+    left_out = [] if measured else [one.name for one in runs if mostly_saturated(one)]
+    if len(left_out) < len(runs):
+        runs = [one for one in runs if one.name not in left_out]
+    progress(0.0, "simulating the motors")
+    stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
+    if held:
+        fit_on = stretches
+        validate_on, _ = _stretches(held, before, vehicle, supplied, measured, selection)
+    else:
+        fit_on, validate_on = split(stretches)
+    progress(0.2, "looking at the excitation")
+    judged = body_excitation(fit_on, vehicle, names, tie_roll_pitch)
+    progress(0.3, "fitting the body")
+    covariance = None if measured else motor_covariance(before)
+    known_motor = measured or "motor" in before.fit or before.motor != vehicle.motor
+    fit = fit_body(fit_on, vehicle, names, tie_roll_pitch, covariance, known_motor)
+    validate_on = [paced(one, fit.pace[0]) for one in validate_on]
+    progress(0.8, "judging it on held-out data")
+    naive = fit_free_run(fit_on, vehicle)
+    rows = sum(len(stretch) for stretch in fit_on)
+    traces, residuals = _pictures(validate_on, fit, rows)
+    warnings = [*judged.lines, *fit.warnings]
+    warnings += [f"{name}: left out, a motor is saturated in most rows" for name in left_out]
+    if fit.pace[0] != 1.0:
+        percent, doubt = 100.0 * (fit.pace[0] - 1.0), 100.0 * fit.pace[1]
+        warnings.append(
+            f"the motors answer {abs(percent):.0f} +- {doubt:.1f} %"
+            f" {'faster' if percent > 0 else 'slower'} than the profile's: a0, a1, a2 of the model"
+            " are changed by as much, which leaves their steady speeds"
+        )
+    if covariance is None and not measured:
+        warnings.append(
+            "the motor's constants are taken as exact: give a --model whose motor was fitted, and"
+            " its uncertainty counts as well"
+        )
+    account: dict[str, Any] = {
+        "what": "body",
+        "method": "prediction error, each flight's own noise spectrum",
+        "rotor_speed": "measured" if measured else "modelled",
+        "samples": rows,
+        "selection": str(selection),
+        "excitation": judged.as_dict(),
+        "estimates": fit.estimates.as_dict(),
+        "fitted_along": {
+            key: {"value": found, "stderr": error} for key, (found, error) in fit.nuisances.items()
+        },
+        "motor_pace": {"value": fit.pace[0], "stderr": fit.pace[1]},
+        "not_identified": fit.not_identified,
+        "variance_share_of_motor": fit.motor_share.tolist(),
+        "identification": validate_body(fit_on, fit),
+        "validation": validate_body(validate_on, fit),
+        "roll_and_pitch_swapped": _swapped(validate_on, fit),
+        "residual_tests": {one.channel: one.as_dict() for one in residuals},
+        "naive_free_run": dict(zip(("c0", "c1", "c2"), naive.tolist(), strict=True)),
+        "supply": [
+            {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
+        ],
+        "warnings": warnings,
+    }
+    terms = [*_terms(fit), *supply_terms(supplied, supplies, _profile(before, vehicle))]
+    model = with_motor(before, quicker(before.motor, fit.pace[0]))
+    model = msgspec.structs.replace(model, body=fit.body, effects=with_effects(before, terms))
+    return Identified(model, account, Evidence({"body": fit.estimates}, traces, residuals))
+
+
+def motor_covariance(model: Model) -> Array | None:
+    """Covariance (3, 3) of a0, a1, a2, where the model says how its motor was identified."""
+    estimates = model.fit.get("motor", {}).get("estimates", {})
+    if not {"a0", "a1", "a2"} <= set(estimates.get("names", ())):
+        return None
+    places = [estimates["names"].index(name) for name in ("a0", "a1", "a2")]
+    return np.asarray(estimates["covariance"], np.float64)[np.ix_(places, places)]
+
+
+def _stretches(
+    runs: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    supplied: Sequence[str],
+    measured: bool,
+    selection: Selection,
+) -> tuple[list[Stretch], list[SupplyEstimate]]:
+    supplies: list[SupplyEstimate] = []
+    if supplied:
+        runs, supplies = undo_supply(
+            runs, rotor_motors(before), _profile(before, vehicle), supplied
+        )
+    return stretches_of(runs, rotor_motors(before), measured, selection), supplies
+
+
+def _profile(before: Model, vehicle: Vehicle) -> Vehicle:
+    """The profile, with the wires' resistance of the model where it has one."""
+    for term in before.effects:
+        if term.name == "supply_sag":
+            ohm = term.parameters["resistance_ohm"].value
+            battery = msgspec.structs.replace(vehicle.battery, supply_ohm=ohm)
+            return msgspec.structs.replace(vehicle, battery=battery)
+    return vehicle
+
+
+def _terms(fit: BodyFit) -> list[EffectTerm]:
+    """Effects as models hold them; a mismatched rotor by its number."""
+    found = []
+    for term in effect_terms(fit.estimates, unit_of):
+        if term.name == "rotor_mismatch":
+            (which,) = (keys[0].choice for keys in fit.setup.variants if keys[0].choice)
+            rotor = Estimate(float(which), None, "")
+            term = EffectTerm(term.name, {"rotor": rotor, **term.parameters})
+        found.append(term)
+    return found
+
+
+def _swapped(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
+    """RMS 20 ms ahead (rad/s) of roll's constant on pitch data and the reverse (Table 7.2)."""
+    values = {"c0": fit.point["c1"], "c1": fit.point["c0"]}
+    errors = prediction_errors(stretches, fit, values, AHEAD_S)
+    return {"roll_model_on_pitch": float(errors[1]), "pitch_model_on_roll": float(errors[0])}
+
+
+def _pictures(
+    stretches: Sequence[Stretch], fit: BodyFit, fitted_rows: int
+) -> tuple[list[Trace], list[ResidualTest]]:
+    """Rates predicted 20 ms ahead where they are liveliest, vertical force, and residuals."""
+    stretch = max(stretches, key=len)
+    period = stretch.run.period_s
+    setup = on_other(fit.setup, [stretch])
+    ((measured, predicted),) = predicted_rates(setup, fit.point, AHEAD_S)
+    first = stretch.last - len(measured)
+    time = stretch.run.time_s[first : stretch.last] - stretch.run.recording_start_s
+    traces, residuals = [], []
+    for axis, name in enumerate(AXES):
+        rows = liveliest(measured[:, axis], period, DRAWN_S)
+        traces.append(
+            Trace(
+                f"{name} rate",
+                "deg/s",
+                time[rows],
+                np.degrees(measured[rows, axis]),
+                np.degrees(predicted[rows, axis]),
+                f"predicted {AHEAD_S * 1e3:.0f} ms ahead",
+            )
+        )
+    force, squares = vertical(setup, fit.point)
+    if len(force):
+        width = max(1, round(SHAKEN_S / period))
+        force, squares = (
+            np.convolve(one, np.ones(width) / width, "valid") for one in (force, squares)
+        )
+        times = stretch.run.time_s[stretch.rows][width // 2 :] - stretch.run.recording_start_s
+        rows = liveliest(squares, period, 2 * DRAWN_S)
+        traces.append(
+            Trace(
+                "vertical specific force",
+                "m/s^2",
+                times[rows],
+                force[rows],
+                fit.body.thrust_per_mass * squares[rows],
+                "from the rotors alone; both averaged over 50 ms, as the rotors shake the sensor",
+            )
+        )
+    configuration = setup.problem.frame.vehicle.configuration
+    torque = stretch.squares.mixed(configuration)[stretch.rows]
+    left = prediction_residuals(stretch, fit)
+    for axis, name in enumerate(AXES):
+        good = np.isfinite(left[:, axis])
+        residuals.append(
+            residual_test(
+                f"{name} rate",
+                left[good, axis],
+                f"{name} u'",
+                torque[good, axis],
+                fitted_rows,
+            )
+        )
+    return traces, residuals

@@ -1,0 +1,140 @@
+"""A flight made ready for the search: what is airborne, which rows are real, where it rested."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.rotations import attitude_of_matrix, rotation_matrix
+from groundstation.errors import BadInputError
+from groundstation.identification.airborne import REST_S, TOUCH_DOWN_S, flights_in
+from groundstation.identification.attitude_rows import AttitudeRows, Gaps, attitude_rows
+from groundstation.identification.recordings import without_gaps
+from groundstation.identification.runs import Run
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LEAST_AIR_S = 4.0
+FOLLOW_S = 40.0
+"""How slowly the attitude that the gyro carries follows the one reported."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One uninterrupted airborne stretch with everything around it.
+
+    run: all rows, missing ones filled in. known: (n,) rows that were received. first, last: the
+    airborne rows. attitude: on the rows on which it was new, within the stretch. height_m: (n,)
+    above the take-off point where it can be told, otherwise infinite. whole: the airborne rows,
+    from rest and to rest where the flight began or ended on the ground; rests says whether it
+    did. rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
+    mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
+    None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
+    accelerometer, None without attitude.
+    """
+
+    run: Run
+    known: Flags
+    first: int
+    last: int
+    attitude: AttitudeRows | None
+    height_m: Array
+    whole: slice
+    rests: tuple[bool, bool]
+    has_accelerometer: bool
+    rotor_measured: bool
+    gaps: Gaps
+    up: tuple[Array, float] | None
+    carried: Array | None
+
+    @property
+    def period_s(self) -> float:
+        return self.run.period_s
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first, self.last)
+
+
+def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:
+    """The airborne stretches of runs, at least ``least_s`` long each.
+
+    Raises BadInputError where the gyro is missing or nothing is left.
+    """
+    found = [flight for run in runs for flight in _flights(run, least_s)]
+    if not found:
+        names = ", ".join(sorted({run.name for run in runs})) or "recordings"
+        raise BadInputError(
+            f"{names}: no {least_s:.0f} s of uninterrupted flight after take-off;"
+            " fly and record longer"
+        )
+    return found
+
+
+def _flights(raw: Run, least_s: float) -> list[Flight]:
+    known: Flags = np.asarray(np.isfinite(raw.gyro).all(axis=1), np.bool_)
+    if not known.any():
+        raise BadInputError(
+            f"{raw.name}: the gyro is missing; without body rates no effect can be told"
+        )
+    measured = bool(np.isfinite(raw.rotor_rev_s).any())
+    if not measured and not (np.isfinite(raw.duty).any() and np.isfinite(raw.supply_v).any()):
+        raise BadInputError(f"{raw.name}: PWM or battery voltage is missing; the motors need both")
+    has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
+    has_attitude = bool(np.isfinite(raw.attitude).any())
+    run = without_gaps(raw)
+    period, flights = run.period_s, []
+    for air in flights_in(run):
+        first, last, rests = air.first, air.last - air.maybe_low, air.rests
+        if (last - first) * period < least_s:
+            continue
+        attitude = attitude_rows(run, known, first, last) if has_attitude else None
+        settled = min(air.stop + round(TOUCH_DOWN_S / period), len(run))
+        whole = slice(air.start if rests[0] else first, settled if rests[1] else last)
+        flights.append(
+            Flight(
+                run,
+                known,
+                first,
+                last,
+                attitude,
+                air.height_m,
+                whole,
+                rests,
+                has_accelerometer,
+                measured,
+                Gaps(~known[first:last]),
+                _mean_up(run, whole) if has_accelerometer and attitude is not None else None,
+                None if attitude is None else _carried(run, attitude, air.start),
+            )
+        )
+    return flights
+
+
+def _mean_up(run: Run, rows: slice) -> tuple[Array, float]:
+    up = rotation_matrix(run.attitude[rows])[:, 2]
+    return up.mean(axis=0), float(np.einsum("ni,ni->n", up, run.accelerometer[rows]).mean())
+
+
+def _carried(run: Run, rows: AttitudeRows, start: int) -> Array:
+    """The attitude as the gyro carries it, less the gyro's bias.
+
+    The bias is what the gyro shows at rest before row ``start``, or else beyond the mean rate by
+    which the attitude turned.
+    """
+    from groundstation.identification.likelihood.kernels import carried_rotation
+
+    if start * run.period_s > 1.0 + REST_S:
+        bias = run.gyro[: start - round(REST_S / run.period_s)].mean(axis=0)
+    else:
+        turned = np.linalg.solve(rows.to_euler, rows.rate[..., None])[..., 0]
+        bias = (rows.gyro - turned).mean(axis=0)
+    reported = rotation_matrix(run.attitude)
+    carried = np.empty_like(reported)
+    gyro = np.ascontiguousarray(run.gyro - bias)
+    carried_rotation(reported, gyro, run.period_s, FOLLOW_S, carried)
+    return attitude_of_matrix(carried)

@@ -1,0 +1,217 @@
+"""Compiled loops of the search: rotors with what may be missing, and causal estimates of motion.
+
+Imported only where something is computed. Everything here looks at the past only: in closed loop
+a regressor that knows the present row's noise, or the future's, is taken for physics.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from groundstation.dynamics.chains import call_law
+from groundstation.dynamics.compiled import kernel, spliced
+from groundstation.dynamics.integrator import runge_kutta
+from groundstation.dynamics.law import STATE_SLOTS
+from groundstation.dynamics.quaternion import of_angles, to_body, to_inertial
+
+
+@spliced
+def _law_slope(context: Any, half: int, y: Any, dy: Any) -> None:
+    address, values, given, x, size, numbers = context
+    for i in range(len(y)):
+        given[size + i] = y[i]
+    x[:] = 0.0
+    call_law(address, values, given, x)
+    for i in range(len(y)):
+        dy[i] = x[numbers + i]
+
+
+_law_step = runge_kutta(_law_slope)
+
+
+@kernel
+def run_law(
+    address: int,
+    values: Any,
+    craft: Any,
+    rows: Any,
+    initial: Any,
+    period: float,
+    substeps: int,
+    mean: bool,
+    out: Any,
+) -> None:
+    """One effect's law along rows of motion (n, numbers) that last over the period before each.
+
+    address, values: of ``dynamics.chains.own_address``. craft: its numbers. initial: states before
+    the first row, which are at their mean over the period (mean) or at the row where the law is
+    asked. out: (n, numbers) what is passed to the law, and then what it returns.
+    """
+    size, numbers, states = len(craft) + rows.shape[1], out.shape[1], len(initial)
+    given, x = np.zeros(size + STATE_SLOTS), np.zeros(numbers + STATE_SLOTS)
+    y, before, dy = initial.copy(), initial.copy(), np.zeros(states)
+    base, total = np.zeros(states), np.zeros(states)
+    given[: len(craft)] = craft
+    context = (address, values, given, x, size, numbers)
+    for k in range(len(rows)):
+        given[len(craft) : size] = rows[k]
+        if states > 0 and k > 0:
+            before[:] = y
+            for _ in range(substeps):
+                _law_step(context, period / substeps, states, y, dy, base, total)
+        for i in range(states):
+            given[size + i] = 0.5 * (before[i] + y[i]) if mean else y[i]
+        x[:numbers] = out[k]
+        call_law(address, values, given, x)
+        out[k] = x[:numbers]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def predict_rates(
+    gyro: Any,
+    known: Any,
+    acceleration: Any,
+    period: float,
+    gain: Any,
+    first: int,
+    out: Any,
+    news: Any,
+) -> Any:
+    """Mean rate over the period that ends with each row, from rows before it alone.
+
+    A steady-state Kalman filter per axis: acceleration (n, 3) is the model's mean over the
+    period, gain (3,) how far a measured rate is believed. Rows that are not known are not
+    believed at all. Fills out (n, 3) and news (n, 3), measured less predicted rate at each row;
+    returns the mean square of that (3,).
+    """
+    rows = gyro.shape[0]
+    error = [0.0, 0.0, 0.0]
+    for axis in range(3):
+        rate = gyro[first, axis]
+        total = 0.0
+        for k in range(first + 1):
+            out[k, axis] = gyro[k, axis]
+        for k in range(first + 1, rows):
+            step = acceleration[k, axis] * period
+            out[k, axis] = rate + 0.5 * step
+            rate += step
+            if known[k]:
+                wrong = gyro[k, axis] - rate
+                news[k, axis] = wrong
+                total += wrong * wrong
+                rate += gain[axis] * wrong
+        error[axis] = total / max(rows - first - 1, 1)
+    return error[0], error[1], error[2]
+
+
+@kernel
+def body_velocity(
+    attitude: Any, force: Any, gravity: float, period: float, leak_s: float, first: int, out: Any
+) -> None:
+    """Body velocity (n, 3) at each row from attitude (n, 3) and specific force (n, 3) before it.
+
+    The inertial acceleration is integrated with two leaks of time constant ``leak_s``: what an
+    offset of the accelerometer or a tilt of the frame would add dies out, and so does true
+    velocity that lasts longer.
+    """
+    vx, vy, vz = 0.0, 0.0, 0.0
+    mx, my, mz = 0.0, 0.0, 0.0
+    keep = math.exp(-period / leak_s)
+    ax, ay, az = 0.0, 0.0, 0.0
+    for k in range(attitude.shape[0]):
+        q = of_angles((attitude[k, 0], attitude[k, 1], attitude[k, 2]))
+        if k > first:
+            # The acceleration of the row before acted up to this row.
+            vx = keep * (vx + period * ax)
+            vy = keep * (vy + period * ay)
+            vz = keep * (vz + period * az)
+            mx += (1.0 - keep) * (vx - mx)
+            my += (1.0 - keep) * (vy - my)
+            mz += (1.0 - keep) * (vz - mz)
+        out[k, 0], out[k, 1], out[k, 2] = to_body(q, (vx - mx, vy - my, vz - mz))
+        ax, ay, az = to_inertial(q, (force[k, 0], force[k, 1], force[k, 2]))
+        az -= gravity
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def carried_rotation(reported: Any, gyro: Any, period: float, follow_s: float, out: Any) -> None:
+    """Rotation matrices (n, 3, 3), body to inertial, that the gyro (n, 3) carries on from the
+    first row.
+
+    ``reported`` (n, 3, 3) is followed with a time constant ``follow_s``, so that no drift lasts.
+    """
+    m, turned = reported[0].copy(), np.empty((3, 3))
+    for k in range(len(reported)):
+        if k > 0:
+            r = reported[k]
+            half = 0.5 * period
+            x = half * (gyro[k, 0] + gyro[k - 1, 0])
+            y = half * (gyro[k, 1] + gyro[k - 1, 1])
+            z = half * (gyro[k, 2] + gyro[k - 1, 2])
+            # To the second order in the turn of one period, then back to the estimate.
+            for i in range(3):
+                a, b, c = m[i, 0], m[i, 1], m[i, 2]
+                da, db, dc = b * z - c * y, c * x - a * z, a * y - b * x
+                turned[i, 0] = a + da + 0.5 * (db * z - dc * y)
+                turned[i, 1] = b + db + 0.5 * (dc * x - da * z)
+                turned[i, 2] = c + dc + 0.5 * (da * y - db * x)
+            n = turned
+            # Half the sum of the cross products of both frames' axes: the turn between them.
+            share = 0.5 * period / follow_s
+            ex, ey, ez = 0.0, 0.0, 0.0
+            for j in range(3):
+                ex += share * (n[2, j] * r[1, j] - n[1, j] * r[2, j])
+                ey += share * (n[0, j] * r[2, j] - n[2, j] * r[0, j])
+                ez += share * (n[1, j] * r[0, j] - n[0, j] * r[1, j])
+            for j in range(3):
+                a, b, c = n[0, j], n[1, j], n[2, j]
+                m[0, j] = a + ez * b - ey * c
+                m[1, j] = b + ex * c - ez * a
+                m[2, j] = c + ey * a - ex * b
+            for i in range(3):
+                size = math.sqrt(m[i, 0] ** 2 + m[i, 1] ** 2 + m[i, 2] ** 2)
+                for j in range(3):
+                    m[i, j] /= size
+        out[k] = m
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def linear_filter(
+    to: Any, of: Any, weight: Any, start: Any, first: int, values: Any, out: Any
+) -> None:
+    """[s_k, y_k] = M [s_(k-1), u_k, u_(k-1)] along rows u (n, m) into y (n, m).
+
+    M[to, of] = weight (e,) where it is not zero. s is ``start`` before row ``first``; rows before
+    that pass as they are.
+    """
+    states, axes = len(start), values.shape[1]
+    given, found = np.zeros(states + 2 * axes), np.zeros(states + axes)
+    given[:states] = start
+    for i in range(axes):
+        given[states + axes + i] = values[first, i]
+    out[:first] = values[:first]
+    for k in range(first, len(values)):
+        for i in range(axes):
+            given[states + i] = values[k, i]
+        found[:] = 0.0
+        for e in range(len(to)):
+            found[to[e]] += weight[e] * given[of[e]]
+        for i in range(states):
+            given[i] = found[i]
+        for i in range(axes):
+            out[k, i] = found[states + i]
+            given[states + axes + i] = values[k, i]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def first_order(values: Any, keep: float, out: Any) -> None:
+    """y_k = keep y_(k-1) + (1 - keep) x_k along the rows of (n, m), settled at the first."""
+    for j in range(values.shape[1]):
+        state = values[0, j]
+        for k in range(values.shape[0]):
+            state += (1.0 - keep) * (values[k, j] - state)
+            out[k, j] = state

@@ -1,0 +1,235 @@
+"""How a craft moves, row by row, as far as rows before it tell: what laws are evaluated on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
+from groundstation.dynamics.rotations import quaternion_of_attitude
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.laws import Acting
+from groundstation.identification.likelihood.rotors import Rotors
+from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S, velocity_from
+
+Array = NDArray[np.float64]
+Rows = tuple[Any, ...]
+"""Arrays (n,), one for each axis or rotor; a plain number where it is the same in every row."""
+
+BodyRows = Any
+"""A ``law.Body`` of arrays (n,)."""
+
+STILL, _FOUR = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Rotor speeds behind the rows, rev/s, each four of (n,), as late as the measurements are.
+
+    mean: root of the mean square over the period before a row; last: at the row.
+    rotor, slope: mean speed over the period, and its slope in rev/s^2.
+    """
+
+    mean: Rows
+    last: Rows
+    rotor: Rows
+    slope: Rows
+
+    @classmethod
+    def of(cls, rotors: Rotors, delay_s: float, period_s: float) -> Inputs:
+        """Between rows speeds are straight, and the integrals of their squares cubic."""
+        end, mean = rotors.end, rotors.square
+        if delay_s != 0.0:
+            mean = _means_before(mean, end**2, delay_s / period_s)
+            end = _before(end, delay_s / period_s)
+        before = np.concatenate([end[:1], end[:-1]])
+        return cls(
+            _rows(np.sqrt(np.maximum(mean, 0.0))),
+            _rows(end),
+            _rows(0.5 * (end + before)),
+            _rows((end - before) / period_s),
+        )
+
+    def one_before(self) -> Inputs:
+        """A row later."""
+        return Inputs(*map(one_before, (self.mean, self.last, self.rotor, self.slope)))
+
+
+class Motion:
+    """Velocity, height and attitude of a flight, and its rates as predicted from earlier rows.
+
+    news: (n, 3) rad/s^2, what the rows' own measurement says of a disturbance.
+    """
+
+    def __init__(self, flight: Flight, force: Array, turn: Array, leaning: bool) -> None:
+        """force: (n, 3) specific force in body axes. turn: (3, 3), sensor to body axes. leaning:
+        reported angles follow the accelerometer."""
+        run, count = flight.run, len(flight.run)
+        self.flight, self.period = flight, run.period_s
+        self._rates, self.news = np.zeros((count, 3)), np.zeros((count, 3))
+        self.velocity = np.zeros((count, 3))
+        attitude = np.zeros((count, 3)) if flight.attitude is None else run.attitude
+        if flight.up is not None:
+            self.velocity = self._velocity(force @ turn, leaning) @ turn.T
+        height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
+        rows: Any = (
+            np.minimum(height, FAR_M),
+            _rows(quaternion_of_attitude(attitude)),
+            _rows(self.velocity),
+            *(STILL, _FOUR, _FOUR, 0.0, STILL, STILL),
+        )
+        self._still: BodyRows = Body(*rows)
+
+    def _velocity(self, sensed: Array, leaning: bool) -> Array:
+        # A lean turns the attitude until no acceleration is felt, and a filter that takes every
+        # second row of the gyro folds vibration into it: over seconds the gyro knows better.
+        flight, attitude = self.flight, self.flight.run.attitude
+        if leaning and flight.carried is not None:
+            attitude = flight.carried
+        leak = LEANING_LEAK_S if leaning else LEAK_S
+        return velocity_from(attitude, sensed, self.period, leak, flight.first)
+
+    def follow(self, gyro: Array) -> None:
+        """Take the last row's rate for the next one's."""
+        self._rates[1:] = gyro[:-1]
+        self._still = self._still._replace(rate=_rows(self._rates))
+
+    def predict(
+        self, gyro: Array, angular: Array, gain: tuple[float, float, float], ahead: Array
+    ) -> tuple[float, float, float]:
+        """Predict the rates from a modelled angular acceleration; the mean squared error (3,).
+
+        ahead: (3, 3) s, how far the true rate is ahead of the gyro.
+        """
+        from groundstation.identification.likelihood.kernels import predict_rates
+
+        found: tuple[float, float, float] = predict_rates(
+            gyro,
+            self.flight.known,
+            angular,
+            self.period,
+            np.array(gain),
+            max(self.flight.first - 1, 0),
+            self._rates,
+            self.news,
+        )
+        # The share of an innovation that is torque, not sensor noise, in a filter with this gain.
+        self.news *= np.array(gain) ** 2 / self.period
+        rates = self._rates + angular @ ahead.T if ahead.any() else self._rates
+        self._still = self._still._replace(rate=_rows(rates))
+        return found
+
+    def thrust(self, craft: Craft, inputs: Inputs, *, mean: bool) -> Rows:
+        """What equal rotors do: thrust and torques, rows of N and N m."""
+        return rotor_wrench(craft, inputs.mean if mean else inputs.last)
+
+    def body(
+        self,
+        craft: Craft,
+        inputs: Inputs,
+        wrench: Rows,
+        rotor: tuple[Acting, ...],
+        body: tuple[Acting, ...],
+        *,
+        mean: bool,
+    ) -> BodyRows:
+        """Rows of the craft with its accelerations, by the laws of rotors and body.
+
+        wrench: what equal rotors do, over the period before each row (mean) or at the row.
+        """
+        speed = inputs.mean if mean else inputs.last
+        now = self._still._replace(rotor=speed, rotor_slope=inputs.slope, thrust=wrench[0])
+        for one in rotor:
+            wrench = one.law(craft, now, wrench)
+        (ixx, iyy, izz), (thrust, roll, pitch, yaw) = craft.inertia, wrench
+        angular, force = (roll / ixx, pitch / iyy, yaw / izz), (0.0, 0.0, thrust / craft.mass)
+        now = now._replace(rotor=inputs.rotor, thrust=thrust, angular=angular, force=force)
+        for one in body:
+            if one.effect.order > 0:
+                now = now._replace(angular=angular, force=force)
+            more, push = one.body_law(craft, now, self.period, mean)
+            angular, force = added(angular, more), added(force, push)
+        return now._replace(angular=angular, force=force)
+
+    def turning(self, body: BodyRows) -> BodyRows:
+        """A body with the rates as they are predicted now."""
+        return body._replace(rate=self._still.rate)
+
+    def at_rows(self, row: BodyRows) -> BodyRows:
+        """A body as sensors have it at the row itself, of one by the thrust there.
+
+        The accelerometer has no part in the gyro's noise, so what the present row says of a
+        disturbance may be used here.
+        """
+        half = 0.5 * self.period
+        news = _rows(self.news)
+        rate = tuple(r + half * a for r, a in zip(row.rate, row.angular, strict=True))
+        return row._replace(rate=rate, angular=added(row.angular, news))
+
+
+def added(one: Rows, other: Rows) -> Rows:
+    return tuple(_sum(a, b) for a, b in zip(one, other, strict=True))
+
+
+def _sum(one: Any, other: Any) -> Any:
+    if np.ndim(one) == 0 and one == 0.0:
+        return other
+    return one if np.ndim(other) == 0 and other == 0.0 else one + other
+
+
+def one_before(values: Any) -> Any:
+    """Rows (n,), or a tuple of them, moved on by one; numbers stay."""
+    if isinstance(values, tuple):
+        return tuple(map(one_before, values))
+    if np.ndim(values) == 0:
+        return values
+    moved = np.empty_like(values)
+    moved[0], moved[1:] = values[0], values[:-1]
+    return moved
+
+
+def stacked(rows: Rows, count: int) -> Array:
+    """(n, axes) of rows; plain numbers are spread."""
+    found = np.empty((count, len(rows)))
+    for i, values in enumerate(rows):
+        found[:, i] = values
+    return found
+
+
+def _rows(values: Array) -> Rows:
+    return tuple(np.ascontiguousarray(values.T))
+
+
+def _before(values: Array, rows: float) -> Array:
+    """Rows (n, m) as they were so many rows before, straight between rows."""
+    left, right, t = _neighbours(values, rows)
+    return left + t * (right - left)
+
+
+def _means_before(means: Array, ends: Array, rows: float) -> Array:
+    """Means (n, m) over the period before each row, as they were so many rows before.
+
+    ends: values at the rows, the slopes of the integral, which is cubic between rows.
+    """
+    one, other, t = _neighbours(np.cumsum(means, axis=0), rows)
+    rise, end, _ = _neighbours(ends, rows)
+    integral = (
+        one * ((1 + 2 * t) * (1 - t) ** 2)
+        + rise * (t * (1 - t) ** 2)
+        + other * (t**2 * (3 - 2 * t))
+        + end * (t**2 * (t - 1))
+    )
+    return np.diff(integral, axis=0, prepend=integral[:1] - means[:1])
+
+
+def _neighbours(values: Array, rows: float) -> tuple[Array, Array, float]:
+    """Rows before and after the places ``rows`` before each row, and the share of the way."""
+    whole = math.floor(rows)
+    count, room = len(values), abs(whole) + 1
+    padded = np.pad(values, ((room, room), (0, 0)), mode="edge")
+    at = room - whole
+    return padded[at - 1 : at - 1 + count], padded[at : at + count], 1.0 - (rows - whole)

@@ -1,0 +1,376 @@
+"""The least-squares problem of a search: flights, prior knowledge, noise, and joint fits."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.unknowns import Key
+from groundstation.identification.estimate import inverse
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.frame import Frame
+from groundstation.identification.likelihood.parameters import (
+    BODY_KEYS,
+    KEYS,
+    MOTOR_KEYS,
+    TIMING,
+    Point,
+    Variant,
+    value,
+)
+from groundstation.identification.likelihood.residuals import (
+    ACCELEROMETER,
+    ATTITUDE,
+    Columns,
+    Series,
+    evaluate,
+    rate_errors,
+)
+from groundstation.identification.likelihood.spectra import (
+    Noise,
+    Quadratic,
+    Spectrum,
+    Vertical,
+    leverage,
+    quadratic,
+    transform,
+    whiten_by_own,
+)
+
+Array = NDArray[np.float64]
+
+BASE_KEYS = (*BODY_KEYS, *MOTOR_KEYS, TIMING)
+MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
+"""Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""
+TIMING_DOUBT = 0.5
+END_SPEED_M_S = 0.3
+"""Vertical speed that a flight may end with when it does not end at rest."""
+LEAST_LIFT_DOUBT = 0.05
+"""m/s^2: the model's mean force is 1 g to half a percent; what the accelerometer says of it is
+better known, but where slow air moves real craft its mean has no weight."""
+REST_SPEEDS_M_S = (0.03, 0.15)
+"""What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
+NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
+SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
+"""Width of the bands in which flights have noise of their own, and the degrees of freedom that
+each band needs at least."""
+STEPS, SETTLED = 6, 0.05
+"""Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
+TIMING_BOUNDS = (-1.0, 2.0)
+RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Residuals and columns of all flights at a point, in the frequency domain."""
+
+    point: Point
+    keys: tuple[str, ...]
+    spectra: list[Spectrum]
+    verticals: list[Vertical]
+
+    def place(self, keys: Sequence[str]) -> list[int]:
+        return [self.keys.index(key) for key in keys]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A joint fit: where it ended, -2 log L there with the prior's part, covariance (p, p)."""
+
+    point: Point
+    keys: tuple[str, ...]
+    cost: float
+    covariance: Array
+
+    def stderr(self) -> dict[str, float]:
+        """Standard errors by key."""
+        return dict(zip(self.keys, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+class Problem:
+    """Flights and what was known before them; noise spectra are set by ``learn_noise``."""
+
+    def __init__(
+        self,
+        flights: Sequence[Flight],
+        model: Model,
+        start: Point,
+        own: Sequence[Variant] = (),
+    ) -> None:
+        self.flights = list(flights)
+        self.frame = Frame(model_vehicle(model), model.motors, own=tuple(own))
+        effects = self.frame.unknowns.items()
+        self.every_key = (*BASE_KEYS, *(key for key, one in effects if not one.effect.renames))
+        self.start = start
+        self.prior, self.known_motor = _prior(model, start)
+        self.noise: dict[int, Noise] = {}
+        self.shapes: dict[tuple[int, int], Noise] = {}
+        self.reference: Linear | None = None
+
+    def settle_filters(self) -> None:
+        """Choose how far measured rates are believed: what predicts the next one best."""
+        errors = np.mean(
+            [rate_errors(f, self.frame, self.start, RATE_GAINS) for f in self.flights], axis=0
+        )
+        best = np.argmin(errors, axis=0)
+        gains = tuple(RATE_GAINS[i] for i in best)
+        self.frame = replace(self.frame, rate_gain=(gains[0], gains[1], gains[2]))
+
+    def linear(self, point: Point, keys: Sequence[str], flights: Sequence[Flight]) -> Linear:
+        """Evaluate flights at a point with the columns of ``keys``.
+
+        Spectra are divided by what the noise of their flight is to that of all (``shapes``).
+        """
+        plain = linearise(flights, self.frame, point, keys)
+        spectra: list[Spectrum] = []
+        for s in plain.spectra:
+            root = self.root(flights[s.flight], s.channel, s.hz)
+            spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
+        return replace(plain, spectra=spectra)
+
+    def root(self, flight: Flight, channel: int, hz: Array) -> Array:
+        """What spectra of a flight's channel are divided by, at frequencies ``hz``."""
+        shape = self.shapes.get((id(flight), channel))
+        return np.ones(len(hz)) if shape is None else np.sqrt(shape.at(hz))
+
+    def learn_noise(self, linear: Linear) -> Linear:
+        """Noise spectra from what a fit of every column at once leaves.
+
+        One for all flights, and beside it each flight's own shape: a limit cycle or a propeller
+        out of balance in one of them would leave none of them white, and in closed loop a wrong
+        noise model is a wrong estimate. Returns ``linear`` divided by the new shapes.
+        """
+        values = [s.residual for s in linear.spectra]
+        used = [np.zeros(len(s.hz)) for s in linear.spectra]
+        for number in range(NOISE_ROUNDS if not self.noise else LATER_NOISE_ROUNDS):
+            if self.noise and number == 0:
+                noise = self.noise
+            else:
+                noise = whiten_by_own(linear.spectra, values, used)
+                linear, values = self._reshape(linear, values, used)
+            total = self.with_prior(linear, noise)
+            covariance = inverse(total.normal)
+            change = covariance @ total.gradient
+            values = [s.residual - change[s.place] @ s.columns for s in linear.spectra]
+            used = [leverage(s, noise[s.channel], covariance) for s in linear.spectra]
+        self.noise = whiten_by_own(linear.spectra, values, used)
+        self.reference = linear
+        return linear
+
+    def _reshape(
+        self, linear: Linear, values: Sequence[Array], used: Sequence[Array]
+    ) -> tuple[Linear, list[Array]]:
+        """Bring the shapes up to date with residuals ``values``; both divided accordingly."""
+        if len(self.flights) < 2:
+            return linear, list(values)
+        spectra, left = [], []
+        for s, residual, spent in zip(linear.spectra, values, used, strict=True):
+            width = max(SHAPE_HZ, SHAPE_FREEDOM / float(s.weight.sum()) * 2.0 * s.hz[-1])
+            # In the same bands: a mean over one is not what the spectrum is in its middle.
+            alike = [i for i, other in enumerate(linear.spectra) if other.channel == s.channel]
+            pooled = whiten_by_own(
+                [linear.spectra[i] for i in alike],
+                [values[i] for i in alike],
+                [used[i] for i in alike],
+                width,
+            )[s.channel]
+            own = whiten_by_own([s], [residual], [spent], width)[s.channel]
+            ratio = Noise(own.hz, own.power / pooled.at(own.hz))
+            key = (id(self.flights[s.flight]), s.channel)
+            before = self.shapes.get(key)
+            power = ratio.power if before is None else ratio.power * before.power
+            self.shapes[key] = Noise(ratio.hz, power)
+            root = np.sqrt(ratio.at(s.hz))
+            spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
+            left.append(residual / root)
+        return replace(linear, spectra=spectra), left
+
+    def with_prior(self, linear: Linear, noise: Mapping[int, Noise] | None = None) -> Quadratic:
+        """-2 log L around a linearisation, the prior included."""
+        found = quadratic(
+            linear.spectra,
+            self.noise if noise is None else noise,
+            linear.verticals,
+            len(linear.keys),
+        )
+        normal, gradient, cost = found.normal.copy(), found.gradient.copy(), found.value
+        for keys, centre, weight in self.prior:
+            inside = [key for key in keys if key in linear.keys]
+            away = np.array([centre[key] - linear.point[key] for key in keys])
+            cost += float(away @ weight @ away)
+            if len(inside) == len(keys):
+                at = linear.place(keys)
+                normal[np.ix_(at, at)] += weight
+                gradient[at] += weight @ away
+        return Quadratic(normal, gradient, cost, found.parts)
+
+    def fit(
+        self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
+    ) -> Fit:
+        """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help.
+
+        settled: drop of -2 log L that is not worth another step.
+        """
+        keys = tuple(keys)
+        now = self.with_prior(self._again(point, keys))
+        for _ in range(steps):
+            change = inverse(now.normal) @ now.gradient
+            share, moved, better = 1.0, point, now
+            expected = 0.0
+            for _ in range(4):
+                moved = bounded(point, keys, share * change, self.frame.unknowns)
+                step = np.array([moved[key] - value(point, key) for key in keys])
+                expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
+                if expected < settled:
+                    break
+                better = self.with_prior(self._again(moved, keys))
+                if better.value < now.value:
+                    break
+                share *= 0.3
+            if expected < settled or better.value >= now.value:
+                break
+            gained = now.value - better.value
+            point, now = moved, better
+            if gained < settled:
+                break
+        return Fit(dict(point), keys, now.value, inverse(now.normal))
+
+    def _again(self, point: Point, keys: tuple[str, ...]) -> Linear:
+        """``linear`` with the columns of a0, a1, a2 from the last screening.
+
+        They cost most, since motors must be simulated for each, and change least: the bench
+        holds the constants where they are.
+        """
+        if self.reference is None:
+            return self.linear(point, keys, self.flights)
+        fresh = self.linear(point, [key for key in keys if key not in MOTOR_KEYS], self.flights)
+        old = {(s.flight, s.channel): s for s in self.reference.spectra}
+        motor = [self.reference.keys.index(key) for key in MOTOR_KEYS if key in keys]
+        spectra = []
+        for s in fresh.spectra:
+            before = old[s.flight, s.channel]
+            rows = np.flatnonzero(np.isin(before.place, motor))
+            names = [self.reference.keys[i] for i in before.place[rows]]
+            place = [keys.index(fresh.keys[i]) for i in s.place]
+            place += [keys.index(name) for name in names]
+            columns = np.concatenate([s.columns, before.columns[rows]])
+            spectra.append(replace(s, columns=columns, place=np.array(place, np.int64)))
+        verticals = []
+        for row in fresh.verticals:
+            slopes = np.zeros(len(keys))
+            slopes[[keys.index(key) for key in fresh.keys]] = row.slopes
+            verticals.append(replace(row, slopes=slopes))
+        return Linear(fresh.point, keys, spectra, verticals)
+
+    def cost(
+        self, point: Point, flights: Sequence[Flight]
+    ) -> tuple[float, dict[int, float], dict[int, float]]:
+        """-2 log L of flights at a point: whole, and by channel with its degrees of freedom."""
+        linear = self.linear(point, (), flights)
+        found = quadratic(linear.spectra, self.noise, linear.verticals, 0)
+        value_of: dict[int, float] = {}
+        freedom: dict[int, float] = {}
+        for (_, channel), (_, _, own, count) in found.parts.items():
+            value_of[channel] = value_of.get(channel, 0.0) + own
+            freedom[channel] = freedom.get(channel, 0.0) + count
+        return found.value, value_of, freedom
+
+
+def linearise(
+    flights: Sequence[Flight],
+    frame: Frame,
+    point: Point,
+    keys: Sequence[str],
+    channels: Container[int] = range(9),
+    nuisances: Mapping[str, Sequence[Columns]] | None = None,
+) -> Linear:
+    """Residuals and columns of flights at a point, as spectra of the given channels.
+
+    The vertical rows belong to the accelerometer's.
+
+    nuisances: keys that no effect has, linear, with what each adds to every flight per unit.
+    """
+    spectra: list[Spectrum] = []
+    verticals: list[Vertical] = []
+    extra = nuisances or {}
+    for number, flight in enumerate(flights):
+        series = evaluate(flight, frame, point, [key for key in keys if key not in extra])
+        for key in extra:
+            series.columns[key] = extra[key][number]
+            for channel, column in extra[key][number].items():
+                series.residual[channel] = series.residual[channel] - point[key] * column
+        series.residual = {c: rows for c, rows in series.residual.items() if c in channels}
+        spectra += transform(number, series, keys, flight.period_s, _strides(flight))
+        if ACCELEROMETER in channels:
+            verticals += _vertical(number, series, keys, flight)
+    return Linear(dict(point), tuple(keys), spectra, verticals)
+
+
+def bounded(
+    point: Point, keys: Sequence[str], change: Array, unknowns: Mapping[str, Key] = KEYS
+) -> Point:
+    """The point moved by ``change``, kept where the physics can be evaluated."""
+    moved = dict(point)
+    for key, step in zip(keys, change.tolist(), strict=True):
+        low, high = -np.inf, np.inf
+        if key in BODY_KEYS or key in MOTOR_KEYS:
+            low, high = sorted((0.2 * point[key], 5.0 * point[key]))
+        elif key == TIMING:
+            low, high = TIMING_BOUNDS
+        elif key in unknowns:
+            low, high = unknowns[key].bounds
+        moved[key] = float(np.clip(value(point, key) + step, low, high))
+    return moved
+
+
+def _strides(flight: Flight) -> dict[int, int]:
+    stride = flight.attitude.stride if flight.attitude is not None else 1
+    return {ATTITUDE + i: stride for i in range(3)}
+
+
+def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) -> list[Vertical]:
+    if series.vertical is None:
+        return []
+    residual, slopes = series.vertical
+    seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
+    ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
+    begin, end = (still if rest else END_SPEED_M_S for rest, still in ends)
+    sigma = np.hypot(begin, end) / seconds
+    found = [Vertical(number, residual, _row(slopes, keys), float(sigma))]
+    if series.lift is not None:
+        loose = max(
+            LEAST_LIFT_DOUBT, END_SPEED_M_S / ((flight.last - flight.first) * flight.period_s)
+        )
+        found.append(Vertical(number, series.lift[0], _row(series.lift[1], keys), loose))
+    return found
+
+
+def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
+    return np.array([slopes.get(key, 0.0) for key in keys])
+
+
+Prior = tuple[tuple[str, ...], dict[str, float], Array]
+
+
+def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:
+    """The bench's a0, a1, a2 with their covariance, and the attitude filter's timing.
+
+    A constant that is zero (a2 of a first-order motor) stays so: it is not in the prior.
+    """
+    motor = tuple(key for key in MOTOR_KEYS if start[key] != 0.0)
+    centre = {key: start[key] for key in motor}
+    values = np.array([start[key] for key in motor])
+    covariance, known = np.diag((MOTOR_DOUBT * values) ** 2), False
+    account = model.fit.get("motor", {}).get("estimates")
+    if account and set(motor) <= set(account.get("names", ())):
+        at = [account["names"].index(key) for key in motor]
+        given = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
+        if np.isfinite(given).all():
+            covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
+    weight = np.asarray(np.linalg.inv(covariance))
+    timing = ((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
+    return [(motor, centre, weight), timing], known

@@ -1,0 +1,445 @@
+"""What a model leaves unexplained in a flight, row by row, and what each unknown would add to it.
+
+One-step residuals, not free runs (docs/discrepancy.md has the equations):
+
+- gyro: mean angular acceleration between two rows, measured less modelled, rad/s^2;
+- accelerometer: specific force, m/s^2;
+- attitude, on its fresh rows: Euler rate less the kinematics of the measured gyro, rad/s;
+- vertical: a flight's mean vertical specific force less 1 g, one number.
+
+The model is the laws of the effects that act (``dynamics/effects``) on rows of motion, gyro and
+accelerometer in body axes; columns are differences of these laws. Whatever multiplies a rate or a
+velocity uses one that was predicted from earlier rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.effect import Stage
+from groundstation.dynamics.law import SPIN, Craft
+from groundstation.dynamics.rotations import rotation_matrix
+from groundstation.dynamics.unknowns import Key
+from groundstation.identification.attitude_rows import FIRMWARE_GAIN
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.frame import Frame
+from groundstation.identification.likelihood.laws import Acting, acting, before, in_order
+from groundstation.identification.likelihood.motion import STILL, BodyRows, Inputs, Motion, stacked
+from groundstation.identification.likelihood.parameters import (
+    BODY_KEYS,
+    MOTOR_KEYS,
+    SENSOR_LAG,
+    TIMING,
+    value,
+)
+from groundstation.identification.likelihood.rotors import spin_rotors
+from groundstation.identification.likelihood.sensing import (
+    FORCES,
+    RATES,
+    Moving,
+    Passing,
+    Sensors,
+    passed,
+)
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+Columns = dict[int, Array]
+"""Channel (0..8 as in ``comparison.channels``) -> rows."""
+
+Bodies = tuple[BodyRows, BodyRows]
+"""Rows of a model over the period before each row, and at the row."""
+Moved = dict[str, Acting | None]
+"""Effects in the place of others, by their variant's label; None: absent."""
+
+GYRO, ACCELEROMETER, ATTITUDE = 0, 3, 6
+"""First channels."""
+ANGLES = ("roll", "pitch", "yaw")
+BASE_STEPS = {"a0": 1e-3, "a1": 1e-3, "a2": 1e-2} | dict.fromkeys(BODY_KEYS, 1e-4)
+"""Steps of the differences, over the constant."""
+SENSOR_STEP_S = 1e-3
+ROUNDING = 1e-12
+"""Of a model's largest values."""
+MAKING_FORCE = (None, "supply", "motor", "rotor", "body")
+"""Stages that make the force itself, not how or when the accelerometer shows it."""
+
+
+@dataclass(slots=True)
+class Series:
+    """Residuals and columns of one flight at one point.
+
+    residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical, lift:
+    (residual, {key: derivative}) of the flight's mean vertical specific force less 1 g, as
+    measured and as modelled, None without accelerometer or attitude. rate_error: (3,)
+    mean squared one-step prediction error of the rates in rad/s.
+    """
+
+    residual: Columns
+    columns: dict[str, Columns]
+    vertical: tuple[float, dict[str, float]] | None
+    lift: tuple[float, dict[str, float]] | None
+    rate_error: tuple[float, float, float]
+
+
+def evaluate(
+    flight: Flight, frame: Frame, point: Mapping[str, float], keys: Sequence[str]
+) -> Series:
+    """Residuals of a flight at ``point`` and the columns of ``keys``."""
+    return _Evaluation(flight, frame, point).series(keys)
+
+
+def rate_errors(
+    flight: Flight, frame: Frame, point: Mapping[str, float], gains: Sequence[float]
+) -> Array:
+    """Mean squared one-step prediction errors (gains, 3) of the rates, (rad/s)^2."""
+    evaluation = _Evaluation(flight, frame, point)
+    return np.array([evaluation.find_rates((gain, gain, gain)) for gain in gains])
+
+
+def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) -> dict[str, Array]:
+    """Signals (n,) that something unknown may go with: words -> values at every row."""
+    return _Evaluation(flight, frame, point).generic()
+
+
+class _Evaluation:
+    """One flight at one point; every array here covers all rows of the run."""
+
+    def __init__(self, flight: Flight, frame: Frame, point: Mapping[str, float]) -> None:
+        self.flight, self.frame, self.point = flight, frame, point
+        run = flight.run
+        self.period = run.period_s
+        self.there = frame.acting(point)
+        self._moved: dict[str, tuple[Moved, Moved, float]] = {}
+        self.craft = frame.craft(point)
+        self.sensors = self._sensors({})
+        self.lean = _gain(self.effects("attitude"))
+        self.gyro, self.force = self.sensors.true(run.gyro, run.accelerometer)
+        self.motion = Motion(flight, self.force, self.sensors.turn, leaning=self.lean > 0.0)
+        self.delay = sum(one.law() for one in self.effects("delay"))
+        self.inputs = self._inputs(point)
+        self.equal = [
+            self.motion.thrust(self.craft, self.inputs, mean=mean) for mean in (False, True)
+        ]
+        # Rates need the model's acceleration and the model needs rates: the first pass takes
+        # the last row's, the second the filter's.
+        self.motion.follow(self.gyro)
+        self._model()
+        self.rate_error = self.find_rates(frame.rate_gain)
+        if self.effects("body") or self.effects("sensor"):
+            self._model()
+            self.find_rates(frame.rate_gain)
+            self._model()
+        else:
+            self._turn()
+        self.angular_peak = float(np.abs(self.gyro_model).max())
+
+    def _inputs(self, point: Mapping[str, float]) -> Inputs:
+        rotors = spin_rotors(self.flight, point, self.frame)
+        return Inputs.of(rotors, self.delay, self.period)
+
+    def effects(self, stage: Stage, moved: Moved | None = None) -> tuple[Acting, ...]:
+        """The effects of a stage; moved: others in the place of some."""
+        there = self.there if not moved else {**self.there, **moved}
+        return in_order((one for one in there.values() if one is not None), stage)
+
+    def find_rates(self, gain: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Predict the rates from the rows before; the mean squared error (3,)."""
+        return self.motion.predict(self.gyro, self.gyro_model, gain, self.sensors.gyro_lag)
+
+    # The model.
+
+    def _body(
+        self,
+        mean: bool,
+        moved: Moved | None = None,
+        craft: Craft | None = None,
+        inputs: Inputs | None = None,
+        body: tuple[Acting, ...] | None = None,
+    ) -> BodyRows:
+        wrench = self.equal[mean]
+        if craft is not None or inputs is not None:
+            wrench = self.motion.thrust(craft or self.craft, inputs or self.inputs, mean=mean)
+        return self.motion.body(
+            craft or self.craft,
+            inputs or self.inputs,
+            wrench,
+            self.effects("rotor", moved),
+            self.effects("body", moved) if body is None else body,
+            mean=mean,
+        )
+
+    def _model(self) -> None:
+        """The model where the effects are as they are: ``middle`` over the period before each
+        row, ``row`` at the row, and what the sensors make of the two."""
+        self.middle, self.row = self._bodies()
+        self.moving, self.passing = self._sensed(self.middle, self.row)
+        self.gyro_model, self.force_model = self.sensors.in_body(self.passing[-1], self.moving)
+
+    def _turn(self) -> None:
+        """The same where only the rates are others, and the model does not depend on them."""
+        self.middle, self.row = map(self.motion.turning, (self.middle, self.row))
+        self.moving, self.passing = self._sensed(self.middle, self.row)
+
+    def _sensed(self, middle: BodyRows, row: BodyRows) -> tuple[Moving, list[Passing]]:
+        moving = Moving(self.motion.at_rows(row), self.period, max(self.flight.first - 1, 0))
+        given = Passing(row.rate, middle.angular, row.force)
+        return moving, self.sensors.shown(given, moving)
+
+    def _turning(self, sensors: Sensors, lean: float) -> Array:
+        """Rates (m, 3) with which the reported angles should turn, on their fresh rows.
+
+        Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured
+        slope: the model's lacks what disturbances do, which the controller answers, and the
+        noise of a difference is not in the mean of the same rows. A filter at the firmware's gain
+        makes the angles of this very gyro, whose lag is then in both.
+        """
+        rows = self.flight.attitude
+        assert rows is not None
+        found = sensors.turning(rows.gyro, rows.slope, 1.0 - lean / FIRMWARE_GAIN)
+        return found + self.point.get(TIMING, 0.0) * rows.timing + lean * rows.lean
+
+    def generic(self) -> dict[str, Array]:
+        """See ``generic_signals``."""
+        middle = self.middle
+        p, q, r = middle.rate
+        w, spun = (
+            sum(sign * one for sign, one in zip(SPIN, rows, strict=True))
+            for rows in (middle.rotor, middle.rotor_slope)
+        )
+        found = {"a constant": np.ones(len(p))}
+        for name, rate in zip(ANGLES, (p, q, r), strict=True):
+            found[f"the {name} rate"] = rate
+            found[f"the {name} rate times its magnitude"] = rate * np.abs(rate)
+        found["pitch rate times yaw rate"] = q * r
+        found["roll rate times yaw rate"] = p * r
+        found["roll rate times pitch rate"] = p * q
+        plain = self._body(mean=True, body=())
+        for name, torque in zip(ANGLES, plain.angular, strict=True):
+            found[f"the {name} torque"] = torque
+        found["the total thrust"] = plain.thrust
+        found["the change of thrust"] = np.diff(plain.thrust, prepend=plain.thrust[:1])
+        found["the rotors' acceleration"] = spun
+        found["pitch rate times rotor speeds"] = q * w
+        found["roll rate times rotor speeds"] = p * w
+        if self.flight.up is not None:
+            for name, speed in zip(("forward", "leftward", "upward"), middle.velocity, strict=True):
+                found[f"the {name} velocity"] = speed
+            found["the roll angle"] = np.sin(self.flight.run.attitude[:, 0])
+            found["the pitch angle"] = np.sin(self.flight.run.attitude[:, 1])
+        return found
+
+    # Residuals.
+
+    def series(self, keys: Sequence[str]) -> Series:
+        flight = self.flight
+        residual: Columns = {}
+        measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
+        self._put(RATES, residual, measured - self.gyro_model)
+        self._put(FORCES, residual, self.force - self.force_model)
+        rows = flight.attitude
+        if rows is not None:
+            turning = np.einsum("nij,nj->ni", rows.to_euler, self._turning(self.sensors, self.lean))
+            euler = rows.rate - rows.gaps.spread(turning)
+            residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
+        columns = {key: self._column(key) for key in keys}
+        return Series(residual, columns, self._vertical(keys), self._lift(columns), self.rate_error)
+
+    def _vertical(self, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
+        """The mean vertical force as measured, less what the accelerometer adds, less 1 g."""
+        if self.flight.up is None:
+            return None
+        up, mean = self.flight.up
+        slopes: dict[str, float] = {}
+        for key in keys:
+            if self._stage(key) == "sensor":
+                high, low, step = self._ends(self.frame.unknowns[key])
+                change = self._sensors(high).offset - self._sensors(low).offset
+                slope = float(up @ change[FORCES]) / step
+                slopes |= {key: slope} if slope else {}
+        return mean - float(up @ self.sensors.offset[FORCES]) - STANDARD_GRAVITY, slopes
+
+    def _lift(self, columns: Mapping[str, Columns]) -> tuple[float, dict[str, float]] | None:
+        """1 g less what the model says of the mean vertical force while airborne."""
+        if self.flight.up is None:
+            return None
+        rows = self.flight.rows
+        up = rotation_matrix(self.flight.run.attitude[rows])[:, 2] @ self.sensors.turn.T
+        mean = float(np.einsum("ni,ni->n", up, self.force_model[rows]).mean())
+        slopes = {
+            key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
+            for key, column in columns.items()
+            if self._stage(key) in MAKING_FORCE
+        }
+        return STANDARD_GRAVITY - mean, slopes
+
+    def _put(self, part: slice, out: Columns, values: Array, step: float = math.inf) -> None:
+        """Store rows (n, 3) of the gyro's (RATES) or the accelerometer's channels (FORCES), but
+        not what is only the rounding of a difference over ``step``."""
+        if part == FORCES and not self.flight.has_accelerometer:
+            return
+        gaps, rows = self.flight.gaps, values[self.flight.rows]
+        rows = gaps.spread(rows) if part == RATES else gaps.bridge(rows)
+        least = ROUNDING * (self.angular_peak if part == RATES else STANDARD_GRAVITY) / abs(step)
+        for axis in range(3):
+            one = rows[:, axis]
+            if (np.abs(one[:1000]) > least).any() or (np.abs(one) > least).any():
+                out[part.start + axis] = one.copy()
+
+    def _put_attitude(self, out: Columns, rates: Array, step: float = math.inf) -> None:
+        rows, least = self.flight.attitude, ROUNDING / abs(step)
+        assert rows is not None
+        euler = rows.gaps.spread(np.einsum("nij,nj->ni", rows.to_euler, rates))
+        for axis in range(3):
+            if (np.abs(euler[:, axis]) > least).any():
+                out[ATTITUDE + axis] = euler[:, axis]
+
+    # Columns.
+
+    def _stage(self, key: str) -> Stage | None:
+        """Where an unknown acts; None: it is one of the base model's."""
+        one = self.frame.unknowns.get(key)
+        return None if one is None else one.effect.stage
+
+    def _column(self, key: str) -> Columns:
+        out: Columns = {}
+        stage = self._stage(key)
+        if key == TIMING:
+            if self.flight.attitude is not None:
+                self._put_attitude(out, self.flight.attitude.timing)
+        elif key in BODY_KEYS:
+            self._craft_column(key, out)
+        elif key == SENSOR_LAG:
+            self._rotors_column(key, SENSOR_STEP_S, out)
+        elif key in MOTOR_KEYS:
+            if self.point[key] != 0.0:
+                self._rotors_column(key, BASE_STEPS[key] * self.point[key], out)
+        else:
+            one = self.frame.unknowns[key]
+            if stage in ("supply", "motor"):
+                toward = one.parameter.to_unknown(one.parameter.default) - one.absent
+                self._rotors_column(key, math.copysign(one.step, toward), out)
+            else:
+                columns = {
+                    "delay": self._delay_column,
+                    "rotor": self._rotor_column,
+                    "body": self._body_column,
+                    "sensor": self._sensor_column,
+                    "attitude": self._attitude_column,
+                }
+                columns[str(stage)](out, *self._ends(one))
+        return out
+
+    def _ends(self, one: Key) -> tuple[Moved, Moved, float]:
+        """Effects on both sides of an unknown's value, or on that which its bounds allow, and
+        how far they are apart."""
+        if one.key not in self._moved:
+            now, variant = value(self.point, one.key), self.frame.variants[one.key]
+            low = now - one.step if now - one.step >= one.bounds[0] else now
+            high = now + one.step
+            above, below = (
+                {variant.label: acting(variant.unknowns, {**self.point, one.key: end})}
+                for end in (high, low)
+            )
+            self._moved[one.key] = above, below, high - low
+        return self._moved[one.key]
+
+    def _sensors(self, moved: Moved) -> Sensors:
+        return Sensors(self.effects("sensor", moved), self.craft, self.frame.gyro_filter_hz)
+
+    def _put_change(self, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
+        """Store the difference of two models over a step."""
+        count = len(self.gyro)
+        turns = zip(high[0].angular, low[0].angular, strict=True)
+        pushes = zip(high[1].force, low[1].force, strict=True)
+        for part, pairs in ((RATES, turns), (FORCES, pushes)):
+            change = tuple((a - b) / step for a, b in pairs)
+            if any(np.ndim(rows) or rows for rows in change):
+                rows = self.sensors.answer(stacked(change, count), part, self.moving)
+                self._put(part, out, rows, step)
+
+    def _bodies(self, moved: Moved | None = None, **other: Any) -> Bodies:
+        return self._body(True, moved, **other), self._body(False, moved, **other)
+
+    def _craft_column(self, key: str, out: Columns) -> None:
+        step = BASE_STEPS[key] * self.point[key]
+        crafts = [
+            self.frame.craft({**self.point, key: self.point[key] + change})
+            for change in (step, -step)
+        ]
+        high, low = (self._body(True, craft=craft) for craft in crafts)
+        above, below = self.row, self.row
+        if crafts[0].thrust != crafts[1].thrust:
+            above, below = (self._body(False, craft=craft) for craft in crafts)
+        self._put_change(out, (high, above), (low, below), 2.0 * step)
+
+    def _rotors_column(self, key: str, step: float, out: Columns) -> None:
+        if self.flight.rotor_measured != (key == SENSOR_LAG):
+            return
+        moved = {**self.point, key: value(self.point, key) + step}
+        inputs = self._inputs(moved)
+        moving, passing = self._sensed(*self._bodies(inputs=inputs))
+        angular, force = self.sensors.in_body(passing[-1], moving)
+        self._put(RATES, out, (angular - self.gyro_model) / step, step)
+        self._put(FORCES, out, (force - self.force_model) / step, step)
+
+    def _delay_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        """By the slope: rotors a row earlier, rates as they are."""
+        late, early = (sum(one.law() for one in self.effects("delay", m)) for m in (high, low))
+        before = self._body(mean=False, inputs=self.inputs.one_before())
+        step *= self.period / (late - early)
+        self._put_change(out, (before, before), (self.row, self.row), step)
+
+    def _rotor_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        above, below = (self._bodies(moved, body=()) for moved in (high, low))
+        self._put_change(out, above, below, step)
+
+    def _body_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        ends = []
+        for moved in (high, low):
+            bodies = []
+            for body, mean in ((self.middle, True), (self.row, False)):
+                angular, force = STILL, STILL
+                for one in moved.values():
+                    if one is not None:
+                        angular, force = one.body_law(self.craft, body, self.period, mean)
+                bodies.append(body._replace(angular=angular, force=force))
+            ends.append((bodies[0], bodies[1]))
+        self._put_change(out, ends[0], ends[1], step)
+
+    def _sensor_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        (label,) = high
+        there, one = self.there.get(label), high[label] or low[label]
+        assert one is not None
+        behind = sum(before(e, one) for e in self.sensors.effects)
+        shown = [
+            passed(moved[label], self.craft, self.passing[behind], self.moving)
+            for moved in (high, low)
+        ]
+        for part, field in ((RATES, "angular"), (FORCES, "force")):
+            above, below = (getattr(one, field) for one in shown)
+            if above is not below:
+                rows = tuple((a - b) / step for a, b in zip(above, below, strict=True))
+                change = stacked(rows, len(self.gyro))
+                after = behind + (there is not None)
+                self._put(part, out, self.sensors.answer(change, part, self.moving, after), step)
+        ends = [self._sensors(moved) for moved in (high, low)]
+        if self.flight.attitude is not None and not ends[0].alike(ends[1]):
+            turning = [self._turning(sensors, self.lean) for sensors in ends]
+            self._put_attitude(out, (turning[0] - turning[1]) / step, step)
+
+    def _attitude_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        if self.flight.attitude is not None:
+            gains = (_gain(self.effects("attitude", moved)) for moved in (high, low))
+            turning = [self._turning(self.sensors, gain) for gain in gains]
+            self._put_attitude(out, (turning[0] - turning[1]) / step, step)
+
+
+def _gain(effects: Sequence[Acting]) -> float:
+    """Proportional gain of an attitude filter, 1/s."""
+    return float(sum(one.law()[0] for one in effects))

@@ -1,0 +1,124 @@
+"""Rotor speeds behind a flight: measured, or simulated with the effects of supply and motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.craft import add_effects
+from groundstation.dynamics.law import Craft, Supply
+from groundstation.dynamics.model import rotor_motors
+from groundstation.dynamics.motor import steady_rev_s
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.frame import Frame
+from groundstation.identification.likelihood.laws import Acting, in_order
+from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
+from groundstation.identification.torque import rotor_squares
+
+Array = NDArray[np.float64]
+
+SUBSTEPS = 1
+FASTEST_REV_S = 2000.0
+"""What a search tries need not be a motor: it must stay a number."""
+SMALL_MV = 1e-3
+"""Step of a difference: far below what a law limits."""
+KNOT_S = 10.0
+"""The cell's own voltage is straight over so long."""
+
+
+@dataclass(slots=True)
+class Rotors:
+    """end: (n, 4) rev/s at the rows. square: (n, 4) mean square over the period before."""
+
+    end: Array
+    square: Array
+
+
+def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rotors:
+    """Rotor speeds of a flight at a point."""
+    run, record = flight.run, frame.record(point)
+    if flight.rotor_measured:
+        squares = rotor_squares(run, frame.vehicle.motor, measured=True)
+        rotors = Rotors(np.sqrt(squares.end), squares.square)
+        lag = value(point, SENSOR_LAG)
+        return rotors if lag == 0.0 else _before_sensor(rotors, lag, run.period_s)
+    there = list(frame.acting(point).values())
+    supply = 1000.0 * run.supply_v
+    start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * supply[0])
+    craft = frame.craft(point)
+    keeps = {one: _keep(one, craft, supply[0], run.period_s) for one in in_order(there, "supply")}
+    prompt = [one for one, keep in keeps.items() if keep == 0.0]
+    acting = [*prompt, *in_order(there, "motor")]
+    add_effects(record, [(one.effect, one.named) for one in acting])
+    for keep in (keep for keep in keeps.values() if keep != 0.0):
+        speed = _run(flight, record, supply, start).end
+        supply = supply + _behind(flight, supply, speed, keep, record["back_emf_mv"])
+    return _run(flight, record, supply, start)
+
+
+def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
+    """True speeds behind a sensor that lags by the first order."""
+    end = np.maximum(rotors.end + lag_s * np.gradient(rotors.end, period_s, axis=0), 0.0)
+    before = np.vstack([end[:1], end[:-1]])
+    return Rotors(end, (end**2 + before**2 + before * end) / 3)
+
+
+def _run(flight: Flight, record: np.void, supply: Array, start: Array) -> Rotors:
+    from groundstation.dynamics.motor_kernels import run_motors
+
+    duty, period = flight.run.duty, flight.run.period_s
+    end, square = np.empty_like(duty), np.empty_like(duty)
+    square[0] = start**2
+    voltage = np.ascontiguousarray(duty[1:] * supply[1:, None])
+    run_motors(record, voltage, supply[1:], period, SUBSTEPS, start, end, square[1:])
+    np.clip(np.nan_to_num(end, copy=False), 0.0, FASTEST_REV_S, out=end)
+    np.clip(np.nan_to_num(square, copy=False), 0.0, FASTEST_REV_S**2, out=square)
+    return Rotors(end, square)
+
+
+def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float:
+    """k of a report r that remembers, r_i = k r_(i-1) + (1 - k) v: 0 where it does not.
+
+    The law gives the voltage v behind the report, so k is in its slopes.
+    """
+    still = (0.0, 0.0, 0.0, 0.0)
+
+    def behind(now: float, before: float) -> float:
+        given = Supply(now, before, period_s, still, still)
+        return float(one.effect.law(one.values, craft, given, now))
+
+    near = supply_mv + SMALL_MV
+    nothing = behind(supply_mv, supply_mv)
+    return (nothing - behind(supply_mv, near)) / (behind(near, supply_mv) - nothing)
+
+
+def _behind(
+    flight: Flight, supply_mv: Array, speed: Array, keep: float, back_emf_mv: Array
+) -> Array:
+    """Real less reported voltage (n,) mV of a report that remembers the share ``keep`` of itself.
+
+    The reading itself cannot be differentiated: its steps of a millivolt would be amplified. The
+    cell can be modelled: E(t) - A sum d^2 V + B sum d n, lagged, is fitted to the report, which
+    is what ``identification/motor/supply.py`` does on a bench; E is linear between knots.
+    """
+    from groundstation.identification.likelihood.kernels import first_order
+
+    run = flight.run
+    load = (run.duty**2).sum(axis=1) * supply_mv
+    back = (run.duty * speed) @ back_emf_mv
+    rows = len(run)
+    knots = np.linspace(0, rows - 1, max(2, round(rows * run.period_s / KNOT_S)) + 1)
+    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(rows)[:, None] - knots) / (knots[1] - knots[0]))
+    plain = np.column_stack([hats, -load, back])
+    lagged = np.empty_like(plain)
+    first_order(np.ascontiguousarray(plain), keep, lagged)
+    first = min(flight.first, rows // 4)
+    normal = lagged[first:].T @ lagged[first:]
+    scale = np.sqrt(np.diag(normal)) + 1e-12
+    weights = np.linalg.lstsq(
+        normal / np.outer(scale, scale), lagged[first:].T @ supply_mv[first:] / scale, rcond=1e-10
+    )[0]
+    return np.asarray((plain - lagged) @ (weights / scale))

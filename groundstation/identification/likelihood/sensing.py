@@ -1,0 +1,310 @@
+"""What the sensor effects of a point do: undone on what was measured, done to what is modelled.
+
+Near rest a sensor is linear: ds/dt = a s + b u, shown = c s + d u + offset, u = (gyro,
+accelerometer) in body axes. The matrices are read off the laws by differences. What a law makes of
+the craft's motion beside (a lever arm), or of large readings, it does row by row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
+from groundstation.identification.likelihood.laws import Acting
+from groundstation.identification.likelihood.motion import (
+    BodyRows,
+    Rows,
+    one_before,
+    stacked,
+)
+
+Array = NDArray[np.float64]
+
+FIRMWARE_HZ = 1000.0
+"""Rate of the firmware's sensor loop."""
+PROBE = 1e-3
+"""Step of the differences in SI: small beside what a sensor reads in flight."""
+SAME = 1e-12
+"""Rounding of these differences."""
+_STILL, _FOUR = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+REST = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), _STILL, _STILL, _FOUR, _FOUR, 0.0, _STILL, _STILL)
+RATES, FORCES = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True)
+class Passing:
+    """What comes to a sensor: the mean rate over the period before each row, its slope over the
+    period, and the specific force at the row."""
+
+    rate: Rows
+    angular: Rows
+    force: Rows
+
+
+@dataclass
+class Moving:
+    """A craft as its sensors have it, at each row; the sensors are settled at row ``first``."""
+
+    now: BodyRows
+    period_s: float
+    first: int
+
+    @cached_property
+    def before(self) -> BodyRows:
+        """``now`` of the row before."""
+        return Before(self.now)
+
+    def __len__(self) -> int:
+        return len(self.now.height)
+
+
+class Before:
+    """A body's rows moved on by one, each when it is asked for."""
+
+    def __init__(self, body: BodyRows) -> None:
+        self._body = body
+
+    def __getattr__(self, field: str) -> Rows:
+        rows = one_before(getattr(self._body, field))
+        setattr(self, field, rows)
+        return rows
+
+
+class Sensors:
+    """The sensor effects that act at a point, in their order.
+
+    gain, offset: shown = gain u + offset when steady, (6, 6) and (6,). lag: (6, 6) s, shown falls
+    behind gain u by lag du/dt on a ramp. undo: inverse of gain. turn: (3, 3), sensor to body axes.
+    """
+
+    def __init__(self, effects: tuple[Acting, ...], craft: Craft, filter_hz: float = 0.0) -> None:
+        """filter_hz: corner of the on-board low-pass of second order behind them; 0: none."""
+        self.effects, self.craft, self.filter_hz = effects, craft, filter_hz
+        self.gain, self.lag, self.offset = np.eye(6), np.zeros((6, 6)), np.zeros(6)
+        self.linear = [_near_rest(one, craft) for one in effects]
+        for one in self.linear:
+            gain, lag = one.steady
+            self.lag = gain @ self.lag + lag @ self.gain
+            self.offset = gain @ self.offset + one.offset
+            self.gain = gain @ self.gain
+        self.undo: Array = np.linalg.inv(self.gain).astype(np.float64)
+        left, _, right = np.linalg.svd(self.gain[RATES, RATES])
+        self.turn = (left @ right).T
+
+    @property
+    def gyro_lag(self) -> Array:
+        """(3, 3) s in body axes: how far the true rate is ahead of the gyro on a ramp."""
+        return np.asarray((self.undo @ self.lag)[RATES, RATES])
+
+    def true(self, gyro: Array, force: Array) -> tuple[Array, Array]:
+        """Rate and specific force (n, 3) in body axes behind what was measured, but for lags."""
+        gyro, force = gyro - self.offset[RATES], force - self.offset[FORCES]
+        rate, felt = gyro @ self.undo[RATES, RATES].T, force @ self.undo[FORCES, FORCES].T
+        if self.undo[RATES, FORCES].any() and np.isfinite(force).all():
+            rate += force @ self.undo[RATES, FORCES].T
+        if self.undo[FORCES, RATES].any():
+            felt += gyro @ self.undo[FORCES, RATES].T
+        return rate, felt
+
+    def turning(self, gyro: Array, slope: Array, lagging: float) -> Array:
+        """Rate (m, 3) in sensor axes behind a gyro and its slope, as reported angles turn.
+
+        lagging: share of the gyro's lag that these angles do not have themselves.
+        """
+        undo = self.undo[RATES, RATES]
+        found = (gyro - self.offset[RATES]) @ (self.turn.T @ undo).T
+        if lagging and self.lag.any():
+            found += lagging * slope @ (self.turn.T @ undo @ self.lag[RATES, RATES] @ undo).T
+        return np.asarray(found)
+
+    def shown(self, given: Passing, moving: Moving) -> list[Passing]:
+        """``given``, and what passes each sensor on."""
+        found = [given]
+        for one, near in zip(self.effects, self.linear, strict=True):
+            found.append(_passed(one, near, self.craft, found[-1], moving))
+        return found
+
+    def in_body(self, shown: Passing, moving: Moving) -> tuple[Array, Array]:
+        """Angular acceleration and specific force (n, 3) in body axes that readings stand for."""
+        count, period = len(moving), moving.period_s
+        angular, force = stacked(shown.angular, count), stacked(shown.force, count)
+        if self.filter_hz:
+            angular = _filtered_on_board(angular, self.filter_hz, period)
+        if not self.effects:
+            return angular, force
+        force = force - self.offset[FORCES]
+        found = _turned(angular, self.undo[RATES, RATES])
+        felt = _turned(force, self.undo[FORCES, FORCES])
+        if self.undo[RATES, FORCES].any():
+            slope = np.diff(force, axis=0, prepend=force[:1]) / period
+            found += slope @ self.undo[RATES, FORCES].T
+        if self.undo[FORCES, RATES].any():
+            now = stacked(shown.rate, count) + 0.5 * period * angular - self.offset[RATES]
+            felt += now @ self.undo[FORCES, RATES].T
+        return found, felt
+
+    def answer(self, values: Array, part: slice, moving: Moving, behind: int = 0) -> Array:
+        """What small changes (n, 3) of angular acceleration or force become in body axes.
+
+        behind: how many of the sensors they have passed already.
+        """
+        if part == RATES and self.filter_hz:
+            values = _filtered_on_board(values, self.filter_hz, moving.period_s)
+        matrix = np.eye(3)
+        for near in self.linear[behind:]:
+            if near.c[part].any():
+                values = _filtered(near, part, _turned(values, matrix), moving)
+                matrix = np.eye(3)
+            else:
+                matrix = near.d[part, part] @ matrix
+        return _turned(values, self.undo[part, part] @ matrix)
+
+    def alike(self, other: Sensors) -> bool:
+        """Whether reported angles turn alike behind the two."""
+        one, two = (
+            np.column_stack([x.turn.T @ x.undo[RATES, RATES], x.gyro_lag, x.offset[RATES]])
+            for x in (self, other)
+        )
+        return np.allclose(one, two, rtol=0.0, atol=SAME)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """One sensor near rest."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    offset: Array
+
+    @cached_property
+    def steady(self) -> tuple[Array, Array]:
+        """Gain and lag (6, 6): over a ramp u the states follow as p u + a^-1 p du/dt."""
+        if not self.a.size:
+            return self.d, np.zeros((6, 6))
+        p = _over(self.a, -self.b)
+        return self.d + self.c @ p, -self.c @ _over(self.a, p)
+
+
+def _turned(values: Array, matrix: NDArray[Any]) -> Array:
+    if np.abs(matrix - np.eye(3)).max() < SAME:
+        return values
+    return np.asarray(values @ matrix.T)
+
+
+def _over(matrix: Array, values: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(matrix, values, rcond=None)[0])
+
+
+@lru_cache(maxsize=256)
+def _near_rest(one: Acting, craft: Craft) -> Linear:
+    states = len(one.effect.states)
+
+    def shown(x: Array) -> Array:
+        numbers = x.tolist()
+        reading = Reading(tuple(numbers[RATES]), tuple(numbers[FORCES]), _FOUR)
+        if not states:
+            found = one.effect.law(one.values, craft, REST, reading)
+            return np.array([*found.gyro, *found.accelerometer])
+        found, slopes = one.effect.law(one.values, craft, REST, reading, tuple(numbers[6:]))
+        return np.array([*found.gyro, *found.accelerometer, *slopes])
+
+    steps = PROBE * np.eye(6 + states)
+    slopes = np.stack([(shown(e) - shown(-e)) / (2.0 * PROBE) for e in steps], axis=1)
+    still = shown(np.zeros(6 + states))
+    a, c, offset = slopes[6:, 6:], slopes[:6, 6:], still[:6]
+    if states:
+        offset = offset - c @ _over(a, still[6:])
+    return Linear(a, slopes[6:, :6], c, slopes[:6, :6], offset)
+
+
+def passed(one: Acting | None, craft: Craft, given: Passing, moving: Moving) -> Passing:
+    """What a sensor passes on."""
+    return given if one is None else _passed(one, _near_rest(one, craft), craft, given, moving)
+
+
+def _passed(one: Acting, near: Linear, craft: Craft, given: Passing, moving: Moving) -> Passing:
+    if one.effect.states:
+        return _remembered(near, given, moving)
+    half = 0.5 * moving.period_s
+    now = tuple(r + half * a for r, a in zip(given.rate, given.angular, strict=True))
+    shown = one.law(craft, moving.now, Reading(now, given.force, moving.now.rotor))
+    if shown.gyro is now:
+        return replace(given, force=shown.accelerometer)
+    earlier = tuple(r - half * a for r, a in zip(given.rate, given.angular, strict=True))
+    reading = Reading(earlier, one_before(given.force), moving.before.rotor)
+    pairs = list(zip(shown.gyro, one.law(craft, moving.before, reading).gyro, strict=True))
+    rate = tuple(0.5 * (late + early) for late, early in pairs)
+    angular = tuple((late - early) / moving.period_s for late, early in pairs)
+    return Passing(rate, angular, shown.accelerometer)
+
+
+def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
+    """A sensor with states, as the linear filter that it is near rest."""
+    (gain, lag), count = near.steady, len(moving)
+    angular, force = stacked(given.angular, count), stacked(given.force, count)
+    rate = stacked(given.rate, count) @ gain[RATES, RATES].T - angular @ lag[RATES, RATES].T
+    if near.c[RATES].any():
+        angular = _filtered(near, RATES, angular, moving)
+    if near.c[FORCES].any():
+        force = _filtered(near, FORCES, force, moving)
+    rows = (np.ascontiguousarray(part.T) for part in (rate, angular, force))
+    return Passing(*(tuple(part) for part in rows))
+
+
+def _filtered(near: Linear, part: slice, values: Array, moving: Moving) -> Array:
+    """Rows (n, 3) behind a sensor, exactly, from a settled start."""
+    from groundstation.identification.likelihood.kernels import linear_filter
+
+    matrix = _discrete(near, part == RATES, moving.period_s)
+    to, of = np.nonzero(np.abs(matrix) > SAME * np.abs(matrix).max())
+    start = _over(near.a, -near.b[:, part] @ values[moving.first])
+    found = np.empty_like(values)
+    rows = np.ascontiguousarray(values)
+    linear_filter(to, of, matrix[to, of], start, moving.first, rows, found)
+    return found
+
+
+@lru_cache(maxsize=256)
+def _discrete(near: Linear, rates: bool, h: float) -> Array:
+    """M of [s_k, y_k] = M [s_(k-1), u_k, u_(k-1)] over a period h.
+
+    Rates change straight from row to row: their slopes are held over each period, and what comes
+    out are means over it. Forces are values at the rows with straight lines between them.
+    """
+    from scipy.linalg import expm
+
+    part = RATES if rates else FORCES
+    a, b, c, d = near.a, near.b[:, part], near.c[part], near.d[part, part]
+    n, m = b.shape
+    # exp of [[A h, B h, 0], [0, 0, I], [0, 0, 0]]: the states' answers to a held input and a ramp.
+    block = np.zeros((n + 2 * m, n + 2 * m))
+    block[:n, :n], block[:n, n : n + m] = a * h, b * h
+    block[n : n + m, n + m :] = np.eye(m)
+    whole = expm(block)
+    keep, held, ramp = whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
+    none = np.zeros((m, m))
+    if rates:
+        # A period changes s by h (A mean(s) + B u).
+        mean = _over(a * h, np.hstack([keep - np.eye(n), held - b * h]))
+        return np.block(
+            [[keep, held, np.zeros((n, m))], [c @ mean[:, :n], c @ mean[:, n:] + d, none]]
+        )
+    return np.block([[keep, ramp, held - ramp], [c @ keep, c @ ramp + d, c @ (held - ramp)]])
+
+
+def _filtered_on_board(values: Array, corner_hz: float, period_s: float) -> Array:
+    """Means (n, m) over periods behind the firmware's Butterworth filter, which runs at 1 kHz."""
+    from scipy.signal import butter, lfilter, lfilter_zi
+
+    steps = max(round(FIRMWARE_HZ * period_s), 1)
+    b, a = butter(2, corner_hz, fs=steps / period_s)
+    start = lfilter_zi(b, a)[:, None] * values[:1]
+    out, _ = lfilter(b, a, np.repeat(values, steps, axis=0), axis=0, zi=start)
+    return np.asarray(out.reshape(len(values), steps, -1).mean(axis=1))

@@ -1,0 +1,38 @@
+"""Body velocity, which no sensor measures, from specific force and attitude: a leaky integral."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.runs import Run
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+Array = NDArray[np.float64]
+
+LEAK_S, LEANING_LEAK_S = 16.0, 4.0
+"""Velocity is known over times shorter than this, with an attitude that is right; with one that
+leans towards the accelerometer, as on-board estimates do, or is carried by the gyro instead."""
+
+
+def velocity_from(
+    attitude: Array, force: Array, period_s: float, leak_s: float, first: int = 0
+) -> Array:
+    """Velocity (n, 3) in m/s, forward, left, up, from attitude (n, 3) and specific force (n, 3).
+
+    At each row what the rows before tell, from row ``first`` on. Steady speed, and what an offset
+    of the sensors would add, are forgotten (two leaks of time constant ``leak_s``).
+    """
+    from groundstation.identification.likelihood.kernels import body_velocity
+
+    attitude, force = (np.ascontiguousarray(one, np.float64) for one in (attitude, force))
+    velocity = np.zeros_like(attitude)
+    body_velocity(attitude, force, STANDARD_GRAVITY, period_s, leak_s, first, velocity)
+    return velocity
+
+
+def velocity_of(run: Run, leak_s: float = LEANING_LEAK_S) -> Array:
+    """Velocity (n, 3) m/s of a run as recorded; zero without accelerometer or attitude."""
+    if not (np.isfinite(run.accelerometer).all() and np.isfinite(run.attitude).all()):
+        return np.zeros((len(run), 3))
+    return velocity_from(run.attitude, run.accelerometer, run.period_s, leak_s)

@@ -1,0 +1,373 @@
+"""One connection to one Crazyflie, for telemetry and commands alike.
+
+The only module that imports cflib, which is GPLv3 and an optional extra. cflib calls back from
+threads of its own; what they say reaches the event loop here or through the callables given.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import io
+import os
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.log_plan import Variable
+
+SCHEMES = ("udp://", "radio://", "usb://")
+HINT = "install it with pip install -e '.[radio]' in the program's folder, or pip install cflib"
+CONNECT_S = 10.0
+ANSWER_S = 1.0
+"""For what a firmware may not know how to answer."""
+BLOCK_S = 5.0
+STOP_S = 0.05
+"""Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
+LEAST_CFLIB_MS = 10
+"""cflib's own commands know no shorter period."""
+
+_LOG, _PLATFORM = 5, 13
+_LOG_CONTROL, _VERSION = 1, 1
+_START_V2 = 8
+_FIRMWARE, _DEVICE = 1, 2
+
+OnValues = Callable[[int, int, tuple[float, ...]], None]
+"""Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What the craft says of itself. protocol: -1 for a firmware that knows no versions."""
+
+    protocol: int
+    firmware: str
+    device: str
+
+
+class Connection:
+    """A craft by cflib, at most one connection at a time.
+
+    on_lost: told, on the event loop, why the connection ended by itself. on_console: told every
+    line of the craft's console. commanded: setpoints went through it, so that closing stops the
+    motors, as cflib does.
+    """
+
+    def __init__(self, uri: str) -> None:
+        if not uri.startswith(SCHEMES):
+            raise BadInputError(
+                f"{uri!r} is not known: give udp://HOST:PORT, usb://0 or"
+                " radio://0/80/2M/E7E7E7E7E7 (dongle, channel, rate, address)"
+            )
+        try:
+            import cflib.crtp
+            from cflib.crazyflie import Crazyflie
+        except ImportError as error:
+            raise BadInputError(f"{uri} needs cflib: {HINT}") from error
+        if not cflib.crtp.CLASSES:  # each call would add them again
+            cflib.crtp.init_drivers()
+        self.uri = uri
+        self.commanded = False
+        self.on_lost: list[Callable[[str], None]] = []
+        self.on_console: Callable[[str], None] = lambda line: None
+        self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(_cache_folder()))
+        self._craft: Any = None
+        self._complete: asyncio.Future[bool] | None = None
+        self._console = ""
+        self._blocks: list[Any] = []
+
+    @property
+    def craft(self) -> Any:
+        """cflib's object. Raises LinkError where nothing is connected."""
+        if self._craft is None:
+            raise LinkError(f"{self.uri} is not connected")
+        return self._craft
+
+    @property
+    def is_open(self) -> bool:
+        return self._craft is not None
+
+    @property
+    def protocol(self) -> int:
+        """Version of CRTP that the craft speaks, -1 for one that knows no versions."""
+        return int(self.craft.platform.get_protocol_version())
+
+    def send(self, port: int, channel: int, data: bytes) -> None:
+        """Send one packet that nothing answers."""
+        self.craft.send_packet(_packet(port, channel, data))
+
+    async def open(self) -> None:
+        """Connect, until the tables of contents are known. Raises LinkError."""
+        loop = asyncio.get_running_loop()
+        ready: asyncio.Future[None] = loop.create_future()
+        complete: asyncio.Future[bool] = loop.create_future()
+        craft = self._craft = self._new_craft()
+        self._complete, self._console, self.commanded = complete, "", False
+
+        def tell(future: asyncio.Future[Any], result: Any = None) -> None:
+            loop.call_soon_threadsafe(resolve, future, result)
+
+        def failed(uri: str, reason: str = "") -> None:
+            tell(ready, LinkError(f"{self.uri}: {_explained(reason)}"))
+
+        def lost(uri: str, reason: str = "") -> None:
+            failed(uri, reason)
+            loop.call_soon_threadsafe(self._lose, craft, _explained(reason))
+
+        craft.connected.add_callback(lambda uri: tell(ready))
+        craft.fully_connected.add_callback(lambda uri: tell(complete, True))
+        craft.connection_failed.add_callback(failed)
+        craft.connection_lost.add_callback(lost)
+        craft.console.receivedChar.add_callback(
+            lambda text: loop.call_soon_threadsafe(self._hear, text)
+        )
+        try:
+            # cflib blocks here while it opens the radio
+            await asyncio.to_thread(craft.open_link, self.uri)
+            async with asyncio.timeout(CONNECT_S):
+                await ready
+        except TimeoutError as error:
+            await self.close()
+            raise LinkError(f"{self.uri}: no craft answered within {CONNECT_S:g} s") from error
+        except BaseException:
+            await self.close()
+            raise
+
+    async def complete(self) -> None:
+        """Wait until every parameter has been read. Raises LinkError."""
+        if self._complete is None:
+            raise LinkError(f"{self.uri} is not connected")
+        try:
+            async with asyncio.timeout(CONNECT_S):
+                is_complete = await asyncio.shield(self._complete)
+        except TimeoutError as error:
+            raise LinkError(
+                f"{self.uri}: not all parameters could be read within {CONNECT_S:g} s"
+            ) from error
+        if not is_complete:
+            raise LinkError(f"{self.uri}: the connection was closed")
+
+    async def close(self) -> None:
+        """Disconnect. Safe to call twice."""
+        craft, self._craft = self._craft, None
+        if self._complete is not None:
+            resolve(self._complete, False)
+            self._complete = None
+        if craft is not None:
+            await asyncio.to_thread(self._disconnect, craft)
+
+    def _disconnect(self, craft: Any) -> None:
+        self._stop_blocks(craft)
+        link = craft.link
+        if link is not None and not self.commanded:
+            # cflib would send zero thrust, which who only listens has no business to
+            link.close()
+            craft.link = None
+        craft.close_link()
+
+    async def identify(self) -> Identity:
+        """What the craft calls itself; empty where it does not say."""
+        protocol = self.protocol
+        if protocol < 0:
+            return Identity(protocol, "", "")
+        said = [await self._ask(_PLATFORM, _VERSION, what) for what in (_FIRMWARE, _DEVICE)]
+        return Identity(protocol, *said)
+
+    async def _ask(self, port: int, channel: int, command: int) -> str:
+        """The text that answers a command of one byte, empty where none comes."""
+        craft, loop = self.craft, asyncio.get_running_loop()
+        answer: asyncio.Future[str] = loop.create_future()
+
+        def heard(packet: Any) -> None:
+            data = bytes(packet.data)
+            if data[:1] == bytes([command]):
+                text = data[1:].rstrip(b"\0").decode("utf-8", "replace")
+                loop.call_soon_threadsafe(resolve, answer, text)
+
+        craft.add_header_callback(heard, port, channel)
+        try:
+            craft.send_packet(_packet(port, channel, bytes([command])), expected_reply=(command,))
+            async with asyncio.timeout(ANSWER_S):
+                return await answer
+        except TimeoutError:
+            return ""
+        finally:
+            craft.remove_header_callback(heard, port, channel)
+
+    def variables(self) -> dict[str, str]:
+        """What the craft can log: full name -> type."""
+        return {
+            f"{group}.{name}": element.ctype
+            for group, elements in self.craft.log.toc.toc.items()
+            for name, element in elements.items()
+        }
+
+    async def start_log(
+        self, blocks: Sequence[Sequence[Variable]], period_ms: int, on_values: OnValues
+    ) -> None:
+        """Let the craft send blocks, each every ``period_ms``.
+
+        Raises LinkError where it refuses one, or does not know so short a period.
+        """
+        from cflib.crazyflie.log import LogConfig
+
+        craft, loop = self.craft, asyncio.get_running_loop()
+        running = threading.Event()  # nothing is passed on before the last block has its period
+        for number, variables in enumerate(blocks):
+            block = LogConfig(f"block {number}", max(period_ms, LEAST_CFLIB_MS))
+            for name, kind in variables:
+                block.add_variable(name, kind)
+            started: asyncio.Future[None] = loop.create_future()
+
+            def begun(
+                block: Any, is_started: bool, started: asyncio.Future[None] = started
+            ) -> None:
+                loop.call_soon_threadsafe(resolve, started, None)
+
+            def refused(block: Any, reason: str, started: asyncio.Future[None] = started) -> None:
+                error = LinkError(f"{self.uri}: the craft refused a log block: {reason}")
+                loop.call_soon_threadsafe(resolve, started, error)
+
+            def received(stamp: int, values: Any, block: Any, number: int = number) -> None:
+                if running.is_set():
+                    on_values(number, stamp, tuple(values.values()))
+
+            block.started_cb.add_callback(begun)
+            block.error_cb.add_callback(refused)
+            block.data_received_cb.add_callback(received)
+            self._blocks.append(block)
+            craft.log.add_config(block)
+            block.start()
+            await self._within(started, "did not start a log block")
+        await self._set_period(period_ms)
+        running.set()
+
+    async def _set_period(self, period_ms: int) -> None:
+        """Start all blocks again, as close to each other as packets go, in ms: cflib itself
+        starts one when the craft has confirmed it, and knows tens of ms only."""
+        if self.protocol < 0:
+            if period_ms % LEAST_CFLIB_MS:
+                raise LinkError(
+                    f"{self.uri}: this firmware logs every 10, 20, 30 ... ms only, not every"
+                    f" {period_ms}; say --rate 100"
+                )
+            return
+        craft, loop = self.craft, asyncio.get_running_loop()
+        answers: dict[int, asyncio.Future[int]] = {
+            block.id: loop.create_future() for block in self._blocks
+        }
+
+        def heard(packet: Any) -> None:
+            data = bytes(packet.data)
+            if len(data) > 2 and data[0] == _START_V2 and data[1] in answers:
+                loop.call_soon_threadsafe(resolve, answers[data[1]], data[2])
+
+        craft.add_header_callback(heard, _LOG, _LOG_CONTROL)
+        try:
+            for number in answers:
+                data = bytes([_START_V2, number]) + period_ms.to_bytes(2, "little")
+                craft.send_packet(
+                    _packet(_LOG, _LOG_CONTROL, data), expected_reply=(_START_V2, number)
+                )
+            for answer in answers.values():
+                error = await self._within(answer, "did not confirm the period of its log")
+                if error and period_ms % LEAST_CFLIB_MS:
+                    raise LinkError(
+                        f"{self.uri}: this firmware does not log every {period_ms} ms"
+                        f" ({errno.errorcode.get(error, error)}); say --rate 100"
+                    )
+        finally:
+            craft.remove_header_callback(heard, _LOG, _LOG_CONTROL)
+
+    async def _within(self, answer: asyncio.Future[Any], what: str) -> Any:
+        try:
+            async with asyncio.timeout(BLOCK_S):
+                return await answer
+        except TimeoutError as error:
+            raise LinkError(f"{self.uri}: the craft {what} within {BLOCK_S:g} s") from error
+
+    def _stop_blocks(self, craft: Any) -> None:
+        blocks, self._blocks = self._blocks, []
+        if craft.link is None:
+            return
+        for block in blocks:
+            block.stop()
+        if blocks:
+            threading.Event().wait(STOP_S)
+        for block in blocks:
+            block.delete()
+
+    def _lose(self, craft: Any, reason: str) -> None:
+        if craft is self._craft:
+            for tell in self.on_lost:
+                tell(reason)
+
+    def _hear(self, text: str) -> None:
+        """Console text comes in pieces."""
+        *lines, self._console = (self._console + text).split("\n")
+        for line in filter(None, map(str.strip, lines)):
+            self.on_console(line)
+
+
+def in_reach() -> list[str]:
+    """Addresses of the craft that answer a dongle or a cable; takes seconds with a dongle.
+
+    Raises BadInputError without cflib.
+    """
+    try:
+        from cflib.crtp.radiodriver import RadioDriver
+        from cflib.crtp.usbdriver import UsbDriver
+    except ImportError as error:
+        raise BadInputError(f"to look for craft cflib is needed: {HINT}") from error
+    found: list[str] = []
+    with contextlib.redirect_stdout(io.StringIO()):  # cflib prints what it does not find
+        for driver in (RadioDriver(), UsbDriver()):
+            found += [uri for uri, *_ in driver.scan_interface(None)]
+    return found
+
+
+def _packet(port: int, channel: int, data: bytes) -> Any:
+    from cflib.crtp.crtpstack import CRTPPacket
+
+    packet = CRTPPacket()
+    packet.set_header(port, channel)
+    packet.data = data
+    return packet
+
+
+def _explained(reason: str) -> str:
+    """One line of what cflib says, which may be a traceback, and what to do."""
+    lines = [line.strip() for line in reason.splitlines() if line.strip()]
+    line = lines[0] if lines else "connection lost"
+    if "Traceback" in reason:
+        line = lines[-1]
+    lowered = reason.lower()
+    if "access" in lowered or "permission" in lowered:
+        return f"{line}: no permission; 'groundstation install udev --print' shows the rule"
+    if "busy" in lowered:
+        return f"{line}: the dongle is in use by another program"
+    if "cannot find" in lowered and "dongle" in lowered:
+        return f"{line}: no Crazyradio is plugged in, or it is in use by another program"
+    if "refused" in lowered:
+        return "refused: nothing serves there"
+    return line
+
+
+def _cache_folder() -> Path:
+    """Where cflib keeps tables of contents by their checksum, so that they are read once."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "groundstation" / "crazyflie"
+
+
+def resolve(future: asyncio.Future[Any], result: Any) -> None:
+    """Set a future once, from whichever callback comes first."""
+    if future.done():
+        return
+    if isinstance(result, Exception):
+        future.set_exception(result)
+    else:
+        future.set_result(result)

@@ -1,0 +1,179 @@
+"""Telemetry of a stock Crazyflie by its log blocks: ``radio://``, ``usb://`` or ``udp://``.
+
+Nothing is soldered and nothing is flashed: the craft is asked for the variables that it lists.
+The connection carries commands too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Sequence
+
+from groundstation.clock import HostClock
+from groundstation.errors import BadInputError, LinkLostError
+from groundstation.links.base import Link
+from groundstation.links.crazyflie import CrazyflieLink
+from groundstation.links.crazyflie_connection import Connection, Identity
+from groundstation.links.log_plan import LogPlan, plan_log
+from groundstation.links.log_rows import LogPacket, LogRows
+from groundstation.telemetry.decoder import DecoderCounts
+from groundstation.telemetry.samples import SampleBatch
+
+BATCH_S = 0.01
+"""Packets of so long are given out together."""
+SILENT_S = 2.0
+"""A craft that was silent for so long is connected to again: it may have restarted, and a restart
+forgets its log blocks."""
+QUEUE_PACKETS = 50_000
+"""A minute and more at any rate; the oldest are dropped and counted."""
+CONSOLE_LINES = 200
+"""Of the craft's console, until the link is read."""
+RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
+"""Whole ms, and not below what identification needs."""
+DEVICES = {
+    "Crazyflie 2.1 Brushless": "brushless",
+    "Crazyflie 2.1": "crazyflie21",
+    "Crazyflie 2.0": "crazyflie21",
+}
+"""What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
+
+
+class CrazyflieTelemetry(Link):
+    """Samples of a stock Crazyflie, ``rate_hz`` a second.
+
+    wanted: further log variables.
+    """
+
+    def __init__(
+        self,
+        uri: str,
+        *,
+        rate_hz: int = 100,
+        wanted: Sequence[str] = (),
+        clock: HostClock | None = None,
+    ) -> None:
+        super().__init__(uri, clock=clock)
+        if rate_hz not in RATES_HZ:
+            listed = ", ".join(map(str, RATES_HZ))
+            raise BadInputError(f"rate {rate_hz}: a craft logs every whole ms; give {listed}")
+        self._connection = Connection(uri)
+        self._connection.on_lost.append(self._lose)
+        self._console: deque[str] = deque(maxlen=CONSOLE_LINES)
+        self._connection.on_console = self._console.append
+        self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
+        self._period_ms = 1000 // rate_hz
+        self._wanted = tuple(wanted)
+        self._rows: LogRows | None = None
+        self._found = ""  # to be told with the first batch
+        self._lost = ""
+        self._lock = threading.Lock()
+        self._packets: deque[LogPacket] = deque(maxlen=QUEUE_PACKETS)
+        self._dropped = 0
+        self._arrival = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._heard_s = self._due_s = 0.0
+
+    def sample_counts(self) -> DecoderCounts | None:
+        return self._rows.counts() if self._rows is not None else None
+
+    async def _open(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._arrival, self._lost = asyncio.Event(), ""
+        with self._lock:
+            self._packets.clear()
+        await self._connection.open()
+        try:
+            identity = await self._connection.identify()
+            plan = plan_log(self._connection.variables(), self._wanted)
+            if self._rows is None:
+                self._rows = LogRows(plan, self._period_ms)
+            else:
+                self._rows.restart(plan, self._period_ms)
+            blocks = [*plan.blocks, *plan.extra]
+            await self._connection.start_log(blocks, self._period_ms, self._take)
+        except BaseException:
+            await self._connection.close()
+            raise
+        self.vehicle = DEVICES.get(identity.device) if identity.protocol > 0 else "crazyflie1"
+        self._found = self._introduction(identity, plan)
+        self._heard_s = self._loop.time()
+
+    async def _read(self) -> SampleBatch:
+        loop, rows = self._loop, self._rows
+        assert loop is not None
+        assert rows is not None
+        while True:
+            while self._console:
+                self.emit("console", self._console.popleft())
+            while not self._arrival.is_set():
+                self._require_heard(loop.time())
+                try:
+                    async with asyncio.timeout_at(self._heard_s + SILENT_S):
+                        await self._arrival.wait()
+                except TimeoutError:
+                    continue
+            self._require_heard(loop.time())
+            # a moment that was waited for is not waited for again by the next read
+            await asyncio.sleep(max(self._due_s - loop.time(), 0.0))
+            self._due_s = loop.time() + BATCH_S
+            with self._lock:
+                packets = list(self._packets)
+                self._packets.clear()
+                self._arrival.clear()
+                dropped, self._dropped = self._dropped, 0
+            if packets:
+                self._heard_s = loop.time()
+            if dropped:
+                self.emit("loss", f"{dropped} packets dropped: nobody read the link for too long")
+            samples = rows.add(packets)
+            if len(samples):
+                if self._found:
+                    self.emit("found", self._found)
+                    self._found = ""
+                return samples
+
+    async def _close(self) -> None:
+        await self.commands.close()
+        await self._connection.close()
+
+    def _require_heard(self, now_s: float) -> None:
+        if self._lost:
+            raise LinkLostError(f"{self.name}: {self._lost}")
+        if now_s >= self._heard_s + SILENT_S and not self._packets:
+            raise LinkLostError(f"{self.name}: nothing came for {SILENT_S:g} s; connecting again")
+
+    def _take(self, block: int, stamp: int, values: tuple[float, ...]) -> None:
+        """A packet, on cflib's thread."""
+        with self._lock:
+            self._dropped += len(self._packets) == QUEUE_PACKETS
+            self._packets.append((block, stamp, values, self.clock()))
+            tell = not self._arrival.is_set()
+        if tell and self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._arrival.set)
+
+    def _lose(self, reason: str) -> None:
+        self._lost = reason
+        self._arrival.set()
+
+    def _introduction(self, identity: Identity, plan: LogPlan) -> str:
+        """One line: what was found, and what is missing."""
+        name = identity.device or "a Crazyflie"
+        version = f"firmware {identity.firmware}, " if identity.firmware else ""
+        protocol = f"protocol {identity.protocol}" if identity.protocol > 0 else "protocol 1"
+        names = sorted({variable.split(".")[0] for b in plan.blocks for variable, _ in b})
+        text = (
+            f"{name}, {version}{protocol}; {', '.join(names)} in {len(plan.blocks)} blocks"
+            f" {1000 // self._period_ms} times a second"
+        )
+        if self.vehicle is None:
+            text += "; vehicle not told: taken for crazyflie21, say --set vehicle=PROFILE"
+            self.vehicle = "crazyflie21"
+        elif self.vehicle == "crazyflie21":
+            text += (
+                "; vehicle crazyflie21 (a 2.1+ calls itself alike: --set vehicle=crazyflie21plus)"
+            )
+        else:
+            text += f"; vehicle {self.vehicle}"
+        return "; ".join([text, *plan.missing])

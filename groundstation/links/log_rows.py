@@ -1,0 +1,235 @@
+"""From the packets of a craft's log blocks to samples; pure.
+
+A packet has a stamp of 24 bits in ms and no number: time is unwrapped with the host's clock, and
+what was lost shows only as a missing step. The blocks of one period are started one after the
+other, so their stamps may differ by a constant part of it: a row has the stamps of the first
+block, and the others are read there, on the line between their neighbours where they are not from
+the same moment.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.links.log_plan import QUATERNION, LogPlan
+from groundstation.recording.microsd_channels import samples_from_columns
+from groundstation.telemetry.decoder import DecoderCounts
+from groundstation.telemetry.samples import SampleBatch, empty_samples
+
+TICK_S = 1e-6
+"""Device time is kept in microseconds, as in microSD logs."""
+WRAP_MS = 1 << 24
+BACKWARDS_MS = 100
+"""Blocks share one queue, so their stamps run forward: one so far back is a restart's."""
+_WRAPPING = ("stateEstimate.roll", "stateEstimate.yaw")
+
+LogPacket = tuple[int, int, tuple[float, ...], int]
+"""Number of the block in the plan, stamp, values, host time (Unix ns)."""
+
+
+@dataclass(slots=True)
+class _Reading:
+    time_ms: int
+    values: tuple[float, ...]
+    host_ns: int
+
+
+@dataclass(slots=True)
+class _Counts:
+    packets: int = 0
+    samples: int = 0
+    lost: int = 0
+    bursts: int = 0
+    longest_burst: int = 0
+    late: int = 0
+    restarts: int = 0
+
+
+@dataclass(slots=True)
+class LogRows:
+    """Packets in, rows out. plan, period_ms: as the craft was asked. segment: of the first row.
+
+    apart_ms: how far the blocks' stamps were apart at most.
+    """
+
+    plan: LogPlan
+    period_ms: int
+    segment: int = 0
+    apart_ms: int = 0
+    _counts: _Counts = field(default_factory=_Counts)
+    _waiting: list[deque[_Reading]] = field(default_factory=list)
+    _newest: tuple[int, int] | None = None  # time, host time
+    _last_ms: int | None = None  # of the last row of this segment
+    _host_ns: int = 0
+
+    def __post_init__(self) -> None:
+        self._waiting = [deque() for _ in self.plan.blocks]
+
+    def add(self, packets: Iterable[LogPacket]) -> SampleBatch:
+        """The rows that these packets complete; those of ``plan.extra`` are left alone."""
+        rows: list[tuple[int, int, int, tuple[float, ...]]] = []
+        for block, stamp, values, host_ns in packets:
+            if block >= len(self._waiting):
+                continue
+            self._counts.packets += 1
+            time_ms = self._unwrapped(stamp, host_ns)
+            if self._newest is not None and time_ms < self._newest[0] - BACKWARDS_MS:
+                self._restart()
+            readings = self._waiting[block]
+            if readings and time_ms <= readings[-1].time_ms:
+                self._counts.late += 1
+                continue
+            readings.append(_Reading(time_ms, values, host_ns))
+            if self._newest is None or time_ms > self._newest[0]:
+                self._newest = time_ms, host_ns
+            rows += self._complete()
+        return self._samples(rows)
+
+    def counts(self) -> DecoderCounts:
+        """Totals, as those of packets of telemetry."""
+        c = self._counts
+        return DecoderCounts(
+            packets=c.packets, malformed=0, samples=c.samples, lost=c.lost, bursts=c.bursts,
+            longest_burst=c.longest_burst, duplicates=0, disagreeing=0, damaged=0, late=c.late,
+            slips=0, restarts=c.restarts,
+        )  # fmt: skip
+
+    def restart(self, plan: LogPlan, period_ms: int) -> None:
+        """The craft was asked anew, or again: what follows is another segment."""
+        self.plan, self.period_ms = plan, period_ms
+        self._newest = None
+        self._begin_segment()
+
+    def _restart(self) -> None:
+        self._counts.restarts += 1
+        self._newest = None
+        self._begin_segment()
+
+    def _begin_segment(self) -> None:
+        if self._last_ms is not None:
+            self.segment += 1
+        self._last_ms = None
+        self._waiting = [deque() for _ in self.plan.blocks]
+
+    def _unwrapped(self, stamp: int, host_ns: int) -> int:
+        if self._newest is None:
+            return stamp
+        time_ms, seen_ns = self._newest
+        expected = time_ms + (host_ns - seen_ns) / 1e6
+        return stamp + WRAP_MS * round((expected - stamp) / WRAP_MS)
+
+    def _complete(self) -> list[tuple[int, int, int, tuple[float, ...]]]:
+        """(time, host time, segment, values of all blocks) of the rows that need not wait."""
+        rows = []
+        first, others = self._waiting[0], self._waiting[1:]
+        assert self._newest is not None
+        while first:
+            reading = first[0]
+            read = [self._read_at(block, reading.time_ms) for block in range(1, len(self._waiting))]
+            final = self._newest[0] >= reading.time_ms + 2 * self.period_ms
+            if not final and any(one is None for one in read):
+                break
+            first.popleft()
+            parts = [one for one in read if one is not None]
+            if len(parts) == len(read):
+                values = sum((one.values for one in parts), reading.values)
+                host_ns = max([reading.host_ns, *(one.host_ns for one in parts), self._host_ns])
+                self._host_ns = host_ns
+                self._count(reading.time_ms)
+                rows.append((reading.time_ms, host_ns, self.segment, values))
+            for readings in others:
+                while len(readings) > 1 and readings[1].time_ms <= reading.time_ms:
+                    readings.popleft()
+        return rows
+
+    def _read_at(self, block: int, time_ms: int) -> _Reading | None:
+        """A block at the time of a row: the reading of that moment, or between two neighbours."""
+        before = after = None
+        for one in self._waiting[block]:
+            if one.time_ms <= time_ms:
+                before = one
+            else:
+                after = one
+                break
+        same = 1 if self.period_ms > 2 else 0  # a timer may be served one tick late
+        near = [one for one in (before, after) if one and abs(one.time_ms - time_ms) <= same]
+        if near:
+            return min(near, key=lambda one: abs(one.time_ms - time_ms))
+        if before is None or after is None:
+            return None
+        span = after.time_ms - before.time_ms
+        if span > 1.5 * self.period_ms:
+            return None
+        apart_ms = min(time_ms - before.time_ms, after.time_ms - time_ms)
+        self.apart_ms = max(self.apart_ms, apart_ms)
+        share = (time_ms - before.time_ms) / span
+        names = [name for name, _ in self.plan.blocks[block]]
+        values = tuple(
+            self._between(name, share, *pair)
+            for name, *pair in zip(names, before.values, after.values, strict=True)
+        )
+        return _Reading(time_ms, values, after.host_ns)
+
+    def _between(self, name: str, share: float, before: float, after: float) -> float:
+        if name == QUATERNION:  # a code, not a number
+            return before if share < 0.5 else after
+        change = after - before
+        if self.plan.known_as[name] in _WRAPPING:
+            change = (change + 180.0) % 360.0 - 180.0
+        return before + share * change
+
+    def _count(self, time_ms: int) -> None:
+        c = self._counts
+        c.samples += 1
+        if self._last_ms is not None:
+            lost = round((time_ms - self._last_ms) / self.period_ms) - 1
+            if lost > 0:
+                c.lost += lost
+                c.bursts += 1
+                c.longest_burst = max(c.longest_burst, lost)
+        self._last_ms = time_ms
+
+    def _samples(self, rows: list[tuple[int, int, int, tuple[float, ...]]]) -> SampleBatch:
+        if not rows:
+            return empty_samples(0, TICK_S)
+        names = [name for block in self.plan.blocks for name, _ in block]
+        table = np.array([values for *_, values in rows], np.float64)
+        columns: dict[str, NDArray[Any]] = {
+            self.plan.known_as[name]: table[:, column] for column, name in enumerate(names)
+        }
+        if QUATERNION in columns:
+            codes = columns.pop(QUATERNION).astype(np.uint32)
+            parts = decompressed(codes)
+            columns |= {f"stateEstimate.q{part}": parts[:, i] for i, part in enumerate("xyzw")}
+        ticks = np.array([time_ms for time_ms, *_ in rows], np.int64) * round(1e-3 / TICK_S)
+        samples, _ = samples_from_columns(columns, ticks, TICK_S, "deg/s")
+        samples.host_time_ns[:] = [host_ns for _, host_ns, *_ in rows]
+        samples.segment[:] = [segment for _, _, segment, _ in rows]
+        return samples
+
+
+def decompressed(codes: NDArray[np.uint32]) -> NDArray[np.float64]:
+    """Unit quaternions (n, 4), x y z w, from the firmware's 32 bits (n,).
+
+    The two highest bits are the place of the largest part, which is positive; then, in order, a
+    sign and 9 bits of magnitude of each other part, full scale 1/sqrt(2).
+    """
+    parts = np.zeros((len(codes), 4))
+    largest = codes >> 30
+    shift = np.full(len(codes), 20)
+    for place in range(4):
+        others = largest != place
+        code = codes >> np.maximum(shift, 0).astype(np.uint32)
+        size = (code & 511) / 511.0 * math.sqrt(0.5)
+        parts[others, place] = np.where(code & 512, -size, size)[others]
+        shift -= np.where(others, 10, 0)
+    rest = np.maximum(1.0 - (parts**2).sum(axis=1), 0.0)
+    parts[np.arange(len(codes)), largest] = np.sqrt(rest)
+    return parts

@@ -1,0 +1,1 @@
+"""What a model expects a few rows ahead, from all that was measured until then. Pure."""

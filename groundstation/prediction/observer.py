@@ -1,0 +1,200 @@
+"""The gains with which the observer corrects a model by measurements.
+
+A Kalman filter whose covariance has settled: the model, with its effects, is linearised about
+hover by differences, and the Riccati equation iterated to its end. Errors are those of attitude
+(rotation in the body), rates, low-passed rates and velocity in the body: 12 numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.craft import Crafts, craft_of_model
+from groundstation.dynamics.hover import hover_rev_s
+from groundstation.dynamics.law import FAR_M
+from groundstation.dynamics.model import Model
+from groundstation.dynamics.rotations import quaternion_of_attitude
+from groundstation.dynamics.sensors import resting_sensors, sensors_of_model
+from groundstation.dynamics.simulation import with_states
+from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STATES
+
+Array = NDArray[np.float64]
+
+ERRORS = 12
+ROUNDS = 1500
+"""Rows over which the covariance settles: 3 s at 500 Hz."""
+NUDGE = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Standard deviations of what no model explains; defaults are a Crazyflie's in still air.
+
+    torque: (3,) rad/s^2 and force: m/s^2, white at ``period_s``. gyro: (3,) rad/s, accelerometer:
+    m/s^2, attitude: rad, per sample. speed: m/s, how fast the craft usually flies: what the
+    velocity is pulled back to where nothing measures it.
+    """
+
+    torque: tuple[float, float, float] = (2.0, 2.0, 0.5)
+    force: float = 0.1
+    gyro: tuple[float, float, float] = (1.75e-3, 1.75e-3, 1.75e-3)
+    accelerometer: float = 0.1
+    attitude: float = 3.6e-4
+    speed: float = 0.7
+
+    def scaled(self, torque: float, sensor: float) -> Noise:
+        """The same with more of either."""
+        x, y, z = (torque * one for one in self.torque)
+        p, q, r = (sensor * one for one in self.gyro)
+        return Noise(
+            (x, y, z),
+            torque * self.force,
+            (p, q, r),
+            sensor * self.accelerometer,
+            sensor * self.attitude,
+            self.speed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """fresh, stale: (12, 12), for rows with and without a new attitude. covariance: (12, 12) of
+    the error after a row. transition, shown: (12, 12), the model linearised about hover, and
+    what gyro, accelerometer, attitude and velocity show of an error. process, sensor: (12,)
+    variances per row."""
+
+    fresh: Array
+    stale: Array
+    covariance: Array
+    transition: Array
+    shown: Array
+    process: Array
+    sensor: Array
+
+    def expected(self, rows_ahead: int) -> Array:
+        """Standard deviation (9,) of prediction errors of gyro, accelerometer and attitude."""
+        p = self.covariance
+        for _ in range(rows_ahead):
+            p = self.transition @ p @ self.transition.T + np.diag(self.process)
+        spread = np.diag(self.shown @ p @ self.shown.T) + self.sensor
+        return np.asarray(np.sqrt(spread[:9]), np.float64)
+
+
+@lru_cache(maxsize=64)
+def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
+    from groundstation.dynamics.craft import CRAFT
+    from groundstation.dynamics.sensors import SENSORS
+
+    craft = np.frombuffer(key[: CRAFT.itemsize], CRAFT)
+    sensor = np.frombuffer(key[CRAFT.itemsize :], SENSORS)
+    a, c = _linearised(craft, sensor, period_s)
+    lean = bool(sensor[0]["gains"][0] > 0.0)
+    # The observer's velocity is the integral of measured specific force, not of the model's.
+    observed = a.copy()
+    observed[9:] = 0.0
+    observed[9:, 9:] = np.eye(3)
+    observed[9, 1] = period_s * craft[0]["gravity"]
+    observed[10, 0] = -period_s * craft[0]["gravity"]
+    torque = np.square(np.multiply(noise.torque, period_s))
+    felt = noise.accelerometer**2 + noise.force**2
+    process = np.concatenate(
+        [torque * (0.5 * period_s) ** 2 + 1e-13, torque, np.full(3, 1e-13), np.full(3, felt)]
+    )
+    process[9:] *= period_s**2
+    # A leaning filter's report says next to nothing about the true attitude.
+    attitude = 0.5 if lean else noise.attitude
+    sensors = np.concatenate(
+        [
+            np.square(noise.gyro),
+            np.full(3, felt),
+            np.full(3, attitude**2),
+            np.full(3, noise.speed**2),
+        ]
+    )
+    p = np.eye(ERRORS) * 1e-4
+    stale = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
+    gains = {}
+    for k in range(ROUNDS):
+        rows = np.arange(ERRORS) if k % 2 else stale
+        p = observed @ p @ observed.T + np.diag(process)
+        seen = c[rows]
+        gain = np.linalg.solve(seen @ p @ seen.T + np.diag(sensors[rows]), seen @ p).T
+        p = p - gain @ seen @ p
+        p = 0.5 * (p + p.T)
+        full = np.zeros((ERRORS, ERRORS))
+        full[:, rows] = gain
+        gains[k % 2] = full
+    shown = sensors.copy()
+    shown[6:9] = noise.attitude**2
+    process[9:] = (period_s * noise.force) ** 2
+    return Gains(gains[1], gains[0], p, a, c, process, shown)
+
+
+def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains:
+    """The settled gains for a model, whose rows are ``period_s`` apart (cached)."""
+    craft, sensor = craft_of_model(model), sensors_of_model(model)
+    return _settled(craft.tobytes() + sensor.tobytes(), period_s, noise or Noise())
+
+
+def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tuple[Array, Array]:
+    """(12, 12) transition of an error over one row, and what is measured of it afterwards."""
+    from groundstation.prediction.kernels import coast
+
+    one, hover, count = craft[0], hover_rev_s(craft), 2 * ERRORS
+    starts = np.zeros((count, STATES))
+    starts[:, QUATERNION.start], starts[:, ROTOR] = 1.0, hover
+    starts[:, POSITION.stop - 1] = FAR_M
+    starts = with_states(craft, starts).copy()
+    follows = one["follows"]
+    sensed = np.tile(resting_sensors(one), (count, 1))
+    for i in range(ERRORS):
+        for k, sign in ((2 * i, 1.0), (2 * i + 1, -1.0)):
+            part, axis = divmod(i, 3)
+            if part == 0:
+                turn = np.zeros(3)
+                turn[axis] = sign * NUDGE
+                starts[k, QUATERNION] = quaternion_of_attitude(turn)
+            elif part == 1:
+                starts[k, RATE.start + axis] = sign * NUDGE
+            elif part == 2:
+                sensed[k, follows == axis] = sign * NUDGE
+            else:
+                starts[k, 3 + axis] = sign * NUDGE
+    measured = np.empty((count, 1, 9))
+    coast(
+        one,
+        sensor[0],
+        np.full((3, 4), hover),
+        period_s,
+        np.zeros(2, np.bool_),
+        np.zeros(count, np.int64),
+        np.ones(1, np.int64),
+        starts,
+        sensed,
+        np.tile([1.0, 0, 0, 0, 0, 0, one["gravity"], 0, 0, 0], (count, 1)),
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        measured,
+    )
+    delayed = np.zeros((count, 3))
+    for axis in range(3):
+        places = np.flatnonzero(follows == axis)
+        if len(places) and one["sensor_states"]:
+            delayed[:, axis] = sensed[:, places[0]]
+    reached = np.column_stack([2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6]])
+    a = (reached[0::2] - reached[1::2]).T / (2 * NUDGE)
+    felt = measured[:, 0, :6]
+    seen = (felt[0::2] - felt[1::2]).T / (2 * NUDGE)
+    if not delayed.any():  # no such state: it follows the rates
+        a[6:9] = 0.0
+        a[:, 6:9] = 0.0
+        seen[:, 6:9] = 0.0
+    # ``seen`` is of the error before the row; the observer needs it of the one after.
+    after = np.zeros((ERRORS, ERRORS))
+    after[:6] = np.linalg.lstsq(a.T, seen.T, rcond=1e-12)[0].T
+    after[6:9, 0:3] = np.eye(3)
+    after[9:, 9:] = np.eye(3)
+    return a, after

@@ -1,0 +1,85 @@
+"""The formats of recordings: how a file is told to have one, what reads it, what writes it.
+
+Readers and writers are named, not imported: each is loaded only where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.mcap_scan import looks_like_mcap
+from groundstation.recording.session import Recording
+
+_RRD_MAGIC = (b"RRF2", b"RRF1", b"RRF0", b"RRIO")
+_MICROSD_MAGIC = tuple(b"\xbc" + bytes([version, 0]) for version in range(1, 10))
+"""Its first byte and the version behind it; later versions are told by their reader."""
+
+
+def is_text(head: bytes) -> bool:
+    """True for UTF-8 or Latin-1 text, possibly cut inside a character."""
+    control = set(range(32)) - {9, 10, 12, 13}
+    return not control.intersection(head)
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """has: told by a file's first bytes. reader, writer: ``module.function`` in this package, the
+    writer empty where the format is only read; writers go by the new file's suffix."""
+
+    has: Callable[[bytes], bool]
+    reader: str
+    suffix: str = ""
+    writer: str = ""
+    keeps_raw: bool = False
+
+
+FORMATS = (
+    Format(looks_like_mcap, "mcap_reader.read_mcap", ".mcap", "recording_file.write_mcap", True),
+    Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
+    Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
+    Format(is_text, "csv_file.read_csv", ".csv", "csv_file.write_csv"),
+)
+"""In the order in which they are tried: text is what is none of the others."""
+
+
+def read_as(path: Path, head: bytes, raw: bool) -> Recording:
+    """Read a file by what its first bytes are.
+
+    Raises RecordingError for a format that is not known here, and as its reader does.
+    """
+    for one in FORMATS:
+        if one.has(head):
+            options = {"raw": raw} if one.keeps_raw else {}
+            recording: Recording = _function(one.reader)(path, **options)
+            return recording
+    raise RecordingError(f"{path}: neither MCAP, CSV, a microSD log nor a rerun recording")
+
+
+def writer_of(path: Path, *, physical: bool = False) -> Callable[[Recording, Path], None]:
+    """What writes a new file of this name. physical: CSV in physical units.
+
+    Raises BadInputError where no format has its suffix.
+    """
+    suffix = path.suffix.lower()
+    if physical:
+        if suffix != ".csv":
+            raise BadInputError(f"{path}: --physical is for CSV files")
+        return _function("csv_file.write_table_csv")
+    for one in FORMATS:
+        if one.writer and one.suffix == suffix:
+            return _function(one.writer)
+    known = sorted(one.suffix for one in FORMATS if one.writer)
+    raise BadInputError(f"{path}: the name must end in {', '.join(known[:-1])} or {known[-1]}")
+
+
+def _function(name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(".")
+    found: Callable[..., Any] = getattr(
+        import_module(f"groundstation.recording.{module}"), function
+    )
+    return found

@@ -1,0 +1,184 @@
+"""``python -m groundstation.viewer.relay PORT_FD WEB_FD UPSTREAM UPSTREAM_PORT UPSTREAM_WEB_PORT``
+
+Stands between viewers and the rerun server. Of rerun 0.41 one reader that lags by the server's
+memory holds up everybody, and pages of any origin may read. The relay reads for everybody at
+once, drops who does not take what waits for it, and lets in a browser's page only where it came
+from this server. Each line on stderr is something to be told, or empty: a sign of life.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import sys
+import time
+from collections.abc import Iterable
+
+HEAD_S = 5.0
+"""A request must have arrived after so long."""
+HEAD_MOST = 1 << 14
+STALL_S = 3.0
+"""A client that takes nothing for so long although data wait is dropped."""
+WAITING_MOST = 192 << 20
+"""Bytes that wait for all clients together: more than the server's memory, for one that opens
+late; beyond it the slowest is dropped."""
+CLIENTS_MOST = 32
+TELL_S = 5.0
+WATCH_S = 0.5
+PIECE = 1 << 18
+_HTTP2 = b"PRI * HTTP/2.0\r\n"
+_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+
+
+class Relay:
+    """One of rerun's two servers, relayed. allowed: origins of pages that may ask."""
+
+    def __init__(self, port: int, upstream: tuple[str, int], allowed: Iterable[str]) -> None:
+        self._hosts = {f"{host}:{port}".encode() for host in _HOSTS}
+        self._allowed = {origin.encode() for origin in allowed}
+        self._upstream = upstream
+        self._clients: dict[asyncio.StreamWriter, _Progress] = {}
+        self._told: dict[str, float] = {}
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Take care of one connection until either side ends it."""
+        self._clients[writer] = _Progress()
+        beyond: asyncio.StreamWriter | None = None
+        try:
+            if len(self._clients) > CLIENTS_MOST:
+                self._tell(f"a viewer was turned away: {CLIENTS_MOST} connections are open")
+                return
+            async with asyncio.timeout(HEAD_S):
+                head = await self._admitted(reader, writer)
+            if not head:
+                return
+            there, beyond = await asyncio.open_connection(*self._upstream)
+            beyond.write(head)
+            up = asyncio.create_task(_copy_up(reader, beyond))
+            down = asyncio.create_task(self._copy_down(there, writer))
+            await asyncio.wait({up, down}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (up, down):
+                task.cancel()
+            await asyncio.gather(up, down, return_exceptions=True)
+            writer.close()
+            await writer.wait_closed()  # what waits is still taken, or it is dropped
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # who leaves is no news
+        finally:
+            del self._clients[writer]
+            for one in (writer, beyond):
+                if one is not None:
+                    one.transport.abort()
+
+    async def watch(self) -> None:
+        """Drop who stalls, for as long as the relay runs."""
+        while True:
+            await asyncio.sleep(WATCH_S)
+            now_s = time.monotonic()
+            waiting = {one: one.transport.get_write_buffer_size() for one in self._clients}
+            for client, progress in self._clients.items():
+                if progress.stalled_s(now_s, waiting[client]) > STALL_S:
+                    self._drop(client, f"it took nothing for {STALL_S:g} s")
+            if sum(waiting.values()) > WAITING_MOST:
+                self._drop(max(waiting, key=waiting.__getitem__), "it is too slow")
+
+    async def _admitted(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> bytes | None:
+        """The request's head as it is passed on; None for a refusal, which has been sent."""
+        head = await reader.readuntil(b"\r\n")
+        if head == _HTTP2:  # a native viewer: no browser begins like this
+            return head
+        while not head.endswith(b"\r\n\r\n"):
+            head += await reader.readuntil(b"\r\n")
+            if len(head) > HEAD_MOST:
+                return None
+        request, *lines = head[:-4].split(b"\r\n")
+        fields = [(name.strip().lower(), value.strip())
+                  for name, _, value in (line.partition(b":") for line in lines)]  # fmt: skip
+        hosts = [value.lower() for name, value in fields if name == b"host"]
+        origins = {value.lower() for name, value in fields if name == b"origin"}
+        if len(hosts) != 1 or hosts[0] not in self._hosts or not origins <= self._allowed:
+            stranger = b" ".join(origins or hosts).decode(errors="replace")
+            self._tell(f"a page of {stranger[:100]} asked for the live view and was refused")
+            writer.write(b"HTTP/1.1 403 Forbidden\r\nConnection: close\r\n"
+                         b"Content-Length: 0\r\n\r\n")  # fmt: skip
+            await writer.drain()
+            return None
+        # one request for each connection: the next one is looked at too
+        kept = [line for line, (name, _) in zip(lines, fields, strict=True)
+                if name not in (b"connection", b"keep-alive", b"upgrade")]  # fmt: skip
+        return b"\r\n".join([request, *kept, b"Connection: close", b"", b""])
+
+    async def _copy_down(self, there: asyncio.StreamReader, client: asyncio.StreamWriter) -> None:
+        while data := await there.read(PIECE):
+            self._clients[client].written += len(data)
+            client.write(data)  # never waited for: that would hold up the server
+
+    def _drop(self, client: asyncio.StreamWriter, why: str) -> None:
+        client.transport.abort()
+        self._tell(f"a viewer was dropped: {why}; reload it")
+
+    def _tell(self, text: str) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told.get(text, -TELL_S) >= TELL_S:
+            self._told = {text: now_s, **dict(list(self._told.items())[:10])}
+            print(text, file=sys.stderr, flush=True)
+
+
+class _Progress:
+    """written: bytes so far for one client, taken or not."""
+
+    def __init__(self) -> None:
+        self.written = 0
+        self._taken = 0
+        self._moved_s = time.monotonic()
+
+    def stalled_s(self, now_s: float, waiting: int) -> float:
+        """How long nothing of what waits has been taken."""
+        if not waiting or self.written - waiting != self._taken:
+            self._taken, self._moved_s = self.written - waiting, now_s
+        return now_s - self._moved_s
+
+
+async def _copy_up(reader: asyncio.StreamReader, beyond: asyncio.StreamWriter) -> None:
+    with contextlib.suppress(ConnectionError):
+        while data := await reader.read(PIECE):
+            beyond.write(data)
+            await beyond.drain()
+
+
+async def relay(live: socket.socket, web: socket.socket, upstream: str, *ports: int) -> None:
+    """Relay what comes on the sockets ``live`` and ``web`` to the two ports of ``upstream``."""
+    web_port = web.getsockname()[1]
+    origins = [f"http://{host}:{web_port}" for host in _HOSTS]
+    both = [
+        (listening, Relay(listening.getsockname()[1], (upstream, port), origins))
+        for listening, port in zip((live, web), ports, strict=True)
+    ]
+    servers = [await asyncio.start_server(one.serve, sock=listening) for listening, one in both]
+    await asyncio.gather(
+        _beat(),
+        *(server.serve_forever() for server in servers),
+        *(one.watch() for _, one in both),
+    )
+
+
+async def _beat() -> None:
+    """An empty line each half second: alive."""
+    while True:
+        print(file=sys.stderr, flush=True)
+        await asyncio.sleep(WATCH_S)
+
+
+if __name__ == "__main__":
+    first, second, address, *numbers = sys.argv[1:]
+    asyncio.run(
+        relay(
+            socket.socket(fileno=int(first)),
+            socket.socket(fileno=int(second)),
+            address,
+            *map(int, numbers),
+        )
+    )

@@ -1,0 +1,193 @@
+"""Viewers that stall, come by the dozen, or are pages of a stranger: nobody else's view suffers."""
+
+import asyncio
+import contextlib
+import http.client
+import socket
+
+import pytest
+
+from groundstation.viewer import relay
+from groundstation.viewer.relay import Relay
+
+pytestmark = pytest.mark.timeout(60)
+PIECE = b"telemetry " * 10_000
+
+
+class Flood:
+    """Stands for the rerun server: answers every request with data until the reader leaves."""
+
+    def __init__(self):
+        self.requests = []
+        self.readers = 0
+
+    async def serve(self, reader, writer):
+        self.readers += 1
+        self.requests.append(await reader.read(4096))
+        writer.write(b"HTTP/1.1 200 OK\r\n\r\n")
+        with contextlib.suppress(ConnectionError):
+            while True:
+                writer.write(PIECE)
+                await writer.drain()
+                await asyncio.sleep(0.002)
+        writer.transport.abort()
+        self.readers -= 1
+
+
+@contextlib.asynccontextmanager
+async def relayed():
+    """A relay before a flood: its port, and what came through to the flood."""
+    flood = Flood()
+    beyond = await asyncio.start_server(flood.serve, "127.0.0.1", 0)
+    listening = socket.create_server(("127.0.0.1", 0))
+    port = listening.getsockname()[1]
+    one = Relay(port, beyond.sockets[0].getsockname(), ["http://127.0.0.1:9090"])
+    server = await asyncio.start_server(one.serve, sock=listening)
+    watching = asyncio.create_task(one.watch())
+    try:
+        yield port, flood
+    finally:
+        while one._clients or flood.readers:
+            await asyncio.sleep(0.01)
+        watching.cancel()
+        server.close()
+        beyond.close()
+
+
+async def ask(port, *lines, host="127.0.0.1"):
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    head = [f"POST /read HTTP/1.1\r\nHost: {host}:{port}", *lines, "\r\n"]
+    writer.write("\r\n".join(head).encode())
+    return reader, writer
+
+
+def stalled(port):
+    """A browser tab that sleeps: asked, and reads nothing."""
+    peer = socket.socket()
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    peer.connect(("127.0.0.1", port))
+    peer.sendall(f"POST /read HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+    return peer
+
+
+@pytest.mark.parametrize("sleepers", [1, 20])
+def test_viewers_that_sleep_are_dropped_and_told_and_nobody_waits(sleepers, capfd, monkeypatch):
+    monkeypatch.setattr(relay, "STALL_S", 1.0)
+
+    async def session():
+        async with relayed() as (port, _):
+            sleeping = [stalled(port) for _ in range(sleepers)]
+            reader, writer = await ask(port)
+            longest_s, began_s = 0.0, asyncio.get_running_loop().time()
+            at_s = began_s
+            said = ""
+            while "dropped" not in said or at_s < began_s + 2.0:
+                async with asyncio.timeout(20):
+                    assert await reader.read(1 << 16)
+                now_s = asyncio.get_running_loop().time()
+                longest_s, at_s = max(longest_s, now_s - at_s), now_s
+                said += capfd.readouterr().err
+            writer.close()
+            for peer in sleeping:
+                peer.close()
+            return longest_s, said
+
+    longest_s, said = asyncio.run(session())
+    assert longest_s < 1.0
+    assert "a viewer was dropped: it took nothing" in said
+
+
+@pytest.mark.parametrize(
+    ("host", "line", "admitted"),
+    [
+        ("127.0.0.1", "Origin: http://127.0.0.1:9090", True),
+        ("localhost", "Accept: */*", True),
+        ("127.0.0.1", "Origin: http://evil.example", False),
+        ("127.0.0.1", "Origin: null", False),
+        ("evil.example", "Accept: */*", False),
+        ("127.0.0.1", "Host: evil.example", False),
+    ],
+)
+def test_a_page_of_a_stranger_is_refused(host, line, admitted, capfd):
+    async def session():
+        async with relayed() as (port, flood):
+            reader, writer = await ask(port, line, host=host)
+            status = await reader.readline()
+            writer.close()
+            return status, flood.requests
+
+    status, requests = asyncio.run(session())
+    assert (b" 200 " in status, b" 403 " in status) == (admitted, not admitted)
+    assert len(requests) == admitted
+    assert all(b"\r\nConnection: close\r\n" in head for head in requests)
+    assert ("refused" in capfd.readouterr().err) == (not admitted)
+
+
+def test_half_a_request_is_not_waited_for_for_ever(monkeypatch):
+    monkeypatch.setattr(relay, "HEAD_S", 0.2)
+
+    async def session():
+        async with relayed() as (port, flood):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(b"POST /read HTTP/1.1\r\nHost:")
+            with contextlib.suppress(ConnectionError):
+                assert await reader.read() == b""
+            writer.close()
+            return flood.requests
+
+    assert asyncio.run(session()) == []
+
+
+def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
+    from groundstation.viewer.viewer import Viewer, ViewerMode, free_port
+
+    async def session():
+        port, web_port = free_port("127.0.0.1"), free_port("127.0.0.1")
+        viewer = Viewer(ViewerMode.SERVE, port=port, web_port=web_port)
+        await viewer.start()
+        try:
+            while viewer.status()["state"] != "serving":
+                await asyncio.sleep(0.02)
+            return await asyncio.to_thread(look, port, web_port)
+        finally:
+            await viewer.stop()
+
+    def status(port, origin, method="GET", path="/"):
+        peer = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+        with contextlib.closing(peer):
+            body = b"\0\0\0\0\0" if method == "POST" else None
+            kind = {"Content-Type": "application/grpc-web+proto"} if body else {}
+            peer.request(method, path, body, headers={"Origin": origin, **kind})
+            return peer.getresponse().status
+
+    def look(port, web_port):
+        ours = f"http://127.0.0.1:{web_port}"
+        read = ("POST", "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages")
+        return [
+            status(web_port, ours), status(port, ours, *read), status(port, "http://evil", *read)
+        ]  # fmt: skip
+
+    assert asyncio.run(session()) == [200, 200, 403]
+
+
+def test_a_server_that_takes_no_data_is_begun_anew_and_not_only_its_feed(monkeypatch, capsys):
+    """What a native viewer that hangs does to rerun: it answers, and takes nothing more."""
+    import rerun as rr
+
+    from groundstation.viewer import feeder, viewer
+
+    class Full(rr.RecordingStream):
+        def connect_grpc(self, *_, **__):
+            pass
+
+        def flush(self, *_, **__):
+            raise RuntimeError("Flush timed out - not all log messages were sent")
+
+    monkeypatch.setattr(feeder, "_server_starts", lambda server: True)
+    monkeypatch.setattr(feeder, "_server_answers", lambda server: True)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        stream = Full("test", recording_id="live")
+        status = feeder._run(theirs, stream, ("127.0.0.1", 9), "live", False)
+    assert status == viewer._SERVER_SILENT
+    assert "takes no data" in capsys.readouterr().err

@@ -1,0 +1,60 @@
+"""Prediction errors are judged in the rows that were measured, in flight."""
+
+import numpy as np
+import pytest
+from affected_flights import BASE
+from compared_flights import flights, judged
+
+from groundstation.comparison.gap import (
+    ATTITUDE,
+    HORIZONS_S,
+    ahead_errors,
+    overall,
+    pooled_rms,
+)
+from groundstation.prediction.attitude_rhythm import fresh_rows
+
+
+def test_attitude_that_is_sent_twice_is_judged_in_every_second_row():
+    (run,) = flights(1)
+    fresh = fresh_rows(run.attitude)
+    assert (np.diff(np.flatnonzero(fresh)) == 2).all()
+    errors = ahead_errors(run, BASE)
+    for horizon in errors.horizons:
+        assert not np.isfinite(horizon[~fresh, ATTITUDE]).any()
+
+
+def test_a_row_that_was_lost_is_neither_judged_nor_a_start():
+    (run,) = flights(1, loss=0.02)
+    lost = np.flatnonzero(~np.isfinite(run.gyro[:, 0]))
+    errors = ahead_errors(run, BASE)
+    for horizon, rows in zip(errors.horizons, errors.rows, strict=True):
+        assert not np.isfinite(horizon[lost, 0]).any()
+        after = lost + rows[0]
+        assert not np.isfinite(horizon[after[after < len(run)], 0]).any()
+
+
+def test_the_further_ahead_the_larger_the_error_of_a_rate():
+    one = judged()
+    near, far = (one.at_horizon(k)[0][:3] for k in range(len(HORIZONS_S)))
+    assert (far > near).all()
+
+
+def test_nothing_is_judged_on_the_ground():
+    (run,) = flights(1)
+    errors = ahead_errors(run, BASE)
+    still = (run.duty < 0.05).all(axis=1)
+    assert still.any()
+    for horizon in errors.horizons:
+        assert not np.isfinite(horizon[still]).any()
+
+
+def test_all_channels_in_one_number_leave_out_what_is_not_there():
+    floor = np.array([1.0, 1.0, np.nan])
+    assert overall(np.array([2.0, 2.0, 5.0]), floor) == pytest.approx(2.0)
+    assert np.isnan(overall(np.full(3, np.nan), floor))
+
+
+def test_rms_is_pooled_over_rows_not_over_runs():
+    long, short = np.full((30, 9), 1.0), np.full((10, 9), 3.0)
+    assert pooled_rms([long, short])[0] == pytest.approx(np.sqrt((30 + 90) / 40))

@@ -1,0 +1,58 @@
+"""The places where model and flight disagree lead to what was hidden."""
+
+import numpy as np
+import pytest
+from affected_flights import MEDIUM
+from compared_flights import hidden, judged
+
+from groundstation.comparison.localisation import over_time, spectrum_of, worst_stretch
+
+
+@pytest.mark.parametrize(
+    ("name", "channels", "regimes"),
+    [
+        ("inertia_coupling", ("gyro_x", "gyro_y"), ("turning about several axes",)),
+        ("rotor_acceleration_torque", ("gyro_z",), ("rotors slowing down", "rotor acceleration")),
+        ("rotor_drag", ("accelerometer_x", "accelerometer_y"), ("translation",)),
+        ("velocity_moment", ("gyro_x", "gyro_y"), ("translation",)),
+        ("yaw_damping", ("gyro_z",), ("high yaw rate",)),
+        ("ground_effect", ("accelerometer_z",), ("near ground",)),
+        ("gyro_bias", ("roll", "pitch", "yaw"), ("whole flight",)),
+    ],
+)
+def test_the_first_place_is_where_the_hidden_effect_acts(name, channels, regimes):
+    first = judged(effects=hidden(name, MEDIUM[name])).places[0]
+    assert first.channel in channels
+    assert first.regime in regimes
+    assert first.significance > 3.0
+    assert first.rms > first.expected_rms
+
+
+def test_a_clean_flight_has_no_place_worth_naming():
+    assert judged().places[0].significance < 3.0
+
+
+def test_the_worst_stretch_is_one_in_which_the_excess_is_largest():
+    found = judged(effects=hidden("yaw_damping", MEDIUM["yaw_damping"]))
+    stretch = worst_stretch(found.errors, found.floors, "gyro_z")
+    error = found.errors[stretch.run].horizons[-1][:, 2]
+    inside = np.nanmean(error[stretch.first : stretch.last] ** 2)
+    assert inside > 3 * np.nanmean(error**2)
+
+
+def test_over_time_the_error_stands_out_where_the_craft_turns():
+    found = judged(effects=hidden("yaw_damping", MEDIUM["yaw_damping"]))
+    one = found.errors[0]
+    time, ratio = over_time(one, found.floors[0])
+    turning = np.interp(time, one.run.time_s, np.abs(one.run.gyro[:, 2]))
+    known = np.isfinite(ratio[:, 2])
+    assert np.corrcoef(turning[known], ratio[known, 2])[0, 1] > 0.5
+    assert np.isnan(ratio[0]).all()  # at rest before the take-off
+
+
+def test_the_spectrum_of_a_slow_push_rises_above_noise_at_low_frequency_only():
+    found = judged(effects=hidden("velocity_moment", MEDIUM["velocity_moment"]))
+    shown = spectrum_of(found.errors, found.floors, "gyro_y")
+    ratio = shown.error / shown.expected
+    assert ratio[1] > 5.0
+    assert np.median(ratio[shown.frequency_hz > 50.0]) == pytest.approx(1.0, abs=0.1)

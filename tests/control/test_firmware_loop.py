@@ -1,0 +1,220 @@
+"""The firmware's loops on a model: like the stand-in's firmware, with margins that hold."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from offline_flight import fly_offline
+
+from firmware_sim.craft import StandInSettings
+from firmware_sim.margins import loop_margins as stand_in_margins
+from groundstation.control.firmware_loop import (
+    STOCK,
+    CascadeJudge,
+    Quirks,
+    cascade_margins,
+    gain_names,
+    require_gains,
+    run_cascade,
+    step_response,
+)
+from groundstation.control.gains_file import load_gains
+from groundstation.control.metrics import step_metrics
+from groundstation.control.plant import plant_of_model
+from groundstation.control.programme import Programme
+from groundstation.control.step_analysis import analyse
+from groundstation.dynamics.model import (
+    THESIS,
+    EffectTerm,
+    Estimate,
+    load_model,
+    vehicle_model,
+)
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.errors import BadInputError
+
+DATA = Path(__file__).parent / "data"
+TS = 0.002
+REDUCED = {
+    f"{loop}.{axis}_{gain}": value
+    for axis in ("roll", "pitch")
+    for loop, gain, value in (
+        ("pid_rate", "kp", 30.0),
+        ("pid_attitude", "kp", 3.0),
+        ("pid_attitude", "ki", 3.0),
+    )
+}
+
+
+def late_model(delay_s=0.0033, vehicle="crazyflie1"):
+    term = EffectTerm("dead_time", {"delay_s": Estimate(delay_s)})
+    base = vehicle_model(BUILT_IN[vehicle])
+    return base.__class__(vehicle=base.vehicle, motor=base.motor, body=base.body, effects=(term,))
+
+
+def late(plant, delay_s):
+    """The same, measured later."""
+    sensor = plant.sensor.copy()
+    sensor["delay"] = delay_s
+    return replace(plant, sensor=sensor)
+
+
+@pytest.mark.parametrize("gains", [{}, REDUCED], ids=["stock", "reduced"])
+def test_the_loop_becomes_unstable_at_its_delay_margin(gains):
+    plant = plant_of_model(late_model())
+    margin = cascade_margins(plant, gains, "roll").delay_s
+
+    def grows(delay_s):
+        y = step_response(late(plant, delay_s), gains, "roll", 8.0)
+        swings = [np.ptp(part) for part in np.split(y[1000:], 3)]
+        return swings[2] > swings[1]
+
+    assert not grows(0.0033 + 0.85 * margin)
+    assert grows(0.0033 + 1.15 * margin)
+
+
+@pytest.mark.parametrize("vehicle", ["crazyflie1", "crazyflie21"])
+@pytest.mark.parametrize("axis", ["roll", "yaw"])
+def test_crossover_and_phase_are_those_the_stand_in_knows(vehicle, axis):
+    ours = cascade_margins(plant_of_model(late_model(vehicle=vehicle)), {}, axis)
+    theirs = stand_in_margins(StandInSettings(craft=vehicle), axis)
+    assert ours.crossover_rad_s == pytest.approx(theirs.crossover_rad_s, rel=0.05)
+    assert ours.phase_deg == pytest.approx(theirs.phase_deg, abs=3.0)
+
+
+def test_a_flight_of_the_stand_in_goes_as_predicted():
+    """Faithful craft, 8 doublets an axis: RMS, overshoot and settling as the acceptance asks."""
+    gains = load_gains(DATA / "gains.toml")
+    settings = StandInSettings(program="wait", altitude_hold=True, gains=gains, seed=1)
+    samples, sent, setpoints, _ = fly_offline(settings, Programme(repeats=8), jitter_s=0.003)
+    plant = plant_of_model(load_model(DATA / "body.json"))
+    flown = analyse(samples, sent, setpoints, "plus", plant, gains)
+    assert [one.axis for one in flown.axes] == ["roll", "pitch", "yaw"]
+    assert {one.axis: one.apart for one in flown.axes} == {"roll": [], "pitch": [], "yaw": []}
+    assert flown.found == flown.edges == 72
+    assert 0.002 < flown.delay_s < 0.010
+    # a busy host hears of the craft's time up to 0.3 s late, more and less
+    wander = 0.15 * (1 + np.sin(1e-9 * sent))
+    late = analyse(samples, sent + (1e9 * wander).astype(np.int64), setpoints, "plus", plant, gains)
+    assert late.found == 72
+    assert late.spread_s > 0.1
+    assert {one.axis: one.apart for one in late.axes} == {"roll": [], "pitch": [], "yaw": []}
+
+
+def test_a_wrong_model_is_told_by_its_flight():
+    gains = load_gains(DATA / "gains.toml")
+    settings = StandInSettings(program="wait", altitude_hold=True, gains=gains, seed=3)
+    programme = Programme(axes=("roll", "yaw"), repeats=4)
+    samples, sent, setpoints, _ = fly_offline(settings, programme)
+    plant = plant_of_model(load_model(DATA / "body.json"))
+    plant.craft["inertia"] /= 0.6
+    flown = analyse(samples, sent, setpoints, "plus", plant, gains)
+    assert all(one.apart for one in flown.axes)
+
+
+def test_each_quirk_changes_what_it_should():
+    plant = plant_of_model(late_model())
+    yaw = {"pid_rate.yaw_kp": 50.0, "pid_rate.yaw_ki": 25.0}
+    slow = step_response(plant, yaw, "yaw", 1.5, quirks=Quirks(clamp_macro=False))
+    thrice = step_response(plant, {**yaw, "pid_rate.yaw_ki": 75.0}, "yaw", 1.5)
+    np.testing.assert_allclose(
+        step_response(plant, yaw, "yaw", 1.5),
+        step_response(
+            plant, {**yaw, "pid_rate.yaw_ki": 75.0}, "yaw", 1.5, quirks=Quirks(clamp_macro=False)
+        ),
+        atol=2e-3,
+    )
+    assert abs(thrice - slow).max() > 0.02
+    angle = {**REDUCED}
+    half = {**REDUCED, "pid_attitude.roll_ki": 1.5}
+    np.testing.assert_allclose(
+        step_response(plant, angle, "roll", 1.0),
+        step_response(plant, half, "roll", 1.0, quirks=Quirks(attitude_dt=False)),
+        atol=1e-9,
+    )
+    derivative = {**REDUCED, "pid_rate.roll_kd": 1.0}
+    np.testing.assert_array_equal(
+        step_response(plant, derivative, "roll", 0.5), step_response(plant, REDUCED, "roll", 0.5)
+    )
+
+
+def test_an_integral_is_clamped_at_its_limit():
+    plant = plant_of_model(late_model())
+    plant.craft["inertia"] *= 1e9  # nothing turns: the error stays
+    setpoints = np.zeros((3000, 3))
+    setpoints[:, 0] = 0.4
+    gains = {**dict.fromkeys(STOCK, 0.0), "pid_rate.roll_kp": 1.0, "pid_attitude.roll_ki": 10.0}
+    pwm = run_cascade(plant, gains, setpoints, 30000.0).pwm
+    output = 128 * (pwm[:, 3] - pwm[:, 1]) / 2
+    assert output[-1] == pytest.approx(10.0 * 20.0)
+    assert output[500] < 0.9 * output[-1]
+
+
+def test_quantised_pwm_is_what_512_steps_leave():
+    plant = plant_of_model(late_model())
+    setpoints = np.zeros((800, 3))
+    setpoints[:, 0] = 0.17
+    rough = run_cascade(plant, REDUCED, setpoints, quantised=True)
+    smooth = run_cascade(plant, REDUCED, setpoints)
+    assert (rough.pwm == np.floor(rough.pwm)).all()
+    assert not (smooth.pwm == np.floor(smooth.pwm)).all()
+    assert abs(rough.angles - smooth.angles).max() < 0.02
+
+
+def test_many_gains_are_judged_as_each_alone():
+    plant = plant_of_model(late_model())
+    for axis, table in (
+        ("roll", [[15.0, 3.0, 1.0, 0.0], [4.0, 3.0, 2.0, 0.3]]),
+        ("yaw", [[50.0, 25.0]]),
+    ):
+        judged = CascadeJudge([plant], axis, 1.5)(np.array(table))
+        for row, values in zip(judged, table, strict=True):
+            gains = dict(zip(gain_names(axis), values, strict=True))
+            alone = step_metrics(step_response(plant, gains, axis), TS)
+            assert row[0] == pytest.approx(alone.rms, rel=1e-6)
+            assert row[2] == pytest.approx(alone.settling_s)
+            peak = cascade_margins(plant, gains, axis).max_sensitivity
+            assert row[4] == pytest.approx(peak, rel=0.02)
+
+
+def test_a_judge_calls_unstable_what_runs_away():
+    plant = plant_of_model(late_model())
+    table = np.array([[70.0, 3.5, 2.0, 0.0], [200.0, 3.5, 2.0, 0.0], [15.0, 3.0, 1.0, 0.0]])
+    judged = CascadeJudge([plant], "roll", 1.5)(table)
+    assert np.isfinite(judged[:, 0]).tolist() == [False, False, True]
+    late = CascadeJudge([plant], "roll", 1.5, spare_s=0.05)(table[2:])
+    assert not np.isfinite(late[0, 0])
+
+
+def test_effects_of_the_velocity_act_too():
+    rears_up = EffectTerm("velocity_moment", {"moment": Estimate(30.0)})
+    model = late_model()
+    moved = msgspec.structs.replace(model, effects=(*model.effects, rears_up))
+    one, other = (step_response(plant_of_model(m), REDUCED, "roll", 1.0) for m in (model, moved))
+    assert abs(one - other).max() > 0.02
+
+
+def test_parameters_that_are_not_given_and_a_filter_of_no_width_are_no_fault():
+    plain = THESIS.__class__(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
+    none = EffectTerm("gyro_low_pass", {"bandwidth_hz": Estimate(0.0)})
+    default = EffectTerm("dead_time", {})
+    model = msgspec.structs.replace(plain, effects=(none, default))
+    assert plant_of_model(model).sensor[0]["delay"] == pytest.approx(0.004)
+    assert plant_of_model(model).gyro_response(np.array([10j])) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("gains", "complaint"),
+    [
+        ({"pid_rate.roll_kq": 1.0}, "no gain of the firmware"),
+        ({"pid_rate.roll_kp": float("nan")}, "is nan"),
+        ({"pid_rate.roll_kp": float("inf")}, "is inf"),
+        ({"pid_rate.roll_kp": -1.0}, "must be 0..1000"),
+        ({"pid_rate.roll_kp": 1e6}, "must be 0..1000"),
+    ],
+)
+def test_gains_that_cannot_be_are_refused_by_name(gains, complaint):
+    with pytest.raises(BadInputError, match=complaint):
+        require_gains(gains, "gains")

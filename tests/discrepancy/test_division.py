@@ -1,0 +1,69 @@
+"""What is held out leaves the fit what it needs, and has it too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from groundstation.discrepancy.division import divide
+from groundstation.identification.runs import CHANNELS, Run
+
+PERIOD_S = 0.01
+SECONDS = 60.0
+
+
+def flown(yaw_s=(0.0, SECONDS), seed=0):
+    """A recording of a craft that steers about every axis, about yaw only within ``yaw_s``."""
+    rows = round(SECONDS / PERIOD_S)
+    time = PERIOD_S * np.arange(rows)
+    draw = np.random.default_rng(seed)
+    roll, pitch, yaw, thrust = 0.02 * draw.normal(size=(4, rows))
+    yaw[(time < yaw_s[0]) | (time >= yaw_s[1])] = 0.0
+    duty = 0.6 + np.column_stack(
+        [thrust - pitch - yaw, thrust - roll + yaw, thrust + pitch - yaw, thrust + roll + yaw]
+    )
+    columns = {name: np.zeros((rows, 3)) for name in CHANNELS}
+    columns |= {"duty": duty, "rotor_rev_s": np.full((rows, 4), np.nan)}
+    columns |= {"supply_v": np.full(rows, 3.9), "debug_s": np.zeros(rows)}
+    return [Run("flight", 0.0, PERIOD_S, **columns)]
+
+
+def spans(runs):
+    return [(run.start_s, run.start_s + run.seconds) for run in runs]
+
+
+def test_the_last_third_is_held_out_where_it_serves():
+    parts = divide([flown()], [], "plus")
+    assert parts.what == "last third"
+    assert spans(parts.fit_on) == [(0.0, pytest.approx(40.0))]
+    assert spans(parts.held_out) == [(pytest.approx(40.0), pytest.approx(60.0))]
+    (judged,) = parts.judged
+    assert (judged.first, judged.last, len(judged.run)) == (4000, 6000, 6000)
+
+
+@pytest.mark.parametrize(
+    ("yaw_s", "held"), [((12.0, 40.0), "first third"), ((38.0, 60.0), "middle third")]
+)
+def test_another_third_is_where_the_last_one_has_or_leaves_no_yaw(yaw_s, held):
+    parts = divide([flown(yaw_s)], [], "plus")
+    assert parts.what == held
+    assert sum(run.seconds for run in parts.fit_on) == pytest.approx(40.0)
+    assert sum(run.seconds for run in parts.held_out) == pytest.approx(20.0)
+
+
+def test_lost_rows_and_recordings_in_pieces_are_divided_alike():
+    (whole,) = flown(seed=1)
+    duty = whole.duty.copy()
+    duty[::7] = np.nan
+    lossy = replace(whole, duty=duty)
+    parts = divide([[lossy[:2500], lossy[2500:]]], [], "plus")
+    assert parts.what == "last third"
+    assert [len(run) for run in parts.fit_on] == [2500, 1500]
+    assert [(one.first, one.last) for one in parts.judged] == [(1500, 3500)]
+
+
+def test_given_recordings_are_held_out_as_they_are():
+    parts = divide([flown()], [flown(seed=2)], "plus")
+    assert parts.what == ""
+    assert len(parts.held_out[0]) == 6000
+    assert len(parts.fit_on[0]) == 6000

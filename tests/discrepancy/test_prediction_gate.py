@@ -1,0 +1,89 @@
+"""What was found has to predict held-out rows, or it is taken back; base constants alike."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import pytest
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.discrepancy.findings import Reason
+from groundstation.discrepancy.prediction_gate import Predicted, answer_to_predictions
+
+
+@dataclass
+class Effect:
+    """As much of an accepted effect as the gate asks for."""
+
+    label: str
+    channels: tuple[int, ...]
+
+    @property
+    def variant(self):
+        return self
+
+    @property
+    def evidence(self):
+        return self
+
+
+@dataclass
+class Hunt:
+    """A search of two effects and two constants; a point is the set of names that are in it."""
+
+    accepted: list
+    groups: tuple = (("c0",), ("c2",))
+    held: set = field(default_factory=set)
+    refused: dict = field(default_factory=dict)
+    progress: object = print
+
+    def point_with(self, accepted, held=None):
+        moved = {group[0] for group in self.groups} - (self.held if held is None else set(held))
+        return {one.label for one in accepted} | moved
+
+    def refit(self, accepted, held):
+        return SimpleNamespace(point=self.point_with(accepted, held))
+
+
+def judged(gaps, worse):
+    """A judge: gap 2 less what each name brings; worse where a name makes a channel worse."""
+
+    def judge(point):
+        bad = {c: t for name, c, t in worse if name in point}
+        return Predicted(2.0 - sum(gaps.get(name, 0.0) for name in point), bad)
+
+    return judge
+
+
+@pytest.fixture
+def hunt():
+    made = Hunt([Effect("drag", (3,)), Effect("bias", (3, 4))])
+    made.now = made.refit(made.accepted, made.held)
+    return made
+
+
+def test_what_predicts_better_stays(hunt):
+    assert not answer_to_predictions(hunt, judged({"drag": 0.5, "bias": 0.2}, []))
+    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
+    assert not hunt.held
+
+
+def test_an_effect_that_raises_the_gap_is_taken_back(hunt):
+    assert answer_to_predictions(hunt, judged({"drag": 0.5, "bias": -0.3}, []))
+    assert [one.label for one in hunt.accepted] == ["drag"]
+    assert hunt.refused["bias"].reason is Reason.PREDICTS_WORSE
+    assert "predicted better without it" in hunt.refused["bias"].words
+
+
+def test_a_constant_that_spoils_a_channel_is_given_back_and_no_effect_blamed(hunt):
+    yaw = CHANNELS.index("gyro_z")
+    assert answer_to_predictions(hunt, judged({"drag": 0.5}, [("c2", yaw, 9.0)]))
+    assert hunt.held == {"c2"}
+    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
+
+
+def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
+    everything = [(name, c, 5.0) for c, name in enumerate(["drag", "bias", "c0", "c2"])]
+    answer_to_predictions(hunt, judged({}, everything))
+    assert hunt.now.point == set()
+    assert not hunt.accepted
+    assert hunt.held == {"c0", "c2"}

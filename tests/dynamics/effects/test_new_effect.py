@@ -1,0 +1,84 @@
+"""A new effect is one file: a yaw moment from sideways velocity that lags behind it."""
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE
+
+from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
+from groundstation.dynamics.registry import load_effects
+from groundstation.dynamics.simulation import accelerations, simulate
+from groundstation.dynamics.state import RATE, craft_state
+
+FILE = '''"""Yaw turns towards where the air comes from, a little late: T v' = v_left - v."""
+
+from groundstation.dynamics.effect import TRANSLATE, TRANSLATION, Effect, Parameter, State
+
+
+def law(values, craft, body, state):
+    turn, lag_s = values
+    (felt,) = state
+    return (0.0, 0.0, turn * felt), (0.0, 0.0, 0.0), ((body.velocity[1] - felt) / lag_s,)
+
+
+EFFECT = Effect(
+    name="yaw_weather_vane",
+    stage="body",
+    parameters=(
+        Parameter("turn", "rad/s^2 per m/s", default=4.0, low=0.1, high=50.0),
+        Parameter("lag_s", "s", default=0.1, low=0.01, high=1.0, absent=0.1, kind="shape"),
+    ),
+    states=(State("sideways velocity felt, m/s"),),
+    adds="yaw turns towards where the air comes from",
+    signature="flying sideways yaws the craft",
+    excited_by=TRANSLATE,
+    channels=("gyro z",),
+    regimes=TRANSLATION,
+    needs=("accelerometer", "attitude"),
+    unmeasured=("velocity",),
+    law=law,
+)
+'''
+TURN, LAG_S = 5.0, 0.08
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """A model file that has the effect, beside the file that defines it."""
+    folder = tmp_path_factory.mktemp("vane")
+    (folder / "yaw_weather_vane.py").write_text(FILE)
+    term = EffectTerm(
+        "yaw_weather_vane",
+        {"turn": Estimate(TURN), "lag_s": Estimate(LAG_S)},
+        "yaw_weather_vane.py",
+    )
+    save_model(msgspec.structs.replace(BASE, effects=(term,)), folder / "model.json")
+    return load_model(folder / "model.json")
+
+
+def test_it_simulates_with_its_lag(model):
+    """At a steady sideways velocity v the yaw rate is turn v (t - T (1 - exp(-t/T)))."""
+    craft = craft_of_model(model)
+    craft["gravity"], craft["thrust"], craft["drag"] = 0.0, 0.0, 0.0
+    start = craft_state(velocity_m_s=(0.0, 1.5, 0.0))
+    states = simulate(craft, start, np.zeros((50, 4)))
+    time = 0.002 * np.arange(51)
+    expected = TURN * 1.5 * (time - LAG_S * (1.0 - np.exp(-time / LAG_S)))
+    np.testing.assert_allclose(states[:, RATE][:, 2], expected, rtol=0.03, atol=1e-3)
+
+
+def test_its_accelerations_follow_the_rows(model):
+    craft = craft_of_model(model)
+    rows = np.tile(craft_state(velocity_m_s=(0.0, 1.5, 0.0)), (200, 1))
+    found = accelerations(craft, rows)[:, 2]
+    time = 0.002 * np.arange(200)
+    expected = TURN * 1.5 * (1.0 - np.exp(-time / LAG_S))
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+def test_its_file_says_what_a_listed_one_says(model):
+    (effect,) = load_effects(model.effects[0].source).values()
+    assert [p.name for p in effect.sizes] == ["turn"]
+    assert effect.absent({"turn": 0.0})
+    assert not effect.absent({})

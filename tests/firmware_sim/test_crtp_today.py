@@ -1,0 +1,155 @@
+"""Today's firmware as the official client library meets it: its own examples, not a mock."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import statistics
+import struct
+from collections.abc import Iterator
+
+import cflib.crtp
+import pytest
+from cflib.crazyflie import Crazyflie
+from cflib.crazyflie.log import LogConfig
+from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
+from cflib.crazyflie.syncLogger import SyncLogger
+from served_craft import ServedCraft, served
+
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.crtp import CREATE_V2, RESET, START_V2, Conversation
+
+
+@pytest.fixture(scope="module")
+def craft() -> Iterator[ServedCraft]:
+    with served(craft="crazyflie21", plant="reduced", rotor_speed_deck=True) as running:
+        yield running
+
+
+@pytest.fixture
+def connected(craft: ServedCraft) -> Iterator[SyncCrazyflie]:
+    cflib.crtp.init_drivers()
+    with SyncCrazyflie(craft.uri, cf=Crazyflie()) as crazyflie:
+        yield crazyflie
+
+
+def test_the_logging_example_of_the_library_reads_the_units_of_the_firmware(connected, craft):
+    log = LogConfig("example", period_in_ms=10)
+    for name in ("gyro.x", "acc.z", "stabilizer.roll", "stateEstimate.qw", "pm.vbat", "motor.m1"):
+        log.add_variable(name)
+    log.add_variable("rpm.m1", "uint16_t")
+    with SyncLogger(connected, log) as logger:
+        entries = list(itertools.islice(logger, 20))
+    stamps = [stamp for stamp, _, _ in entries]
+    assert statistics.median(b - a for a, b in itertools.pairwise(stamps)) == 10
+    stamp, values, _ = entries[-1]
+    said = craft.craft.logged(stamp)
+    assert values["gyro.x"] == pytest.approx(said.gyro_dps[0], abs=1e-3)
+    assert values["acc.z"] == pytest.approx(1.0, abs=0.1)
+    assert values["pm.vbat"] == pytest.approx(said.battery_v, abs=1e-4)
+    assert 3.5 < values["pm.vbat"] < 4.3
+    assert values["stateEstimate.qw"] == pytest.approx(1.0, abs=0.01)
+    assert values["motor.m1"] == values["rpm.m1"] == 0
+
+
+def test_the_parameter_example_of_the_library_sets_and_reads_back(connected, craft):
+    crazyflie = connected.cf
+    connected.wait_for_params()
+    name = "pid_attitude.yaw_kd"
+    before = crazyflie.param.get_value(name)
+    heard = []
+    crazyflie.param.add_update_callback("pid_attitude", "yaw_kd", lambda n, v: heard.append(v))
+    crazyflie.param.set_value(name, 0.2)
+    craft.wait_for(lambda: bool(heard))
+    assert float(heard[-1]) == pytest.approx(0.2)
+    assert craft.craft.get_parameter(name) == pytest.approx(0.2)
+    craft.craft.set_parameter(name, float(before))
+
+
+def test_the_library_is_told_protocol_and_device(connected, craft):
+    assert connected.cf.platform.get_protocol_version() == craft.craft.protocol == 10
+
+
+@pytest.fixture(scope="module")
+def standing() -> StandIn:
+    stand_in = StandIn(StandInSettings(craft="crazyflie21", program="wait", plant="reduced"))
+    stand_in.advance(3.0)
+    return stand_in
+
+
+@pytest.fixture
+def client(standing: StandIn) -> Conversation:
+    return Conversation(standing)
+
+
+def asked(client: Conversation, command: int, number: int, data: bytes = b"") -> int:
+    (answer,) = client.answer(bytes([0x5D, command, number]) + data)
+    assert answer[:3] == bytes([0x5D, command, number])
+    return answer[3]
+
+
+def place(client: Conversation, name: str) -> bytes:
+    return struct.pack("<BH", 7, [n for n, *_ in client.contents.variables].index(name))
+
+
+def test_periods_below_10_ms_are_kept_to_the_millisecond(client, standing):
+    assert asked(client, CREATE_V2, 1, place(client, "gyro.x")) == 0
+    assert asked(client, START_V2, 1, struct.pack("<H", 2)) == 0
+    start = standing.uptime_ms
+    stamps = [int.from_bytes(p[2:5], "little") for p in client.due(start + 100)]
+    assert stamps == list(range(start + 2, start + 101, 2))
+
+
+def test_blocks_started_at_different_moments_keep_their_distance(client, standing):
+    for number in (1, 2):
+        assert asked(client, CREATE_V2, number, place(client, "gyro.x")) == 0
+        assert asked(client, START_V2, number, struct.pack("<H", 10)) == 0
+        standing.advance(standing.time_s + 0.004)
+    times = [
+        (p[1], int.from_bytes(p[2:5], "little") % 10) for p in client.due(standing.uptime_ms + 99)
+    ]
+    assert len(set(times)) == 2
+
+
+def test_limits_and_errors_are_those_of_the_firmware(client):
+    gyro = place(client, "gyro.x")
+    assert asked(client, CREATE_V2, 0, gyro * 6) == 0
+    assert asked(client, CREATE_V2, 0, gyro) == errno.EEXIST
+    assert asked(client, CREATE_V2, 1, gyro * 7) == errno.E2BIG
+    assert asked(client, CREATE_V2, 2, struct.pack("<BH", 7, 999)) == errno.ENOENT
+    assert asked(client, START_V2, 77, b"\x01\x00") == errno.ENOENT
+    assert asked(client, 0, 3, b"\x07\x00") == errno.ENOEXEC  # of protocols before 4
+    for number in range(3, 16):
+        assert asked(client, CREATE_V2, number, gyro) == 0
+    assert asked(client, CREATE_V2, 16, gyro) == errno.ENOMEM
+    assert asked(client, RESET, 0) == 0
+    byte = gyro[:0] + b"\x01" + gyro[1:]
+    for number in range(16):
+        assert asked(client, CREATE_V2, number, byte * 8) == 0
+    assert asked(client, 7, 0, byte) == errno.ENOMEM
+
+
+def test_a_craft_that_restarts_has_forgotten_its_blocks():
+    settings = StandInSettings(craft="crazyflie21", plant="reduced", charge=0.0, recharge_s=0.1)
+    craft = StandIn(settings)
+    craft.advance(0.5)
+    client = Conversation(craft)
+    assert asked(client, CREATE_V2, 1, place(client, "gyro.x")) == 0
+    assert asked(client, START_V2, 1, struct.pack("<H", 10)) == 0
+    assert client.due(craft.uptime_ms + 100)
+    while craft.boots == 1:
+        craft.advance(craft.time_s + 1.0)
+    assert client.due(craft.uptime_ms + 100) == []
+
+
+def test_an_older_release_sends_its_motors_in_32_bits():
+    kinds = {
+        protocol: {
+            name: kind
+            for name, kind, _ in Conversation(
+                StandIn(StandInSettings(craft="brushless", program="wait", protocol=protocol))
+            ).contents.variables
+        }["motor.m1"]
+        for protocol in (7, 8)
+    }
+    assert kinds == {7: 3, 8: 2}

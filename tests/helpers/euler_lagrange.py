@@ -1,0 +1,71 @@
+"""The rigid body derived another way (thesis 3.10): Lagrange's equations in Euler angles.
+
+An oracle for the Newton-Euler kernels, with nothing in common with them.
+"""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from groundstation.dynamics.rotations import body_rates, euler_rates, rotation_matrix
+from groundstation.dynamics.state import RATE, ROTOR, attitude_of
+
+SPIN = np.array([-1.0, 1.0, -1.0, 1.0])
+
+
+def flown(craft, start, voltage, seconds, rotor_inertia=0.0, spin_inertia=0.0):
+    """(position, attitude, body rates) after ``seconds`` at constant voltages (4,)."""
+    c = craft[0]
+    attitude = attitude_of(start)
+    first = np.concatenate([start[:6], attitude, euler_rates(attitude, start[RATE]), start[ROTOR]])
+
+    def slope(_, y):
+        n = y[12:]
+        dn = c["a0"] * voltage - (c["a1"] + c["a2"] * n) * n
+        square = n**2
+        torque = np.array(
+            [
+                c["thrust"] * c["rotor_y"] @ square,
+                -c["thrust"] * c["rotor_x"] @ square,
+                c["drag"] * SPIN @ square + 2 * np.pi * spin_inertia * SPIN @ dn,
+            ]
+        )
+        momentum = 2 * np.pi * rotor_inertia * SPIN @ n
+        p, q, _ = body_rates(y[6:9], y[9:12])
+        torque += [momentum * q, -momentum * p, 0.0]
+        force = rotation_matrix(y[6:9])[:, 2] * c["thrust"] * square.sum() / c["mass"]
+        force[2] -= c["gravity"]
+        turn = accelerations(c["inertia"], y[6:9], y[9:12], torque)
+        return np.concatenate([y[3:6], force, y[9:12], turn, dn])
+
+    end = solve_ivp(slope, (0.0, seconds), first, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    return end[:3], end[6:9], body_rates(end[6:9], end[9:12])
+
+
+def accelerations(inertia, angles, rates, torque):
+    """Euler accelerations of J eta'' = ... (thesis 3.46); the generalised torque is W^T tau."""
+    ixx, iyy, izz = inertia
+    (sf, st), (cf, ct) = np.sin(angles[:2]), np.cos(angles[:2])
+    df, dt, ds = rates
+    roll, pitch, yaw = torque
+    s2, c2 = 2.0 * sf * cf, cf * cf - sf * sf
+    f1 = (
+        roll
+        + (izz - iyy) * cf * sf * dt * dt
+        + ct * (ixx + (iyy - izz) * c2) * dt * ds
+        + (iyy - izz) * ct * ct * cf * sf * ds * ds
+    )
+    more = -(ixx + (iyy - izz) * c2) * df + st * (ixx - izz * cf * cf - iyy * sf * sf) * ds
+    f2 = cf * pitch - sf * yaw + (iyy - izz) * s2 * dt * df + ct * ds * more
+    more = (ixx + (izz - iyy) * c2) * df + (-2.0 * ixx + iyy + izz + (izz - iyy) * c2) * st * ds
+    f3 = -st * roll + ct * sf * pitch + ct * cf * yaw
+    f3 += 0.5 * (iyy - izz) * st * s2 * dt * dt
+    f3 += (izz - iyy) * ct * ct * s2 * df * ds + ct * dt * more
+    mass = np.array(  # J (3.38)
+        [
+            [ixx, 0.0, -ixx * st],
+            [0.0, iyy * cf * cf + izz * sf * sf, (iyy - izz) * ct * cf * sf],
+            [-ixx * st, (iyy - izz) * ct * cf * sf, 0.0],
+        ]
+    )
+    mass[2, 2] = ixx * st * st + ct * ct * (izz * cf * cf + iyy * sf * sf)
+    return np.linalg.solve(mass, [f1, f2, f3])

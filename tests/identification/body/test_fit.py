@@ -1,0 +1,258 @@
+"""The body fit on closed-loop flights of the stand-in, reduced and faithful."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from stand_in_flights import recorded
+
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.errors import BadInputError
+from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.validation import (
+    fit_free_run,
+    prediction_errors,
+    validate_body,
+)
+from groundstation.identification.runs import runs_of
+from groundstation.identification.stretches import split, stretches_of
+
+VEHICLE = BUILT_IN["crazyflie1"]
+TRUE = np.array([*VEHICLE.body_constants, VEHICLE.thrust_per_mass])
+NAMES = ("c0", "c1", "c2", "thrust_per_mass")
+DLPF_LAG_S = 1 / (2 * np.pi * 188)
+
+
+def flight(seed, plant="reduced", seconds=66.0, **settings):
+    samples, truth = recorded(seconds, plant=plant, seed=seed, **settings)
+    return runs_of(samples, f"flight {seed}"), truth
+
+
+@pytest.fixture(scope="module")
+def reduced():
+    return flight(21)[0]
+
+
+@pytest.fixture(scope="module")
+def faithful():
+    return flight(22, "faithful")
+
+
+def values(fit):
+    return np.array([fit.estimates[name] for name in NAMES])
+
+
+def test_on_the_reduced_plant_the_constants_are_found_and_the_intervals_honest():
+    """Six flights here; 50 in bench/identification.py."""
+    errors, inside = [], []
+    for seed in range(6):
+        fit = fit_body(stretches_of(flight(seed)[0], THESIS_MOTOR), VEHICLE)
+        interval = fit.estimates.interval(0.99)
+        errors.append(values(fit) / TRUE - 1)
+        inside.append((interval[:, 0] <= TRUE) & (interval[:, 1] >= TRUE))
+        assert not fit.warnings
+    assert np.abs(errors).max() < 0.03
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.005
+    assert np.sum(~np.array(inside)) <= 2
+
+
+def test_on_the_faithful_plant_they_are_within_3_percent_once_known_effects_are_fitted_along(
+    faithful,
+):
+    runs, _ = faithful
+    stretches = stretches_of(runs, THESIS_MOTOR)
+    fit = fit_body(stretches, VEHICLE, ("dead_time", "rotor_acceleration_torque"))
+    assert np.abs(values(fit) / TRUE - 1).max() < 0.03
+    plain = fit_body(stretches, VEHICLE)
+    assert np.abs(values(plain) / TRUE - 1).max() < 0.03  # nuisances stand in for both
+    assert plain.effects == ()
+    for effect in ("dead_time", "rotor_acceleration_torque"):
+        hint = f"the data clearly show {effect}; fit it along: --with {effect}"
+        assert hint in plain.warnings
+        assert hint not in fit.warnings
+
+
+def test_the_sensor_delay_is_found_within_a_sample(faithful):
+    runs, truth = faithful
+    fit = fit_body(stretches_of(runs, THESIS_MOTOR), VEHICLE, ("dead_time",))
+    true = truth["sensor_age_s"][3000:].mean() + DLPF_LAG_S
+    assert fit.delay_s == pytest.approx(true, abs=0.001)
+    stderr = fit.estimates.stderr[fit.estimates.names.index("dead_time.delay_s")]
+    assert stderr < 1e-4
+
+
+def test_a_longer_delay_is_found_too():
+    """The thesis's 8 samples, on a craft with gains low enough to bear it."""
+    runs, truth = flight(
+        31,
+        "faithful",
+        40.0,
+        sensor={"delay_s": 0.010},
+        gains={"pid_rate.roll_kp": 40.0, "pid_rate.pitch_kp": 40.0},
+    )
+    stretches = stretches_of(runs, THESIS_MOTOR)
+    fit = fit_body(stretches, VEHICLE, ("dead_time", "rotor_acceleration_torque"))
+    true = truth["sensor_age_s"][3000:].mean() + DLPF_LAG_S
+    assert true > 0.008
+    assert fit.delay_s == pytest.approx(true, abs=0.002)
+
+
+def test_without_a_delay_none_is_found(reduced):
+    fit = fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("dead_time",))
+    assert fit.delay_s < 2e-4
+
+
+def test_rigid_body_and_rotor_effects_can_be_fitted_along(faithful):
+    runs, _ = faithful
+    fit = fit_body(
+        stretches_of(runs, THESIS_MOTOR),
+        VEHICLE,
+        (
+            "dead_time",
+            "inertia_coupling",
+            "rotor_gyroscopic_torque",
+            "rotor_acceleration_torque",
+        ),
+    )
+    inertia = VEHICLE.rotor_inertia_kg_m2
+    assert fit.estimates["rotor_acceleration_torque.rotor_inertia_kg_m2"] == pytest.approx(
+        inertia, rel=0.05
+    )
+    gyroscopic = fit.estimates.names.index("rotor_gyroscopic_torque.rotor_inertia_kg_m2")
+    found, error = fit.estimates.values[gyroscopic], fit.estimates.stderr[gyroscopic]
+    assert abs(found - inertia) < 4 * error
+    coupling = fit.estimates.names.index("inertia_coupling.fraction")
+    assert abs(fit.estimates.values[coupling] - 1) < 4 * fit.estimates.stderr[coupling]
+
+
+def test_effects_that_are_not_there_come_out_as_zero(reduced):
+    fit = fit_body(
+        stretches_of(reduced, THESIS_MOTOR),
+        VEHICLE,
+        ("inertia_coupling", "rotor_gyroscopic_torque", "rotor_acceleration_torque"),
+    )
+    for name in fit.estimates.names:
+        if "." in name:
+            index = fit.estimates.names.index(name)
+            assert abs(fit.estimates.values[index]) < 4 * fit.estimates.stderr[index], name
+
+
+def test_the_naive_free_run_fit_is_far_worse(reduced):
+    stretches = stretches_of(reduced, THESIS_MOTOR)
+    naive = fit_free_run(stretches, VEHICLE) / TRUE[:3] - 1
+    careful = values(fit_body(stretches, VEHICLE))[:3] / TRUE[:3] - 1
+    assert np.abs(naive[:2]).min() > 0.03
+    assert np.abs(careful).max() < 0.01
+
+
+def test_roll_and_pitch_can_be_tied(reduced):
+    stretches = stretches_of(reduced, THESIS_MOTOR)
+    tied = fit_body(stretches, VEHICLE, tie_roll_pitch=True)
+    free = fit_body(stretches, VEHICLE)
+    assert tied.body.c0 == tied.body.c1
+    assert min(free.body.c0, free.body.c1) <= tied.body.c0 <= max(free.body.c0, free.body.c1)
+    assert tied.estimates.stderr[0] < free.estimates.stderr[0]
+
+
+def test_several_recordings_fit_together(reduced):
+    other = flight(23)[0]
+    alone = fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE)
+    both = fit_body(stretches_of([*reduced, *other], THESIS_MOTOR), VEHICLE)
+    assert np.all(both.estimates.stderr < 0.85 * alone.estimates.stderr)
+
+
+def test_held_out_rates_are_predicted_as_well_as_by_the_true_constants(reduced):
+    fit_on, held = split(stretches_of(reduced, THESIS_MOTOR))
+    fit = fit_body(fit_on, VEHICLE)
+    true = dict(zip(NAMES[:3], TRUE, strict=False))
+    true = replace(fit, free=replace(fit.free, point={**fit.point, **true}))
+    ours = validate_body(held, fit)
+    best = validate_body(held, true)
+    for name in ours:
+        if name.startswith("gyro") and "rms" in name:
+            assert ours[name] < 1.01 * best[name]
+    assert ours["accelerometer_z_rms"] < 0.03
+    assert ours["accelerometer_z_fit_percent"] > 85
+    assert ours["gyro_roll_rms_1row"] < ours["gyro_roll_rms_20ms"] < ours["gyro_roll_rms_50ms"]
+
+
+def test_a_wrong_constant_predicts_worse_at_the_longer_horizon(reduced):
+    stretches = stretches_of(reduced, THESIS_MOTOR)
+    fit = fit_body(stretches, VEHICLE)
+    right = prediction_errors(stretches, fit, {}, horizon_s=0.05)
+    worse = prediction_errors(stretches, fit, {"c0": 1.5 * fit.body.c0}, horizon_s=0.05)
+    assert worse[0] > 1.5 * right[0]
+    np.testing.assert_allclose(worse[1:], right[1:], rtol=1e-3)
+
+
+def test_split_keeps_every_row_once(reduced):
+    stretches = stretches_of(reduced, THESIS_MOTOR)
+    fit, held = split(stretches)
+    rows = sum(len(s) for s in stretches)
+    assert sum(len(s) for s in (*fit, *held)) == rows
+    assert sum(len(s) for s in held) == pytest.approx(rows / 3, abs=1)
+    assert fit[-1].last == held[0].first
+
+
+def test_a_gap_splits_a_flight_and_the_fit_stays_good():
+    samples, _ = recorded(66.0, plant="reduced", seed=24)
+    keep = np.ones(len(samples), bool)
+    keep[14000:14060] = keep[21000:21001] = False
+    runs = runs_of(samples[keep], "torn")
+    stretches = stretches_of(runs, THESIS_MOTOR)
+    assert len(stretches) == 3
+    fit = fit_body(stretches, VEHICLE)
+    assert np.abs(values(fit) / TRUE - 1).max() < 0.01
+
+
+def test_a_hover_says_which_axis_it_hardly_moves(reduced):
+    (run,) = flight(25, seconds=14.0, program="hover", sensor_noise=0.2)[0]
+    fit = fit_body(stretches_of([run], THESIS_MOTOR), VEHICLE)
+    certain = fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE)
+    assert fit.estimates.stderr[2] > 5 * certain.estimates.stderr[2]
+    assert any("is hardly excited" in text and "uncertain by" in text for text in fit.warnings)
+
+
+def test_another_configuration_is_refused(reduced):
+    """Read as an X craft, torques come out on the wrong axes."""
+    turned = msgspec.structs.replace(VEHICLE, configuration="x")
+    with pytest.raises(BadInputError, match="do not sit in configuration 'x'"):
+        fit_body(stretches_of(reduced, THESIS_MOTOR), turned)
+    assert not fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE).warnings
+
+
+def test_a_recording_on_the_ground_is_refused():
+    runs, _ = flight(26, seconds=8.0, program="wait")
+    with pytest.raises(BadInputError, match="after take-off"):
+        stretches_of(runs, THESIS_MOTOR)
+
+
+def test_rows_without_gyro_are_refused(reduced):
+    (run,) = reduced
+    gyro = run.gyro.copy()
+    gyro[5000] = np.nan
+    with pytest.raises(BadInputError, match="gyro is missing"):
+        stretches_of([replace(run, gyro=gyro)], THESIS_MOTOR)
+
+
+def test_a_constant_rate_is_refused(reduced):
+    (run,) = reduced
+    gyro = run.gyro.copy()
+    gyro[:, 2] = 0.0
+    with pytest.raises(BadInputError, match="about yaw is constant"):
+        fit_body(stretches_of([replace(run, gyro=gyro)], THESIS_MOTOR), VEHICLE)
+
+
+def test_recordings_of_different_rates_are_refused(reduced):
+    slower = [replace(run, period_s=1 / 400, name="slow") for run in reduced]
+    stretches = stretches_of([*reduced, *slower], THESIS_MOTOR)
+    with pytest.raises(BadInputError, match=r"slow: 400 rows a second, others 500"):
+        fit_body(stretches, VEHICLE)
+
+
+def test_an_effect_that_the_fit_does_not_know_is_refused(reduced):
+    with pytest.raises(BadInputError, match=r"the body fit knows .*dead_time"):
+        fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("ground_curse",))
+    with pytest.raises(BadInputError, match="it shows in accelerometer z"):
+        fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE, ("ground_effect",))

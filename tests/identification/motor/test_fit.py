@@ -1,0 +1,298 @@
+"""The motor fit on the stand-in's bench: its gate glitches, its battery sags and lags."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from stand_in_flights import recorded, truth_of
+
+from groundstation.dynamics.motor import simulate_motor
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
+from groundstation.errors import BadInputError
+from groundstation.identification.motor.fit import (
+    bench_run,
+    fit_motor,
+    simulate_run,
+    validate_motor,
+)
+from groundstation.identification.motor.problem import MotorRun
+from groundstation.identification.motor.rotor_speed import speed_from_gate
+from groundstation.identification.motor.supply import fit_motor_and_supply
+from groundstation.identification.runs import runs_of
+
+TRUE = np.array([THESIS_MOTOR.a0, THESIS_MOTOR.a1, THESIS_MOTOR.a2])
+START_S = 5.0
+"""The bench starts to turn the motor after 4 s; the gate's first readings come after."""
+
+
+def bench(seconds, **settings):
+    """A run of ``seconds`` on the motor bench and the true speeds of M1."""
+    samples, truth = recorded(START_S + seconds + 0.5, program="motor_bench", **settings)
+    (run,) = runs_of(samples)
+    first = round(START_S / run.period_s)
+    part = slice(first, first + round(seconds / run.period_s))
+    return run[part], truth_of(samples, truth)[part]
+
+
+@pytest.fixture(scope="module")
+def stiff():
+    return bench(50.0, plant="reduced", supply_v=3.7, seed=100)
+
+
+@pytest.fixture(scope="module")
+def battery():
+    return bench(50.0, plant="faithful", seed=101)
+
+
+def made_run(motor, seconds=8.0, noise=0.2, seed=0, delay_rows=0, steps=True):
+    """A bench of scipy's adaptive integrator: nothing in common with the fit."""
+    generator = np.random.default_rng(seed)
+    rows = round(seconds / 0.002)
+    levels = generator.uniform(800, 3600, rows // 100 + 1)
+    voltage = np.repeat(levels, 100)[:rows]
+    if not steps:
+        voltage[:] = 2000.0
+    speed = [120.0]
+    for start in range(0, rows, 100):
+        solution = solve_ivp(
+            lambda _, n, u=voltage[start]: motor.a0 * u - motor.a1 * n - motor.a2 * n**2,
+            (0, 0.2),
+            [speed[-1]],
+            t_eval=np.linspace(0, 0.2, 101)[1:],
+            rtol=1e-10,
+            atol=1e-9,
+        )
+        speed.extend(solution.y[0])
+    true = np.array(speed)[:rows]
+    measured = np.roll(true, delay_rows) + generator.normal(0, noise, rows)
+    measured[:delay_rows] = np.nan
+    # Row k's voltage acted from row k - 1 on.
+    held = np.concatenate([voltage[:1], voltage[:-1]])
+    return MotorRun("made", 0.002, held, measured, np.zeros(rows), np.zeros(rows))
+
+
+def test_the_gate_glitches_in_at_least_one_row_of_twenty_and_the_filter_finds_them(stiff):
+    run, truth = stiff
+    reading = speed_from_gate(run)
+    rows = np.flatnonzero(np.isfinite(reading.rev_s))
+    place = rows - reading.age_s[rows] / run.period_s
+    true = np.interp(place, np.arange(len(run)), truth["rotor_rev_s"][:, 0])
+    period = 0.5 / truth["rotor_rev_s"][:, 0]
+    assert np.mean(np.abs(run.debug_s / period - 1) > 0.05) >= 0.05
+    assert reading.glitches >= 0.05
+    assert np.mean(np.abs(reading.rev_s[rows] / true - 1) > 0.1) < 1e-3
+
+
+def test_the_speed_of_the_gate_is_the_true_speed_at_its_age(stiff):
+    run, truth = stiff
+    reading = speed_from_gate(run)
+    rows = np.flatnonzero(np.isfinite(reading.rev_s))
+    speed = truth["rotor_rev_s"][:, 0]
+    place = rows - reading.age_s[rows] / run.period_s
+    aged = reading.rev_s[rows] - np.interp(place, np.arange(len(run)), speed)
+    naive = reading.rev_s[rows] - speed[rows]
+    assert np.median(np.abs(aged)) < 0.5 * np.median(np.abs(naive))
+
+
+def test_on_a_stiff_supply_every_parameter_is_within_2_percent_and_honest(stiff):
+    """Acceptance: 50 benches of 4000 samples; the truth inside 95 % in 90 % of them."""
+    inside, errors = [], []
+    for seed in range(50):
+        run, _ = bench(8.0, plant="reduced", supply_v=3.7, seed=seed)
+        fit = fit_motor([bench_run(run)])
+        values, interval = fit.estimates.values[:3], fit.estimates.interval()[:3]
+        errors.append(values / TRUE - 1)
+        inside.append((interval[:, 0] <= TRUE) & (interval[:, 1] >= TRUE))
+    assert np.abs(errors).max() < 0.02
+    assert np.mean(inside, axis=0).min() >= 0.9
+
+
+def test_the_fit_is_as_good_as_the_true_parameters(stiff):
+    run, _ = stiff
+    motor_run = bench_run(run)
+    fit = fit_motor([motor_run])
+    reached, _ = validate_motor(motor_run, fit.motor)
+    possible, _ = validate_motor(motor_run, THESIS_MOTOR)
+    assert reached > possible - 1.0
+    assert fit.fit_percent[0] > 99
+    assert not fit.warnings
+
+
+def test_held_out_data_is_modelled_as_well(stiff):
+    run, _ = stiff
+    third = len(run) // 3
+    fit = fit_motor([bench_run(run[: 2 * third])])
+    percent, error = validate_motor(bench_run(run[2 * third :]), fit.motor)
+    assert percent > 99
+    assert error < 0.5
+
+
+def test_several_recordings_fit_together_more_certainly_than_each_alone():
+    runs = [bench_run(bench(8.0, plant="reduced", supply_v=3.7, seed=s)[0]) for s in (61, 62, 63)]
+    alone = [fit_motor([run]).estimates.stderr[:3] for run in runs]
+    together = fit_motor(runs)
+    assert np.all(together.estimates.stderr[:3] < np.mean(alone, axis=0))
+    assert len(together.fit_percent) == 3
+    np.testing.assert_allclose(together.estimates.values[:3], TRUE, rtol=0.005)
+
+
+def test_a_sagging_lagging_battery_biases_the_plain_fit_and_the_supply_model_removes_it(battery):
+    run, truth = battery
+    plain = fit_motor([bench_run(run)])
+    modelled, (supply,) = fit_motor_and_supply([run], BUILT_IN["crazyflie1"])
+    assert np.abs(plain.estimates.values[:2] / TRUE[:2] - 1).min() > 0.08
+    assert np.abs(modelled.estimates.values[:3] / TRUE - 1).max() < 0.02
+    assert modelled.fit_percent[0] > plain.fit_percent[0] + 1
+    error = supply.motors_v - truth["supply_mv"] / 1000
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert 0.10 < supply.lag_s < 0.20
+    assert supply.cell_ohm == pytest.approx(0.2, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "wrong"),
+    [
+        ({"motor_dead_voltage": {"voltage_mv": 200.0}}, 0.2),
+        ({"motor_braking_asymmetry": {"factor": 0.6}}, 0.2),
+        (
+            {
+                "motor_dead_voltage": {"voltage_mv": 100.0},
+                "motor_braking_asymmetry": {"factor": 0.8},
+            },
+            0.1,
+        ),
+    ],
+    ids=["dead voltage", "braking", "both"],
+)
+def test_dead_voltage_and_slow_braking_are_found_along_with_the_motor(hidden, wrong):
+    run, _ = bench(16.0, plant="reduced", supply_v=3.7, seed=103, effects=hidden)
+    plain, fit = fit_motor([bench_run(run)]), fit_motor([bench_run(run)], tuple(hidden))
+    assert np.abs(plain.estimates.values[:3] / TRUE - 1).max() > wrong
+    np.testing.assert_allclose(fit.estimates.values[:3], TRUE, rtol=0.01)
+    for effect, parameters in hidden.items():
+        for parameter, value in parameters.items():
+            place = fit.estimates.names.index(f"{effect}.{parameter}")
+            assert abs(fit.estimates.values[place] - value) < 4 * fit.estimates.stderr[place]
+    held = validate_motor(bench_run(run), fit.motor, fit.estimates["delay_s"], fit.values)
+    assert held[1] < 0.5 * plain.rms_rev_s[0]
+
+
+def test_effects_of_the_motor_that_are_not_there_come_out_as_absent(stiff):
+    run, _ = stiff
+    effects = ("motor_dead_voltage", "motor_braking_asymmetry")
+    fit = fit_motor([bench_run(run[:8000])], effects)
+    found, error = fit.estimates.values[4:], fit.estimates.stderr[4:]
+    assert abs(found[0]) < 4 * error[0]
+    assert abs(found[1] - 1) < 4 * error[1]
+
+
+@pytest.mark.parametrize("effects", [(), ("motor_dead_voltage", "motor_braking_asymmetry")])
+def test_the_slopes_of_the_problem_are_those_of_its_simulation(effects):
+    from groundstation.identification.motor.problem import MotorProblem
+
+    run = made_run(MotorConstants(0.9, 7.0, 0.006), seconds=2.0)
+    problem = MotorProblem([run], effects)
+    theta = problem.theta([0.86, 6.8, 0.0061])
+    theta[4 : problem.starts] = [150.0, 0.8][: len(effects)]
+    slopes = problem.simulate(theta, 0)[1].copy()
+    for column, place in enumerate(problem.places(0)[:-1]):
+        step = np.zeros(len(theta))
+        step[place] = 1e-5 * abs(theta[place])
+        ahead = problem.simulate(theta + step, 0)[0].copy()
+        change = (ahead - problem.simulate(theta - step, 0)[0]) / (2 * step[place])
+        np.testing.assert_allclose(
+            slopes[:, column], change, rtol=2e-3, atol=2e-3 * np.abs(change).max()
+        )
+
+
+@pytest.mark.parametrize("motor", [MotorConstants(0.4, 14.0, 0.03), MotorConstants(2.0, 9.0, 0.0)])
+def test_other_motors_are_found_without_a_guess(motor):
+    fit = fit_motor([made_run(motor)])
+    assert fit.motor.a0 == pytest.approx(motor.a0, rel=0.01)
+    assert fit.motor.a1 == pytest.approx(motor.a1, rel=0.01)
+    assert fit.motor.a2 == pytest.approx(motor.a2, rel=0.02, abs=1e-4)
+
+
+def test_readings_that_lag_by_two_rows_do_not_bias_the_motor():
+    fit = fit_motor([made_run(THESIS_MOTOR, delay_rows=2)])
+    assert fit.estimates["delay_s"] == pytest.approx(0.004, abs=2e-4)
+    np.testing.assert_allclose(fit.estimates.values[:3], TRUE, rtol=0.01)
+
+
+def test_the_sensitivities_are_the_derivatives_of_the_simulation():
+    from groundstation.identification.motor.kernel import motor_sensitivities
+
+    voltage = np.random.default_rng(0).uniform(500, 3500, 300)
+    theta = np.array([*TRUE, 80.0])
+
+    def simulated(parameters):
+        speed, sensitivity = np.empty(300), np.empty((300, 4))
+        motor_sensitivities(parameters[:3], voltage, 0.002, parameters[3], speed, sensitivity)
+        return speed, sensitivity
+
+    _, sensitivity = simulated(theta)
+    for i in range(4):
+        step = np.zeros(4)
+        step[i] = 1e-5 * theta[i]
+        change = (simulated(theta + step)[0] - simulated(theta - step)[0]) / (2 * step[i])
+        np.testing.assert_allclose(sensitivity[:, i], change, rtol=1e-5, atol=1e-8)
+
+
+def test_a_fit_and_the_simulator_agree_on_what_the_motor_does():
+    run = made_run(THESIS_MOTOR, noise=0.0)
+    speed, _ = simulate_motor(THESIS_MOTOR, run.voltage_mv[1:, None], 0.002, [120.0])
+    np.testing.assert_allclose(simulate_run(run, THESIS_MOTOR), speed[:, 0], atol=1e-3)
+
+
+def test_around_one_speed_only_the_uncertainty_is_large_and_said():
+    generator = np.random.default_rng(7)
+    rows = 4000
+    voltage = 2200 + np.repeat(generator.uniform(-50, 50, 40), 100)
+    speed, _ = simulate_motor(THESIS_MOTOR, voltage[1:, None], 0.002)
+    measured = speed[:, 0] + generator.normal(0, 3.0, rows)
+    run = MotorRun("hover", 0.002, voltage, measured, np.zeros(rows), np.zeros(rows))
+    fit = fit_motor([run])
+    assert any("a2 is hardly excited: uncertain by" in text for text in fit.warnings)
+    assert abs(fit.estimates.values[2] / TRUE[2] - 1) < 1.0
+
+
+def test_a_constant_voltage_is_refused():
+    with pytest.raises(BadInputError, match="constant"):
+        fit_motor([made_run(THESIS_MOTOR, steps=False)])
+
+
+def test_a_recording_too_short_is_refused():
+    with pytest.raises(BadInputError, match="too few"):
+        fit_motor([made_run(THESIS_MOTOR, seconds=0.3)])
+
+
+def test_a_voltage_with_holes_is_refused():
+    run = made_run(THESIS_MOTOR)
+    run.voltage_mv[100] = np.nan
+    with pytest.raises(BadInputError, match="voltage is missing"):
+        fit_motor([run])
+
+
+def test_a_flight_is_not_a_motor_bench():
+    samples, _ = recorded(12.0, seed=5)
+    (run,) = runs_of(samples)
+    with pytest.raises(BadInputError, match="no rotor periods"):
+        bench_run(run)
+
+
+def test_a_motor_that_runs_against_its_voltage_is_no_motor():
+    """A sensor on another motor, say."""
+    run = made_run(THESIS_MOTOR)
+    other = replace(run, voltage_mv=run.voltage_mv.max() + 800.0 - run.voltage_mv)
+    with pytest.raises(BadInputError, match=r"a[01] is not identified, because"):
+        fit_motor([other])
+
+
+def test_a_load_that_seems_to_shrink_with_speed_is_a_motor_of_first_order():
+    run = made_run(MotorConstants(2.0, 9.0, 0.0))
+    bent = replace(run, rev_s=run.rev_s * (1 + 4e-5 * run.rev_s))
+    fit = fit_motor([bent])
+    assert fit.motor.a2 == 0.0
+    assert fit.motor.a1 > 0
+    assert any("a motor of first order" in text for text in fit.warnings)

@@ -1,0 +1,70 @@
+"""One rule for every stage: which rows of a run are in the air."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from groundstation.identification.airborne import CONTACT_S, TAKE_OFF_S, airborne, flights_in
+from groundstation.identification.runs import Run
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+T = 0.002
+START, STOP, ROWS = 1000, 6000, 7000
+CLIMB_ROWS = 250
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Rest, a climb that begins half a second after the motors, ten seconds in all, rest."""
+    duty, force = np.zeros((ROWS, 4)), np.zeros((ROWS, 3))
+    duty[START:STOP] = 0.6
+    force[:, 2] = STANDARD_GRAVITY
+    lift = START + CLIMB_ROWS
+    force[lift : lift + CLIMB_ROWS, 2] += 1.0
+    force[lift + CLIMB_ROWS : lift + 2 * CLIMB_ROWS, 2] -= 1.0
+    sink = STOP - 3 * CLIMB_ROWS
+    force[sink : sink + CLIMB_ROWS, 2] -= 1.0
+    force[sink + CLIMB_ROWS : sink + 2 * CLIMB_ROWS, 2] += 1.0
+    nothing = np.full((ROWS, 4), np.nan)
+    level = np.zeros((ROWS, 3))
+    return Run("hop", 0.0, T, duty, np.full(ROWS, 3.9), level, force, level, nothing, level[:, 0])
+
+
+def test_the_ground_carries_until_the_craft_is_two_centimetres_up(run):
+    (flight,) = flights_in(run)
+    assert (flight.start, flight.stop, flight.rests) == (START, STOP, (True, True))
+    lift, sink = START + CLIMB_ROWS, STOP - CLIMB_ROWS
+    assert lift < flight.first < lift + 0.25 / T
+    assert sink - 0.4 / T < flight.last < sink
+    assert flight.height_m[flight.first] == pytest.approx(0.02, abs=0.002)
+
+
+def test_without_an_accelerometer_time_decides(run):
+    (flight,) = flights_in(replace(run, accelerometer=np.full((ROWS, 3), np.nan)))
+    assert flight.first == START + round(TAKE_OFF_S / T)
+    assert flight.last == STOP - round(CONTACT_S / T)
+
+
+def test_a_recording_that_begins_and_ends_in_the_air_is_all_flight_but_for_its_start(run):
+    mask = airborne(run[START + 1500 : STOP - 1500])
+    assert mask[250:].all()
+    assert not mask[:250].any()
+
+
+def test_a_dead_rotor_sensor_grounds_no_craft(run):
+    dead = replace(run, rotor_rev_s=np.zeros((ROWS, 4)))
+    np.testing.assert_array_equal(airborne(dead), airborne(run))
+
+
+def test_where_pwm_was_not_recorded_the_rotors_tell_when_they_turn(run):
+    speed = np.where(run.duty > 0.0, 300.0, 0.0)
+    unpowered = replace(run, duty=np.full((ROWS, 4), np.nan), rotor_rev_s=speed)
+    np.testing.assert_array_equal(airborne(unpowered), airborne(run))
+
+
+def test_motors_that_never_lift_the_craft_make_no_flight(run):
+    idle = replace(run, accelerometer=np.tile([0.0, 0.0, STANDARD_GRAVITY], (ROWS, 1)))
+    assert not airborne(idle).any()

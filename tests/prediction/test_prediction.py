@@ -1,0 +1,227 @@
+"""Predictions a few rows ahead: with the true model nothing is left but noise."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE, MEDIUM, affected, flown
+
+from groundstation.errors import BadInputError
+from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.prediction.observer import Noise, gains_of
+from groundstation.prediction.prediction import (
+    airborne,
+    fly_ahead,
+    height_of,
+    noise_of,
+    observe_run,
+    predict_ahead,
+)
+
+HORIZONS = (10, 25)
+SHOWS = {
+    "dead_time": ("gyro z", 1.7),
+    "gyro_low_pass": ("yaw", 5.0),
+    "rotor_gyroscopic_torque": ("gyro y", 1.15),
+    "rotor_acceleration_torque": ("gyro z", 10.0),
+    "inertia_coupling": ("gyro y", 1.03),
+    "rate_damping": ("gyro x", 1.4),
+    "quadratic_rate_damping": ("gyro x", 1.6),
+    "centre_of_gravity_offset": ("gyro y", 20.0),
+    "rotor_mismatch": ("gyro x", 15.0),
+    "motor_dead_voltage": ("accelerometer z", 8.0),
+    "motor_braking_asymmetry": ("gyro z", 5.0),
+    "supply_sag": ("accelerometer z", 2.0),
+    "battery_reading_lag": ("accelerometer z", 1.01),
+    "gyro_bias": ("yaw", 10.0),
+    "accelerometer_bias": ("accelerometer z", 2.5),
+    "imu_misalignment": ("accelerometer x", 3.0),
+    "rotor_drag": ("accelerometer x", 1.1),
+    "velocity_moment": ("gyro x", 4.0),
+    "yaw_damping": ("gyro z", 2.0),
+    "climb_inflow": ("accelerometer z", 1.02),
+    "imu_lever_arm": ("accelerometer y", 1.01),
+    "ground_effect": ("accelerometer z", 1.08),
+    "attitude_filter_lean": ("roll", 5.0),
+    "mass_change": ("accelerometer z", 3.0),
+}
+"""effect -> a channel in which the base model fails, and its error over the noise at least."""
+CHANNELS = [f"{s} {a}" for s in ("gyro", "accelerometer") for a in "xyz"] + ["roll", "pitch", "yaw"]
+
+
+def over_noise(model, run, noise=None):
+    """RMS of prediction errors (2, 9) over what noise alone makes of a perfect model's."""
+    error = predict_ahead(model, run, HORIZONS, noise=noise).errors(run)
+    gains = gains_of(BASE, run.period_s, noise)
+    floor = np.array([gains.expected(rows) for rows in HORIZONS])
+    return np.sqrt(np.mean(error**2, axis=0)) / floor
+
+
+@pytest.fixture(scope="module")
+def clean():
+    run, _ = flown(40.0, 1)
+    return run
+
+
+def test_on_a_clean_flight_errors_are_what_the_noise_makes_them(clean):
+    assert over_noise(BASE, clean) == pytest.approx(1.0, abs=0.05)
+
+
+def test_on_a_rough_flight_they_are_too():
+    run, _ = flown(40.0, 2, torque_noise=6.0, sensor_noise=2.0)
+    assert over_noise(BASE, run, Noise().scaled(6.0, 2.0)) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize("name", MEDIUM)
+def test_with_the_true_effect_in_the_model_only_noise_is_left(name):
+    run, _ = flown(40.0, 3, name)
+    channel, least = SHOWS[name]
+    without, within = over_noise(BASE, run), over_noise(affected(name), run)
+    assert without[:, CHANNELS.index(channel)].max() > least
+    assert within.max() < 1.1
+
+
+def test_two_effects_at_once_are_both_accounted_for():
+    names = ("dead_time", "velocity_moment")
+    run, _ = flown(30.0, 4, effects={name: MEDIUM[name] for name in names})
+    both = replace_effects(*names)
+    assert over_noise(both, run).max() < 1.1
+    assert over_noise(affected(names[0]), run).max() > 2.0
+
+
+def replace_effects(*names):
+    return msgspec.structs.replace(
+        BASE, effects=tuple(term for name in names for term in affected(name).effects)
+    )
+
+
+def test_a_prediction_does_not_see_the_future(clean):
+    """Measurements after a row change nothing that is predicted from it."""
+    row = 8000
+    seen = observe_run(BASE, clean)
+    before = fly_ahead(clean, seen, [row], HORIZONS)
+    gyro, attitude = clean.gyro.copy(), clean.attitude.copy()
+    gyro[row + 1 :] += 1.0
+    attitude[row + 1 :] *= 0.5
+    changed = replace(clean, gyro=gyro, attitude=attitude)
+    after = fly_ahead(changed, observe_run(BASE, changed), [row], HORIZONS)
+    np.testing.assert_array_equal(before.gyro, after.gyro)
+    np.testing.assert_array_equal(before.attitude, after.attitude)
+
+
+def test_a_flight_in_pieces_is_observed_as_in_one(clean):
+    whole = observe_run(BASE, clean)
+    part = observe_run(BASE, clean[:9000])
+    np.testing.assert_array_equal(whole.states[:9000], part.states)
+
+
+def test_velocity_is_found_where_an_effect_shows_it():
+    run, truth = flown(40.0, 5, "velocity_moment")
+    seen = observe_run(affected("velocity_moment"), run)
+    rows = airborne(seen, 1)
+    error = seen.states[rows, 3:5] - truth["velocity_m_s"][rows, :2]
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert truth["velocity_m_s"][rows, :2].std() > 0.15
+
+
+def test_height_is_reckoned_after_a_take_off_and_unknown_later():
+    run, truth = flown(15.0, 6)
+    seen = observe_run(BASE, run)
+    height = height_of(run, seen.flying)
+    first = np.flatnonzero(seen.flying)[0]
+    part = slice(first, first + 1000)
+    np.testing.assert_allclose(height[part], truth["position_m"][part, 2], atol=0.05)
+    assert np.isinf(height[-1])
+
+
+@pytest.mark.parametrize("offset_g", [0.05, -0.05])
+def test_an_offset_of_the_accelerometer_is_not_taken_for_height(offset_g):
+    """Integrated for 4 s, 0.05 g are 4 m: the ground would be missed, or seen high above it."""
+    hidden = {"accelerometer_bias": {"z_g": offset_g}, "ground_effect": MEDIUM["ground_effect"]}
+    run, truth = flown(9.0, 7, effects=hidden)
+    terms = [term for name, sizes in hidden.items() for term in affected(name, sizes).effects]
+    model = msgspec.structs.replace(BASE, effects=tuple(terms))
+    height = height_of(run, observe_run(model, run).flying)
+    known = np.isfinite(height) & (height > 0.0)
+    assert np.abs(height - truth["position_m"][:, 2])[known].max() < 0.1
+    given = truth["position_m"][:, 2].copy()
+    errors = [
+        predict_ahead(model, run, HORIZONS, height_m=one).errors(run)[..., 5]
+        for one in (None, given)
+    ]
+    assert np.std(errors[0]) < 1.05 * np.std(errors[1])
+
+
+def test_lost_gyro_rows_are_bridged_by_the_model(clean):
+    gyro = clean.gyro.copy()
+    lost = np.random.default_rng(0).random(len(gyro)) < 0.02
+    gyro[lost] = np.nan
+    run = replace(clean, gyro=gyro)
+    error = predict_ahead(BASE, run, HORIZONS).errors(run)
+    whole = predict_ahead(BASE, clean, HORIZONS).errors(clean)
+    ratio = np.sqrt(np.nanmean(error**2, axis=0) / np.mean(whole**2, axis=0))
+    assert ratio.max() < 1.05
+
+
+def test_without_attitude_or_accelerometer_rates_are_still_predicted(clean):
+    nothing = np.full_like(clean.gyro, np.nan)
+    run = replace(clean, attitude=nothing, accelerometer=nothing)
+    error = predict_ahead(BASE, run, HORIZONS).errors(run)[..., :3]
+    floor = gains_of(BASE, run.period_s).expected(25)[:3]
+    assert np.sqrt(np.mean(error[:, 1] ** 2, axis=0)) / floor == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_leaning_filter_is_predicted_as_well_where_held_angles_are_left_out():
+    run, _ = flown(30.0, 3, "attitude_filter_lean")
+    model = affected("attitude_filter_lean")
+    whole = predict_ahead(model, run, HORIZONS)
+    fresh = fresh_rows(run.attitude)
+    shown = replace(run, attitude=np.where(fresh[:, None], run.attitude, np.nan))
+    part = predict_ahead(model, shown, HORIZONS)
+    np.testing.assert_array_equal(part.rows, whole.rows)
+    angle = np.abs(np.angle(np.exp(1j * (part.attitude - whole.attitude))))
+    new = fresh[part.rows[:, None] + part.horizons]
+    assert new.any()
+    assert angle[new].max() < 1e-9
+
+
+def test_a_run_without_gyro_or_voltage_is_refused(clean):
+    dark = replace(clean, supply_v=np.full(len(clean), np.nan))
+    with pytest.raises(BadInputError, match="supply_v is missing"):
+        predict_ahead(BASE, dark)
+    blind = replace(clean, gyro=np.full_like(clean.gyro, np.nan))
+    with pytest.raises(BadInputError, match="gyro is missing"):
+        predict_ahead(BASE, blind)
+
+
+def test_horizons_must_lie_ahead_and_inside_the_run(clean):
+    seen = observe_run(BASE, clean)
+    with pytest.raises(ValueError, match="1 or more, ascending"):
+        fly_ahead(clean, seen, [100], [0, 10])
+    with pytest.raises(ValueError, match="leave the run"):
+        fly_ahead(clean, seen, [len(clean) - 5], [10])
+
+
+def test_the_noise_of_a_flight_is_found_from_it(clean):
+    found = noise_of(BASE, clean)
+    assert found.torque == pytest.approx(Noise().torque, rel=0.2)
+    assert found.gyro == pytest.approx(Noise().gyro, rel=0.2)
+    rough, _ = flown(20.0, 2, torque_noise=6.0, sensor_noise=2.0)
+    found = noise_of(BASE, rough)
+    assert found.torque == pytest.approx(Noise().scaled(6.0, 2.0).torque, rel=0.2)
+    assert found.gyro == pytest.approx(Noise().scaled(6.0, 2.0).gyro, rel=0.2)
+
+
+def test_gains_that_know_the_vibration_predict_the_attitude_of_a_real_craft_better():
+    run, _ = flown(30.0, 9, plant="faithful", effects={})
+    angles = []
+    for noise in (None, noise_of(BASE, run)):
+        error = predict_ahead(BASE, run, HORIZONS, noise=noise).errors(run)[..., 6:8]
+        angles.append(np.sqrt(np.mean(error**2)))
+    assert angles[1] < 0.8 * angles[0]
+
+
+def test_noise_cannot_be_judged_on_the_ground(clean):
+    with pytest.raises(BadInputError, match="less than a second in the air"):
+        noise_of(BASE, clean[:500])

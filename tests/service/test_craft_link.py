@@ -1,0 +1,143 @@
+"""The daemon and a stock craft: telemetry by its log, commands on the same connection."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+from served_craft import ServedCraft, served
+
+from groundstation.links.base import LinkState
+from groundstation.links.command import CommandState
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
+from groundstation.service.station import Station
+
+PATIENCE_S = 20.0
+
+
+@pytest.fixture(scope="module")
+def craft() -> Iterator[ServedCraft]:
+    with served(craft="crazyflie21", plant="reduced") as running:
+        yield running
+
+
+def station_for(craft: ServedCraft, folder, **radio) -> Station:
+    return Station(
+        Config(
+            link=LinkConfig(name=craft.uri),
+            radio=RadioConfig(**radio),
+            recording=RecordingConfig(folder=str(folder)),
+        )
+    )
+
+
+def run(station: Station, scenario) -> None:
+    async def session() -> None:
+        running = asyncio.create_task(station.run())
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await scenario()
+        finally:
+            station.stop()
+            await running
+
+    asyncio.run(session())
+
+
+async def until(condition) -> None:
+    while not condition():
+        await asyncio.sleep(0.01)
+
+
+def recorded(folder):
+    (path,) = folder.glob("*.mcap")
+    return open_recording(path)
+
+
+def test_a_flight_is_recorded_without_loss_and_says_whose_it_was(craft, tmp_path):
+    station = station_for(craft, tmp_path, rate_hz=250)
+
+    async def scenario() -> None:
+        await until(lambda: station.statistics is not None and station.statistics.samples > 300)
+
+    run(station, scenario)
+    recording = recorded(tmp_path)
+    report = inspect_recording(recording)
+    assert report["rate_hz"] == pytest.approx(250, rel=0.02)
+    assert report["lost_samples"] == 0
+    assert report["segments"] == 1
+    assert recording.metadata["vehicle"] == {"profile": "crazyflie21"}
+    assert set(report["missing"]) == {f"rotor_{m}" for m in range(1, 5)}
+    assert recording.samples.accelerometer[:, 2].mean() == pytest.approx(9.81, rel=0.05)
+    assert np.abs(np.degrees(recording.samples.gyro)).max() < 5
+    assert station.statistics.packets > 2 * 300
+    (found,) = [event for event in station.events if event.kind == "found"]
+    assert "Crazyflie 2.1" in found.text
+    assert "250 times a second" in found.text
+    assert "no rotor speeds (rpm.m1 or motor.m1_rpm)" in found.text
+    assert any(event.kind == "console" for event in station.events)
+
+
+def test_the_same_connection_carries_commands(craft, tmp_path):
+    station = station_for(craft, tmp_path)
+
+    async def scenario() -> None:
+        commander = station.commander
+        await until(lambda: commander.link.state is CommandState.CONNECTED)
+        lease = commander.acquire("test")
+        before = commander.parameters()["pid_rate.roll_kp"]
+        assert await commander.write_parameters(lease.token, {"pid_rate.roll_kp": 61.0}) == {
+            "pid_rate.roll_kp": 61.0
+        }
+        commander.setpoint(lease.token, 0.0, 0.0, 0.0, 20000)
+        await until(lambda: craft.craft.state().thrust == 20000)
+        commander.release(lease.token)
+        await until(lambda: craft.craft.state().thrust == 0)
+        craft.craft.set_parameter("pid_rate.roll_kp", before)
+
+    run(station, scenario)
+    kinds = {entry["kind"] for entry in recorded(tmp_path).commands}
+    assert {"parameters", "parameter", "setpoint"} <= kinds
+
+
+def test_a_silent_craft_is_connected_to_again_and_the_recording_goes_on(
+    craft, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    station = station_for(craft, tmp_path)
+    server = craft.server
+    send = server._send
+
+    async def scenario() -> None:
+        await until(lambda: station.link_state() is LinkState.STREAMING)
+        server._send = lambda packet, addr: None
+        await until(lambda: station.link_state() is LinkState.LOST)
+        server._send = send
+        await until(lambda: station.link_state() is LinkState.STREAMING)
+        before = station.statistics
+        await until(lambda: station.statistics is not before)
+
+    try:
+        run(station, scenario)
+    finally:
+        server._send = send
+    segments = np.unique(recorded(tmp_path).samples.segment)
+    assert segments.tolist() == [0, 1]
+
+
+def test_what_a_craft_says_it_is_does_not_override_the_configuration(craft, tmp_path):
+    config = station_for(craft, tmp_path).config
+    station = Station(msgspec.structs.replace(config, vehicle="brushless"))
+
+    async def scenario() -> None:
+        await until(lambda: station.link_state() is LinkState.STREAMING)
+
+    run(station, scenario)
+    assert recorded(tmp_path).metadata["vehicle"] == {"profile": "brushless"}
+    (said,) = [event.text for event in station.events if event.kind == "vehicle"]
+    assert said == "the craft says it is a crazyflie21; recordings say brushless, as configured"
