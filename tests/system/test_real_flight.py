@@ -40,6 +40,15 @@ def test_a_real_flight_gives_the_constants_that_a_band_limited_estimate_has(fitt
     assert model["body"]["thrust_per_mass"] == pytest.approx(1.780e-5, rel=0.01)
 
 
+def test_rates_of_the_flight_held_out_are_foretold_50_ms_ahead(fitted):
+    """The trim and air of the seconds before go on: without them the fit is below nothing."""
+    judged = json.loads(fitted.read_text())["fit"]["body"]["validation"]
+    assert judged["gyro_roll_fit_percent_50ms"] > 45
+    assert judged["gyro_pitch_fit_percent_50ms"] > 45
+    assert judged["gyro_roll_fit_percent_20ms"] > 75
+    assert judged["gyro_pitch_fit_percent_20ms"] > 75
+
+
 @pytest.mark.timeout(300)
 def test_the_search_on_a_real_flight_leaves_no_held_out_channel_worse(fitted, tmp_path):
     report = tmp_path / "report.json"

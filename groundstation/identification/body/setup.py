@@ -133,15 +133,24 @@ class Setup:
     def residuals(self, point: Point) -> list[Array]:
         """Measured less modelled acceleration (n, 3) of each flight's gyro, rad/s^2."""
         found = []
-        for number, flight in enumerate(self.problem.flights):
+        slow = self.slow_moments(point)
+        for flight, moment in zip(self.problem.flights, slow, strict=True):
             series = evaluate(flight, self.problem.frame, point, ())
-            left = np.zeros((flight.last - flight.first, 3))
+            left = -moment
             for axis in range(3):
-                left[:, axis] = series.residual.get(axis, 0.0)
+                left[:, axis] += series.residual.get(axis, 0.0)
+            found.append(left)
+        return found
+
+    def slow_moments(self, point: Point) -> list[Array]:
+        """What of it (n, 3) in each flight is the air's answer to velocity."""
+        found = []
+        for number, flight in enumerate(self.problem.flights):
+            moment = np.zeros((flight.last - flight.first, 3))
             for key, columns in self.slow.items():
                 for axis, column in columns[number].items():
-                    left[:, axis] -= value(point, key) * column
-            found.append(left)
+                    moment[:, axis] += value(point, key) * column
+            found.append(moment)
         return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.body.fit import BodyFit, vertical
+from groundstation.identification.body.foretelling import foretold, learnt
 from groundstation.identification.body.setup import Setup, on_other
 from groundstation.identification.estimate import fit_percent, rms
 from groundstation.identification.likelihood.free_spectra import minimum_phase_whitener
@@ -20,8 +20,6 @@ from groundstation.identification.torque import AXES
 Array = NDArray[np.float64]
 
 HORIZONS_S = (0.02, 0.05)
-REMEMBERED_S = 0.05
-"""Trim and air are those of the seconds before, as many as are looked ahead at most."""
 SHAKEN_S = 0.05
 """The rotors shake the accelerometer by many times what the craft does: means are compared."""
 
@@ -34,7 +32,7 @@ def validate_body(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float
     setup = on_other(fit.setup, stretches)
     for horizon in (0.0, *HORIZONS_S):
         label = f"{horizon * 1e3:.0f}ms" if horizon else "1row"
-        pairs = predicted_rates(setup, fit.point, horizon)
+        pairs = predicted_rates(fit, setup, fit.point, horizon)
         measured = np.vstack([one for one, _ in pairs])
         modelled = np.vstack([other for _, other in pairs])
         for axis, name in enumerate(AXES):
@@ -54,25 +52,30 @@ def validate_body(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float
 
 
 def predicted_rates(
-    setup: Setup, point: Point, horizon_s: float = 0.0
+    fit: BodyFit, setup: Setup, point: Point, horizon_s: float = 0.0
 ) -> list[tuple[Array, Array]]:
     """(measured, predicted) rates (k, 3) in rad/s of each flight, predicted ``horizon_s`` before.
 
-    A prediction starts at a measured rate and knows nothing of the future but the motors'
-    inputs; what has turned the craft beside the model just before is expected to go on. The
-    shortest horizon is one row, the first prediction belongs to row ``horizon``.
+    A prediction starts at a measured rate and knows nothing of the future but the motors' inputs:
+    the air's moment stays as it is, and what has turned the craft beside the model goes on as
+    the errors of the past foretell (``foretelling``). The shortest horizon is one row, the first
+    prediction belongs to row ``horizon``.
     """
-    from scipy.signal import lfilter
-
+    period = setup.problem.flights[0].period_s
+    rows = max(1, round(horizon_s / period))
+    fitted = fit.setup.residuals(point)
+    before = [learnt([one[:, axis] for one in fitted], rows, period) for axis in range(3)]
     found = []
-    for flight, left in zip(setup.problem.flights, setup.residuals(point), strict=True):
-        rows = max(1, round(horizon_s / flight.period_s))
+    lasting, residuals = setup.slow_moments(point), setup.residuals(point)
+    for flight, left, slow in zip(setup.problem.flights, residuals, lasting, strict=True):
         measured = flight.run.gyro[flight.first - 1 : flight.last]
-        sums = np.vstack([np.zeros(3), np.cumsum(left, axis=0) * flight.period_s])
-        keep = math.exp(-flight.period_s / REMEMBERED_S)
-        past = np.vstack([np.zeros(3), lfilter([1.0 - keep], [1.0, -keep], left, axis=0)])
-        wrong = sums[rows:] - sums[:-rows] - past[:-rows] * rows * flight.period_s
-        found.append((measured[rows:], measured[rows:] - wrong))
+        expected = np.column_stack(
+            [foretold(left[:, axis], rows, period, before[axis]) for axis in range(3)]
+        )
+        expected += rows * np.vstack([slow[:1], slow[:-1]])[: len(expected)]
+        sums = np.vstack([np.zeros(3), np.cumsum(left + slow, axis=0)])
+        wrong = sums[rows:] - sums[:-rows] - expected
+        found.append((measured[rows:], measured[rows:] - period * wrong))
     return found
 
 
@@ -80,7 +83,8 @@ def prediction_errors(
     stretches: Sequence[Stretch], fit: BodyFit, values: Mapping[str, float], horizon_s: float = 0.0
 ) -> Array:
     """RMS errors (3,) in rad/s of ``predicted_rates`` with some values of a fit replaced."""
-    pairs = predicted_rates(on_other(fit.setup, stretches), {**fit.point, **values}, horizon_s)
+    setup = on_other(fit.setup, stretches)
+    pairs = predicted_rates(fit, setup, {**fit.point, **values}, horizon_s)
     errors = [measured - predicted for measured, predicted in pairs]
     return np.sqrt(np.mean(np.square(np.vstack(errors)), axis=0))
 

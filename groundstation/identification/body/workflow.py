@@ -201,7 +201,7 @@ def _pictures(
     stretch = max(stretches, key=len)
     period = stretch.run.period_s
     setup = on_other(fit.setup, [stretch])
-    ((measured, predicted),) = predicted_rates(setup, fit.point, AHEAD_S)
+    ((measured, predicted),) = predicted_rates(fit, setup, fit.point, AHEAD_S)
     first = stretch.last - len(measured)
     time = stretch.run.time_s[first : stretch.last] - stretch.run.recording_start_s
     traces, residuals = [], []
