@@ -32,6 +32,6 @@ EFFECT = Effect(
         "rotor": float(generator.integers(1, 5)),
         "torque_n_m": size(generator, 2e-5, 2e-4),
     },
-    limits={"rotor": ROTOR},
+    limits={"rotor": ROTOR, "torque_n_m": (-0.01, 0.01)},
     listed=False,
 )

@@ -16,6 +16,7 @@ import numpy as np
 import firmware_sim.effects
 from firmware_sim.effects.effect import Effect
 from firmware_sim.settings import StandInSettings
+from groundstation.dynamics.registry import EFFECTS as NAMED
 
 _PACKAGE = firmware_sim.effects
 _MODULES = [
@@ -55,6 +56,8 @@ def apply_effects(p: Any, effects: dict[str, dict[str, float]]) -> None:
                 )
             if key == "rotor" and value != int(value):
                 raise ValueError(f"effect {name}: rotor is {value}, must be 1, 2, 3 or 4")
+        if name in NAMED:
+            NAMED[name].require_sizes(values)
         effect.apply(p, values)
 
 

@@ -42,6 +42,11 @@ EFFECT = Effect(
         "gain": size(generator, 0.1, 0.5),
         "damping": 0.05,
     },
-    limits={"rotor": ROTOR, "frequency_hz": (0.1, 250.0), "damping": (0.0, 1.0)},
+    limits={
+        "rotor": ROTOR,
+        "frequency_hz": (0.1, 250.0),
+        "gain": (-10.0, 10.0),
+        "damping": (0.0, 1.0),
+    },
     listed=False,
 )

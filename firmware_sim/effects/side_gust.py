@@ -29,5 +29,6 @@ EFFECT = Effect(
         "force_n": size(generator, 0.004, 0.02),
         "moment_n_m": size(generator, 4e-6, 4e-5),
     },
+    limits={"frequency_hz": (0.0, 250.0), "force_n": (-1.0, 1.0), "moment_n_m": (-0.01, 0.01)},
     listed=False,
 )

@@ -46,6 +46,11 @@ WINDOW_S, TURNED = 0.1, np.radians(1.0)
 """Angle and integrated gyro are compared over this, where they turn by as much (RMS)."""
 SCALE, TOGETHER = (0.5, 2.0), 0.8
 """Angle over integrated gyro, and the correlation from which it means something."""
+CARRIED, CARRIED_WINDOW_S = 0.1, 0.25
+"""Of a change of thrust the specific force shows all in the air (the model's of a craft ten times
+as heavy a tenth), nothing on a bench; means over so long, for a craft shakes."""
+CARRIED_WINDOWS, CARRIED_ERRORS = 8, 5.0
+"""Fewest windows to tell, and standard errors by which it must be less."""
 FORCE = (5.0, 20.0)
 """Median magnitude of the specific force in flight, m/s^2: it carries the craft, 9.8."""
 FOLLOWS, OTHERS_FOLLOW = 0.5, 0.8
@@ -102,6 +107,7 @@ def require_consistent(
     told = _answers(flown)
     said = (
         _force(flown)
+        or _held(flown)
         or _rotors(told, model)
         or _turning(flown)
         or _strength(told, model)
@@ -137,6 +143,30 @@ def _force(flown: Sequence[tuple[Run, Motion]]) -> str:
     return (
         f"the accelerometer shows {size:.3g} m/s^2 in flight, {STANDARD_GRAVITY:.1f} carry a craft;"
         f" likeliest {first} (give a column map), or the sensor is stuck"
+    )
+
+
+def _held(flown: Sequence[tuple[Run, Motion]]) -> str:
+    """Whether the craft is carried by its thrust, or by a bench or a hand."""
+    pairs = []
+    for run, motion in flown:
+        length = max(1, round(CARRIED_WINDOW_S / run.period_s))
+        both = np.column_stack([motion.thrust, run.accelerometer[:, 2]])[motion.flown]
+        windows = both[: len(both) // length * length].reshape(-1, length, 2).mean(axis=1)
+        pairs.append(windows - windows.mean(axis=0))
+    thrust, felt = np.concatenate(pairs).T
+    energy = float(thrust @ thrust)
+    if len(thrust) < CARRIED_WINDOWS or not np.isfinite(felt).all() or energy == 0.0:
+        return ""
+    share = float(thrust @ felt) / energy
+    error = float(np.sqrt(np.mean((felt - share * thrust) ** 2) / energy))
+    if share + CARRIED_ERRORS * error > CARRIED:
+        return ""
+    return (
+        f"of every change of thrust the accelerometer shows {max(share, 0.0):.0%}, where it shows"
+        " all on a craft that thrust carries; likeliest the craft was held, on the motor bench for"
+        " one ('groundstation fit motor' takes such recordings; record a flight), or the"
+        " accelerometer is stuck"
     )
 
 

@@ -56,6 +56,8 @@ TRANSLATE = "steady flight to and fro along both axes at 1..2 m/s, then hover"
 YAW_STEPS = "yaw steps both ways, then a steady turn at 3 rad/s"
 CLIMBS = "climbs and descents at several steady speeds, well above the ground"
 """Manoeuvres that several effects name."""
+SLIP = 10.0
+"""So many times what is plausible is a slip of the pen; a craft with it only tumbles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +228,17 @@ class Effect:
                     f" {p.low:.0f}..{p.high:.0f}"
                 )
         return values
+
+    def require_sizes(self, given: Mapping[str, float]) -> None:
+        """Raises BadInputError for a value many times beyond the plausible range."""
+        for name, value in given.items():
+            p = self.parameter(name)
+            most = SLIP * max(abs(p.to_unknown(p.low)), abs(p.to_unknown(p.high)))
+            if not abs(p.to_unknown(float(value))) <= most:
+                raise BadInputError(
+                    f"effect {self.name}: {name} is {value:g} {p.unit}".rstrip()
+                    + f", a craft has {p.low:g}..{p.high:g}; correct the number or its unit"
+                )
 
     def absent(self, given: Mapping[str, float]) -> bool:
         """Whether these values amount to no effect at all."""

@@ -234,8 +234,10 @@ def _require_known(term: EffectTerm, where: str) -> None:
             f"{where}: effect {term.name!r}: there are {', '.join(EFFECTS)};"
             " an effect of your own needs the file that defines it as 'source'"
         )
+    given = {name: one.value for name, one in term.parameters.items()}
     try:
-        EFFECTS[term.name].values({name: one.value for name, one in term.parameters.items()})
+        EFFECTS[term.name].values(given)
+        EFFECTS[term.name].require_sizes(given)
     except BadInputError as error:
         raise BadInputError(f"{where}: {error}") from error
 

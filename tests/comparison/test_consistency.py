@@ -106,3 +106,17 @@ def test_a_rotor_sensor_that_does_not_follow_is_named(flight):
     dead = speeds.copy()
     dead[:, 2] = 0.0
     assert broken_rotor_sensors(replace(flight, rotor_rev_s=dead), BASE) == [2]
+
+
+@pytest.mark.parametrize("plant", ["reduced", "faithful"])
+def test_a_motor_bench_is_no_flight(plant):
+    (recorded,) = flights(1, plant=plant, program="motor_bench")
+    assert "shows 0%" in said_of(recorded)
+
+
+def test_a_craft_that_hardly_moves_is_not_taken_for_one_that_is_held(flight):
+    still = np.full_like(flight.accelerometer, [0.0, 0.0, 9.81])
+    assert "was held" in said_of(replace(flight, accelerometer=still))
+    require_consistent(
+        [replace(flight, accelerometer=still + 0.2 * (flight.accelerometer - still))], BASE
+    )

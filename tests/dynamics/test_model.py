@@ -67,6 +67,7 @@ def test_a_model_for_a_built_in_craft_needs_no_embedded_profile():
     assert model_vehicle(THESIS) == load_vehicle("crazyflie1")
 
 
+ABSURD = {"name": "velocity_moment", "parameters": {"moment": {"value": 1e12}}}
 WEIGHTLESS = {**msgspec.to_builtins(load_vehicle("crazyflie1")), "mass_kg": 0.0}
 
 
@@ -79,6 +80,7 @@ WEIGHTLESS = {**msgspec.to_builtins(load_vehicle("crazyflie1")), "mass_kg": 0.0}
         ({"wind": 3}, "wind"),
         ({"vehicle_profile": WEIGHTLESS}, "vehicle_profile: mass_kg is 0.0, must be positive"),
         ({"body": None, "arx": None}, "nothing to simulate"),
+        ({"effects": [ABSURD]}, r"velocity_moment: moment is 1e\+12 .* a craft has -80..80"),
     ],
 )
 def test_a_bad_model_is_refused_with_its_reason(tmp_path, change, message):

@@ -72,6 +72,16 @@ def test_a_size_that_cannot_be_flown_is_refused(effect, parameters, message):
         StandIn(StandInSettings(effects={effect: parameters}))
 
 
+@pytest.mark.parametrize(
+    ("name", "parameter"),
+    [(name, key) for name in sorted(EFFECTS) for key in EFFECTS[name].parameters],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_size_that_nobody_meant_is_refused(name, parameter, sign):
+    with pytest.raises(ValueError, match=rf"{name}.*{parameter} is "):
+        StandIn(StandInSettings(effects={name: {parameter: sign * 1e12}}))
+
+
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_size_that_is_no_number_is_refused(name):
     for parameter in EFFECTS[name].parameters:
