@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, open_one, require_new, write_table
+from groundstation.cli.model_files import AS_JSON, open_one, require_new, say_written, write_table
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
@@ -70,6 +70,7 @@ def attitude(
         show(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
     if bias is None:
         show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
+    say_written(output)
 
 
 def axes(

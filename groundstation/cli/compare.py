@@ -18,7 +18,7 @@ from groundstation.cli.flights import (
     read_flights,
     require_apart,
 )
-from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.model_files import AS_JSON, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 
@@ -87,6 +87,7 @@ def compare(
     say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
+    say_written(html)
 
 
 def say_stretches(stretches: list[StretchReport]) -> None:

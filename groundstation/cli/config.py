@@ -10,6 +10,7 @@ from typing import Any
 import typer
 
 from groundstation.cli import terminal
+from groundstation.cli.model_files import AS_JSON
 from groundstation.documents import decode_toml
 from groundstation.service.client import ask
 from groundstation.service.config import ConfigSource, settings, socket_path
@@ -28,7 +29,7 @@ def config(
     assign: list[str] = typer.Option(
         [], "--set", metavar="KEY=VALUE", help="Any key, as on the command line of 'run'."
     ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Show or reload the configuration. A file is overridden by the environment
     (GROUNDSTATION_RECORDING_FOLDER for recording.folder), and that by the command line.

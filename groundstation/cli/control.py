@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import config, recordings
+from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
 from groundstation.service.config import socket_path
@@ -19,7 +20,6 @@ from groundstation.text import printable
 if TYPE_CHECKING:
     from rich.table import Table
 
-JSON_OPTION = typer.Option(False, "--json", help="Print JSON for programs.")
 WATCH_S = 0.5
 
 record = typer.Typer(
@@ -41,7 +41,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def status(
-    as_json: bool = JSON_OPTION,
+    as_json: bool = AS_JSON,
     watch: bool = typer.Option(False, "--watch", help="Keep showing it, until Ctrl-C."),
 ) -> None:
     """What the running daemon is doing.
@@ -101,7 +101,7 @@ def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "health", "good" if health["healthy"] else "; ".join(health["problems"])
 
 
-def events(as_json: bool = JSON_OPTION) -> None:
+def events(as_json: bool = AS_JSON) -> None:
     """The latest events of the running daemon, oldest first.
 
     Example: [bold]groundstation events[/bold]
@@ -119,7 +119,7 @@ def link(
     name: str = typer.Argument(
         help="stand-in, usb, serial:PORT, or replay:FILE with a file of the recordings folder."
     ),
-    as_json: bool = JSON_OPTION,
+    as_json: bool = AS_JSON,
 ) -> None:
     """Let the running daemon receive from another link; the recording goes on.
 
@@ -136,7 +136,7 @@ def link(
 
 
 @record.command("start")
-def record_start(as_json: bool = JSON_OPTION) -> None:
+def record_start(as_json: bool = AS_JSON) -> None:
     """Begin a new recording.
 
     Example: [bold]groundstation record start[/bold]
@@ -145,7 +145,7 @@ def record_start(as_json: bool = JSON_OPTION) -> None:
 
 
 @record.command("stop")
-def record_stop(as_json: bool = JSON_OPTION) -> None:
+def record_stop(as_json: bool = AS_JSON) -> None:
     """Finish the present recording.
 
     Example: [bold]groundstation record stop[/bold]
@@ -154,7 +154,7 @@ def record_stop(as_json: bool = JSON_OPTION) -> None:
 
 
 @record.command("mark")
-def record_mark(text: str = typer.Argument(help="The note."), as_json: bool = JSON_OPTION) -> None:
+def record_mark(text: str = typer.Argument(help="The note."), as_json: bool = AS_JSON) -> None:
     """Put a note into the recording, at this moment.
 
     Example: [bold]groundstation record mark "new propellers"[/bold]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show_json
 from groundstation.errors import GroundStationError
 
@@ -29,7 +30,7 @@ def demo(
         "--output",
         help="A new or empty folder (default: demo-SEED, demo-SEED-2 ...).",
     ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Show everything on the software craft: from a motor on the bench to a fault that is named.
 

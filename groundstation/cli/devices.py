@@ -10,6 +10,7 @@ from typing import Any
 
 import typer
 
+from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
@@ -20,7 +21,7 @@ def add_commands(app: typer.Typer) -> None:
 
 def devices(
     config: Path | None = typer.Option(None, help="TOML file whose \\[usb] names the bridge."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Serial ports, USB devices and the craft in reach: usable or why not.
 

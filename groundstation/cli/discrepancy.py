@@ -21,9 +21,9 @@ from groundstation.cli.flights import (
     read_flights,
     require_apart,
 )
-from groundstation.cli.model_files import require_new
+from groundstation.cli.model_files import require_new, say_written
 from groundstation.cli.progress import shown
-from groundstation.cli.terminal import show
+from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation.discrepancy.engine import Discrepancy
@@ -40,7 +40,10 @@ EFFECTS = typer.Option(
     "--effects",
     help="A Python file with effects of your own to search as well; it is run.",
 )
-JSON = typer.Option(None, "--json", help="Write the report for programs to this new file.")
+JSON = typer.Option(
+    None, "--json", help="Write the report for programs to this new file, or print it: '-'."
+)
+STDOUT = Path("-")
 RERUN = typer.Option(
     None, "--rerun", help="Write measured beside simulated, before and after, to this new .rrd."
 )
@@ -82,11 +85,14 @@ def discrepancy(
     Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
     --validate flight3.mcap -o improved.json --html report.html[/bold]
     """
+    import msgspec
+
     from groundstation import __version__
     from groundstation.discrepancy.engine import find_discrepancy
     from groundstation.discrepancy.report_json import discrepancy_report
 
-    files = _Outputs(output, json, html, rerun)
+    printed = json == STDOUT
+    files = _Outputs(output, None if printed else json, html, rerun)
     files.require_new()
     require_apart(recordings, validate or [])
     loaded = model_for(model, vehicle)
@@ -111,10 +117,11 @@ def discrepancy(
             created_by=f"groundstation {__version__}",
         )
         _write(files, found, report)
+    if printed:
+        show_json(msgspec.to_builtins(report))
+        return
     _say(report)
-    for path in (files.model, files.json, files.html, files.rerun):
-        if path is not None:
-            show(f"written: {path}")
+    say_written(files.model, files.json, files.html, files.rerun)
 
 
 def _own(path: Path | None) -> list[Variant]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.model_files import require_new
 from groundstation.cli.terminal import show
 from groundstation.errors import BadInputError
 
@@ -27,7 +28,7 @@ def _options() -> None:
 
 @export.command("header")
 def header(
-    output: Path | None = typer.Option(None, "-o", "--output", help="File, instead of stdout."),
+    output: Path | None = typer.Option(None, "-o", "--output", help="A new file, not stdout."),
 ) -> None:
     """The packet, its serial frame and the bridge's USB descriptors as a C header.
 
@@ -40,6 +41,7 @@ def header(
         for line in text.splitlines():
             show(line)
         return
+    require_new(output)
     try:
         output.write_text(text)
     except OSError as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import require_new
+from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import DamagedRecordingError
 from groundstation.text import printable
@@ -49,7 +49,7 @@ def add_commands(app: typer.Typer) -> None:
 def inspect(
     file: Path = typer.Argument(help="A recording: .mcap, .csv, .rrd or a microSD log."),
     columns: str | None = COLUMNS,
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """What is in a recording, its quality and its gaps.
 
@@ -76,6 +76,7 @@ def convert(
     physical: bool = typer.Option(
         False, "--physical", help="CSV in physical units instead of the packet's integers."
     ),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Convert between recordings, logs and tables.
 
@@ -88,7 +89,10 @@ def convert(
     recording = _open(source, columns)
     with _progress(f"writing {target}"):
         writer(recording, target)
-    show(f"{target}: {len(recording.samples)} samples")
+    if as_json:
+        show_json({"file": str(target), "samples": len(recording.samples)})
+    else:
+        show(f"{target}: {len(recording.samples)} samples")
     if target.suffix.lower() == ".csv" and not physical:
         _warn_of_zeros(recording)
     _raise_damage(recording)
@@ -99,7 +103,7 @@ def recover(
     output: Path | None = typer.Option(
         None, "-o", "--output", help="The new file (default: FILE with .recovered.mcap)."
     ),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Copy everything readable of a torn recording into a fresh file.
 
@@ -109,6 +113,8 @@ def recover(
 
     from groundstation.recording.recover import recover as recover_file
 
+    if output is not None:
+        require_new(output)
     with _progress(f"reading {file}"):
         report = recover_file(file, output)
     if as_json:

@@ -22,6 +22,7 @@ from groundstation.cli.model_files import (
     open_one,
     require_new,
     runs_in,
+    say_written,
     vehicle_of,
 )
 from groundstation.cli.progress import shown
@@ -261,6 +262,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         show_json(json.loads(files.output.read_bytes()))
     else:
         _print_account(account, files.output)
+        say_written(files.html)
 
 
 def _unit_of(name: str) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.terminal import show
 from groundstation.errors import BadInputError
 from groundstation.paths import taken
 
@@ -105,10 +106,18 @@ def model_before(model: str | None, vehicle: str | None) -> Model:
 
 
 def require_new(path: Path) -> None:
+    """Raises BadInputError where a new file's name is taken or its folder is not there."""
     if path.exists():
         raise BadInputError(taken(path))
     if not path.absolute().parent.is_dir():
         raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
+
+
+def say_written(*paths: Path | None) -> None:
+    """One line for each new file."""
+    for path in paths:
+        if path is not None:
+            show(f"written: {path}")
 
 
 def write_table(path: Path, head: str, table: Any) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import pid_fly
-from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.model_files import AS_JSON, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
@@ -95,6 +95,7 @@ def evaluate(
         return
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
         show(line)
+    say_written(html)
 
 
 def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
@@ -152,6 +153,7 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         show(line)
     show()
     show(FINDING)
+    say_written(html)
 
 
 def design(
@@ -216,6 +218,7 @@ def design(
     _print_design(report)
     if output is not None:
         show(f"{output}: to fly them: pid fly --model {model} --gains {output}")
+    say_written(html)
 
 
 def _design_firmware(

@@ -19,7 +19,7 @@ from groundstation.cli.left_changed import (
     forget_changes,
     note_changes,
 )
-from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.model_files import AS_JSON, require_new, say_written
 from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
@@ -436,3 +436,4 @@ def _judge(
 
     for line in flight_lines(flown):
         show(line)
+    say_written(html)

@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 
 
@@ -20,7 +21,7 @@ def recordings(
         None, help="A folder; without one that of the running daemon, or of the configuration."
     ),
     config: Path | None = typer.Option(None, help="TOML configuration file."),
-    as_json: bool = typer.Option(False, "--json", help="Print JSON for programs."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """The recordings of a folder, oldest first: when, how long, from which link, how complete.
 

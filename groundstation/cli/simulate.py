@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, require_new, runs_from, write_table
+from groundstation.cli.model_files import AS_JSON, require_new, runs_from, say_written, write_table
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
@@ -80,6 +80,7 @@ def simulate(
     show(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
     for name, value in report["rms"].items():
         show(f"  RMS error {name:<20}{value:10.3f}")
+    say_written(html)
 
 
 def _on_recording(

@@ -167,6 +167,15 @@ def said_no(*arguments):
     return str(refused.value)
 
 
+def test_the_report_is_printed_where_no_file_is_wanted(folder):
+    done = groundstation(
+        "discrepancy", "clean.mcap", "--model", "base.json", "--json", "-", cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    report = msgspec.json.decode(done.stdout, type=DiscrepancyReport)
+    assert report.verdict == "no_discrepancy"
+
+
 def test_nothing_is_overwritten(searched):
     folder, _ = searched
     for option in ("-o", "--json", "--html", "--rerun"):
