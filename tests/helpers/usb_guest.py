@@ -35,7 +35,9 @@ def run_guest(out, chosen=".", flights=None):
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
         f"PYTHONPATH={GUEST}:{HELPERS}:{PROJECT}",
         sys.executable, "-m", "pytest", "-q", "-rA", "--durations=15", "-p", "pytest_timeout",
-        "--timeout=0", "-p", "no:cacheprovider", f"--confcutdir={GUEST}", str(GUEST / chosen),
+        # the guest's time runs on while it waits for files of a busy host: no limits by it
+        "--timeout=0", "-o", "faulthandler_timeout=0", "-p", "no:cacheprovider",
+        f"--confcutdir={GUEST}", str(GUEST / chosen),
     ]  # fmt: skip
     return virtual_machine.run(command, out, icount="sleep=off", timeout_s=PATIENCE_S, cwd=PROJECT)
 
