@@ -38,8 +38,9 @@ EXAMPLES = """examples:
   python -m firmware_sim --serial pty:/tmp/craft         (then: --link serial:/tmp/craft)
 
 An .npz file holds `packets` (n, 32) uint8, every copy the bridge forwarded, and `arrival_s`
-(n,) float64, seconds since power-on; a .csv file holds the decoded samples in the telemetry
-layout (Timestamp in ticks of 73/72 us). Neither says what was hidden in the craft.
+(n,) float64, seconds since power-on, and `vehicle`, the craft's profile; a .csv file holds the
+decoded samples in the telemetry layout (Timestamp in ticks of 73/72 us). Both are recordings for
+`groundstation`. Neither says what was hidden in the craft.
 """
 
 
@@ -54,8 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
         with _line(options) as line:
             flight = asyncio.run(_fly(craft, options, line))
         if options.output is not None:
-            writer = write_npz if options.output.suffix == ".npz" else write_csv
-            writer(options.output, *flight)
+            if options.output.suffix == ".npz":
+                write_npz(options.output, *flight, craft.profile)
+            else:
+                write_csv(options.output, *flight)
         if options.truth is not None:
             write_truth(options.truth, craft.truth())
     except ValueError as error:

@@ -17,10 +17,14 @@ HEADER = (
 )
 
 
-def write_npz(path: Path, packets: Packets, arrival_s: NDArray[np.float64]) -> None:
-    """``packets`` (n, 32) as received and ``arrival_s`` (n,), seconds since power-on."""
+def write_npz(
+    path: Path, packets: Packets, arrival_s: NDArray[np.float64], vehicle: str | None = None
+) -> None:
+    """``packets`` (n, 32) as received, ``arrival_s`` (n,), seconds since power-on, and the name of
+    the craft's profile, where it has one."""
+    named = {} if vehicle is None else {"vehicle": np.array(vehicle)}
     with path.open("xb") as file:
-        np.savez_compressed(file, packets=packets, arrival_s=arrival_s)
+        np.savez_compressed(file, packets=packets, arrival_s=arrival_s, **named)
 
 
 def write_csv(path: Path, packets: Packets, arrival_s: NDArray[np.float64]) -> None:

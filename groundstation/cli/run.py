@@ -173,11 +173,11 @@ def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None
 
 def _conclude(station: Station) -> None:
     """Say what came of it; faults are an error."""
-    statistics, recording = station.statistics, station.sessions.status()
-    if statistics is not None:
+    totals, recording = station.receiver.totals(), station.sessions.status()
+    if station.statistics is not None:
         say(
-            f"received {statistics.samples} samples, {statistics.lost} lost, "
-            f"{statistics.packets} packets; recording: {recording['file'] or 'none'}"
+            f"received {totals['samples']} samples, {totals['lost']} lost, "
+            f"{totals['packets']} packets; recording: {recording['file'] or 'none'}"
         )
     faults = station.sessions.faults
     if faults:

@@ -18,6 +18,7 @@ from groundstation.recording.session import Recording
 _RRD_MAGIC = (b"RRF2", b"RRF1", b"RRF0", b"RRIO")
 _MICROSD_MAGIC = tuple(b"\xbc" + bytes([version, 0]) for version in range(1, 10))
 """Its first byte and the version behind it; later versions are told by their reader."""
+_ZIP_MAGIC = b"PK\x03\x04"
 
 
 def is_text(head: bytes) -> bool:
@@ -42,6 +43,7 @@ FORMATS = (
     Format(looks_like_mcap, "mcap_reader.read_mcap", ".mcap", "recording_file.write_mcap", True),
     Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
     Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
+    Format(lambda head: head.startswith(_ZIP_MAGIC), "npz_file.read_npz", keeps_raw=True),
     Format(is_text, "csv_file.read_csv", ".csv", "csv_file.write_csv"),
 )
 """In the order in which they are tried: text is what is none of the others."""
@@ -57,7 +59,9 @@ def read_as(path: Path, head: bytes, raw: bool) -> Recording:
             options = {"raw": raw} if one.keeps_raw else {}
             recording: Recording = _function(one.reader)(path, **options)
             return recording
-    raise RecordingError(f"{path}: neither MCAP, CSV, a microSD log nor a rerun recording")
+    raise RecordingError(
+        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording nor the stand-in's .npz"
+    )
 
 
 def writer_of(path: Path, *, physical: bool = False) -> Callable[[Recording, Path], None]:

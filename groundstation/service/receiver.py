@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from groundstation.errors import (
     LinkLostError,
 )
 from groundstation.links.base import Link, LinkState
-from groundstation.telemetry.decoder import Decoded, Decoder, compile_kernel
+from groundstation.telemetry.decoder import Decoded, Decoder, DecoderCounts, compile_kernel
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
 
@@ -70,6 +71,7 @@ class Receiver:
         self._meter = LinkMeter(link.clock())
         self._newest_ns = 0  # the latest host stamp
         self._ready_made = 0  # samples of a source that needs no decoder
+        self._earlier: Counter[str] = Counter()  # of links that were switched away from
         self._segment, self._segment_base = -1, 0
         self._retry_s = RETRY_FIRST_S
         self._away: LinkState | None = None  # of a device that is waited for: lost, or never there
@@ -157,14 +159,24 @@ class Receiver:
 
     def close_window(self, before: LinkStatistics | None) -> LinkStatistics:
         """Statistics since the last call; a restart of the device among them is told."""
-        counts = self.link.sample_counts() or self.decoder.counts()
-        counts = replace(counts, samples=counts.samples + self._ready_made)
-        statistics = self._meter.close_window(self.now_ns(), counts)
+        statistics = self._meter.close_window(self.now_ns(), self._counts())
         if statistics.restarts > (before.restarts if before else 0):
             self._telling.note(
                 "restart", "the device restarted: a new segment", source=self.link.name
             )
         return statistics
+
+    def totals(self) -> Counter[str]:
+        """Packets, samples and lost ones (``DecoderCounts``) of every link since the start."""
+        return self._earlier + self._received()
+
+    def _received(self) -> Counter[str]:
+        counts = self._counts()
+        return Counter(packets=counts.packets, samples=counts.samples, lost=counts.lost)
+
+    def _counts(self) -> DecoderCounts:
+        counts = self.link.sample_counts() or self.decoder.counts()
+        return replace(counts, samples=counts.samples + self._ready_made)
 
     async def _follow(
         self, opened: Callable[[], Awaitable[None]], ended: Callable[[], Awaitable[None]]
@@ -223,6 +235,7 @@ class Receiver:
         """The incoming link takes over: not a moment passes without one."""
         before = self.link
         self.drain()
+        self._earlier += self._received()
         self.link, self._incoming = link, None
         self._segment_base = self._segment + 1
         self._newest_ns = self._ready_made = 0

@@ -95,7 +95,11 @@ def test_the_recording_goes_on_with_a_new_segment_and_no_sample_is_misplaced(tmp
             assert station.status()["link"]["name"] == name
             await samples(station, 300)
 
-    _, recording = run(tmp_path, conversation, stand_in={"seed": 5})  # not the recorded flight
+    # not the recorded flight
+    station, recording = run(tmp_path, conversation, stand_in={"seed": 5})
+    totals = station.receiver.totals()
+    assert totals["samples"] == len(recording.samples), "the closing line counts every link"
+    assert totals["packets"] == len(recording.raw.packets)
     assert recording.damage == []
     segment = recording.samples.segment
     assert np.unique(segment).tolist() == [0, 1, 2, 3]
