@@ -22,9 +22,11 @@ def write_npz(
 ) -> None:
     """``packets`` (n, 32) as received, ``arrival_s`` (n,), seconds since power-on, and the name of
     the craft's profile, where it has one."""
-    named = {} if vehicle is None else {"vehicle": np.array(vehicle)}
     with path.open("xb") as file:
-        np.savez_compressed(file, packets=packets, arrival_s=arrival_s, **named)
+        if vehicle is None:
+            np.savez_compressed(file, packets=packets, arrival_s=arrival_s)
+        else:
+            np.savez_compressed(file, packets=packets, arrival_s=arrival_s, vehicle=vehicle)
 
 
 def write_csv(path: Path, packets: Packets, arrival_s: NDArray[np.float64]) -> None:

@@ -10,6 +10,7 @@ import struct
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +59,8 @@ def read_npz(path: Path, *, raw: bool = False) -> Recording:
     return Recording(path, "npz", samples, raw=batch if raw else None, metadata=metadata)
 
 
-def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
-    found: dict[str, NDArray[np.generic]] = {"vehicle": np.array(0)}
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]] = {"vehicle": np.array(0)}
     try:
         with zipfile.ZipFile(path) as file:
             declared = sum(member.file_size for member in file.infolist())
