@@ -25,7 +25,8 @@ def test_a_fast_flight_is_written_as_it_was_received(tmp_path):
     with np.load(path) as stored:
         assert (stored["packets"] == packets).all()
         assert (stored["arrival_s"] == arrivals).all()
-        assert set(stored.files) == {"packets", "arrival_s"}
+        assert set(stored.files) == {"packets", "arrival_s", "vehicle"}
+        assert str(stored["vehicle"]) == "crazyflie1"
     with np.load(truth) as stored:
         assert len(stored["truth"]) == pytest.approx(2490, abs=10)
 
