@@ -349,31 +349,35 @@ class Search:
     def name_base_changes(self) -> None:
         """A base constant that moved so far that the change has a name becomes that effect.
 
-        Not beside an effect of supply, motors or rotors, or one of the same sensor's offset: what
-        that constant did, they share with it.
+        Where an effect of supply, motors or rotors or one that is easily taken for it is in the
+        model, the constant may have moved to make room for that: then the change has to be the
+        same without it.
         """
         for variant in self.renames:
             assert variant.definition.renames is not None
             key, (own,) = variant.definition.renames.constant, variant.sizes
-            rivals = {one.other for one in variant.definition.confused_with}
-            joined = [one.variant.definition for one in self.accepted]
-            shared = any(
-                one.name in rivals or one.stage in ("supply", "motor", "rotor") for one in joined
-            )
-            if key in self.held or key not in self.now.keys or shared:
+            if key in self.held or key not in self.now.keys:
                 continue
             held = self.held | {key}
-            before = self.refit(self.accepted, held)
-            point = {**self.now.point, key: self.problem.start[key]}
-            after = self.problem.fit(point, (*before.keys, own))
+            before, after = self._renamed(self.accepted, held, own)
             evidence = gather(self.problem, self.validation, before, after, variant)
             trial = Trial(variant, after, evidence=evidence)
             if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
                 continue
+            apart = [one for one in self.accepted if not _shares(one.variant, variant)]
+            if len(apart) < len(self.accepted):
+                _, alone = self._renamed(apart, held, own)
+                if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
+                    continue
             self.now, self.held = after, held
             self.accepted.insert(0, Accepted(variant, evidence, []))
             self.errors[own] = after.stderr()[own]
             self.held_out[variant.label] = evidence.held_out
+
+    def _renamed(self, accepted: Sequence[Accepted], held: set[str], own: str) -> tuple[Fit, Fit]:
+        """Fits with the constants ``held`` as given, without and with the size ``own``."""
+        before = self.refit(accepted, held)
+        return before, self.problem.fit(before.point, (*before.keys, own))
 
     def _drop(self, one: Accepted, why: Refusal) -> None:
         self.accepted.remove(one)
@@ -402,6 +406,13 @@ class Search:
 
     def _names(self, *more: str) -> frozenset[str]:
         return frozenset([*more, *(one.variant.label for one in self.accepted)])
+
+
+def _shares(variant: Variant, other: Variant) -> bool:
+    """Whether a variant can take a share of what a change of a base constant (``other``) does."""
+    one = variant.definition
+    rivals = {confusion.other for confusion in other.definition.confused_with}
+    return one.name in rivals or one.stage in ("supply", "motor", "rotor")
 
 
 def _possible(trial: Trial) -> bool:

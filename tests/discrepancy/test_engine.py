@@ -178,6 +178,31 @@ def test_a_recording_shorter_than_five_seconds_is_refused():
         flights_of(samples(10, {})[:2400], "short")
 
 
+def test_a_payload_and_a_sensor_that_is_off_beside_it_are_both_told():
+    """A bias of the accelerometer could stand for a mass; this one leaves the thrust alone."""
+    hidden = {
+        "mass_change": {"percent": 17.0},
+        "accelerometer_bias": {"x_g": 0.0, "y_g": 0.03, "z_g": 0.0},
+    }
+    findings = search(3, hidden)
+    assert {effect.name for effect in findings.effects} == set(hidden)
+    told = next(effect for effect in findings.effects if effect.name == "mass_change")
+    assert told.parameters["percent"].value == pytest.approx(17.0, abs=0.5)
+    assert findings.model.body.thrust_per_mass == base_model().body.thrust_per_mass
+
+
+def test_a_thrust_that_moved_to_make_room_for_a_bias_is_no_payload():
+    """The model was fitted to flights whose accelerometer reads 0.06 g too much."""
+    runs, held = flights(1, {"accelerometer_bias": {"x_g": 0.0, "y_g": 0.0, "z_g": 0.06}})
+    base = base_model()
+    given = base.body.thrust_per_mass * 1.06
+    bent = msgspec.structs.replace(
+        base, body=msgspec.structs.replace(base.body, thrust_per_mass=given)
+    )
+    findings = find_effects(runs, bent, held)
+    assert {effect.name for effect in findings.effects} == {"accelerometer_bias"}
+
+
 def test_a_craft_heavier_than_its_model_is_told_as_that_and_nothing_else():
     """The flights' thrust per mass is a tenth below the model's: 10 / 0.9 - 10 percent heavier."""
     runs, held = flights(1, {})
