@@ -7,6 +7,7 @@ import os
 import resource
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -14,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from groundstation.errors import BadInputError, GroundStationError
 
@@ -118,11 +119,13 @@ class Shell:
             out: IO[bytes] = self._log
             if into is not None:
                 out = closing.enter_context((self.folder / into).open("xb"))
-            process = self._start(words, out)
-            try:
-                status = process.wait()
-            finally:
-                _end(process)
+            with _Interruptions() as interruptions:
+                process = self._start(words, out)
+                try:
+                    interruptions.let_in()
+                    status = process.wait()
+                finally:
+                    _end(process)
         if status:
             self._note(f"# failed: {line}")
             if into is not None:
@@ -140,12 +143,14 @@ class Shell:
         line = f"{_shown(words)} &"
         mark = self._tell(line)
         self._note(f"{line}\n{_SCRIPT_WAIT}")
-        process = self._start(words, self._log)
-        try:
-            yield process
-        finally:
-            status = _end(process)
-            self._note(_SCRIPT_END)
+        with _Interruptions() as interruptions:
+            process = self._start(words, self._log)
+            try:
+                interruptions.let_in()
+                yield process
+            finally:
+                status = _end(process)
+                self._note(_SCRIPT_END)
         if status:
             raise GroundStationError(f"'{_shown(words)}' failed: {self._last_words(mark)}")
 
@@ -202,6 +207,33 @@ class Shell:
         text = (self.folder / LOG).read_bytes()[mark:].decode(errors="replace")
         lines = [line for line in text.splitlines() if line.strip()]
         return lines[-1].removeprefix("groundstation: ") if lines else "nothing was said"
+
+
+class _Interruptions:
+    """A context that keeps signals waiting until ``let_in``: one that came between a child's
+    birth and our knowing of it would leave the child behind. For the main thread, as signals are.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[int, Any] = {}
+        self._came: list[int] = []
+
+    def __enter__(self) -> _Interruptions:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if callable(before := signal.getsignal(number)):
+                self._before[number] = before
+                signal.signal(number, lambda came, frame: self._came.append(came))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.let_in()
+
+    def let_in(self) -> None:
+        """Take care of those that came, and of those to come at once."""
+        while self._before:
+            signal.signal(*self._before.popitem())
+        while self._came:
+            signal.raise_signal(self._came.pop())
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:

@@ -1,6 +1,8 @@
 """The demo's commands: shown, logged, kept for repeating, and never left behind."""
 
 import os
+import signal
+import subprocess
 
 import pytest
 from programs import run_program
@@ -87,6 +89,37 @@ def test_an_interrupt_ends_what_runs_before_it_goes_on(shell):
     assert daemon.returncode is not None
     with pytest.raises(ProcessLookupError):
         os.kill(daemon.pid, 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_a_command_starts_leaves_nothing_running(shell, monkeypatch, number):
+    def interrupted(number, frame):
+        raise KeyboardInterrupt
+
+    class StruckAtBirth(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            born.append(self.pid)
+            signal.raise_signal(number)
+
+    born = []
+    before = signal.signal(number, interrupted)
+    monkeypatch.setattr(subprocess, "Popen", StruckAtBirth)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            shell.run(*python("import time; time.sleep(100)"))
+        with (
+            pytest.raises(KeyboardInterrupt),
+            shell.running(*python("import time; time.sleep(100)")),
+        ):
+            pass
+        assert signal.getsignal(number) is interrupted
+    finally:
+        signal.signal(number, before)
+    for pid in born:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    assert len(born) == 2
 
 
 _RECORDED = """
