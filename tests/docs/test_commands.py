@@ -77,6 +77,8 @@ CLIENTS = (
     *("groundstation status", "groundstation events", "groundstation record", "curl "),
     *("groundstation link", "groundstation config --reload", "groundstation pid fly"),
 )
+STEPS_OF_A_DOUBLET = 3
+OF_THE_TEST = {"state", "control.sock", "control.lock", "stdout", "stderr"}
 STORY = ROOT / "docs" / "getting_started.md"
 
 
@@ -138,21 +140,31 @@ def assert_taken(command):
 @pytest.mark.timeout(900)  # half a minute where nothing else runs
 def test_the_story_of_getting_started_goes_as_printed(folder, larder, request):
     """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
-    said = ""
+    said, clone, there = "", folder, set(folder.iterdir())
     for block in blocks_of(STORY):
         if block.language == "toml":
             (folder / "flight.toml").write_text(block.text)
         elif block.language == "text":
             require_said(block, said)
             said = ""
+        elif block.language == "console":
+            require_planned(block, said)
         elif block.holds_commands:
             for command in block.commands():
                 if command.startswith(CLIENTS):
                     request.getfixturevalue("with_station")
+                elif command.startswith("cd "):
+                    folder /= command.removeprefix("cd ")
+                    os.chdir(folder)
+                    continue
                 elif command == "groundstation recordings sessions":
                     assert ".mcap" in carry_out(command, folder)
                     continue
                 said += carry_out(command, folder) or ""
+    overlooked = (ROOT / ".gitignore").read_text().split()
+    left = {one.name for one in set(clone.iterdir()) - there if one.name not in OF_THE_TEST}
+    assert folder.name in left
+    assert {f"/{name}/" for name in left} <= set(overlooked)
 
 
 def require_said(block, said):
@@ -160,6 +172,13 @@ def require_said(block, said):
     lines = iter(said.splitlines())
     for expected in block.text.splitlines():
         assert any(alike(expected, line) for line in lines), f"{block.where}: {expected}\n{said}"
+
+
+def require_planned(block, said):
+    """The page's flight has as many steps as the programme that was shown and not flown here."""
+    doublets = re.search(r"(\d+) doublets an axis", said)
+    steps = re.search(r"^yaw +(\d+) ", block.text, re.MULTILINE)
+    assert int(steps[1]) == STEPS_OF_A_DOUBLET * int(doublets[1])
 
 
 def alike(expected, line):
