@@ -2,18 +2,21 @@
 
 Stands between viewers and the rerun server. Of rerun 0.41 one reader that lags by the server's
 memory holds up everybody, and pages of any origin may read. The relay reads for everybody at
-once, drops who does not take what waits for it, and lets in a browser's page only where it came
-from this server. Each line on stderr is something to be told, or empty: a sign of life.
+once, drops who does not take what waits for it, lets in programs of its own user (and root) only,
+and a browser's page only where it came from this server. Each line on stderr is something to be
+told, or empty: a sign of life.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import sys
 import time
 from collections.abc import Iterable
+from pathlib import Path
 
 HEAD_S = 5.0
 """A request must have arrived after so long."""
@@ -27,6 +30,9 @@ CLIENTS_MOST = 32
 TELL_S = 5.0
 WATCH_S = 0.5
 PIECE = 1 << 18
+_CONNECTIONS = Path("/proc/self/net/tcp")
+"""The kernel's table: ends of each connection, its state, whose it is."""
+_ESTABLISHED = "01"
 _HTTP2 = b"PRI * HTTP/2.0\r\n"
 _HOSTS = ("127.0.0.1", "localhost", "[::1]")
 
@@ -48,6 +54,9 @@ class Relay:
         try:
             if len(self._clients) > CLIENTS_MOST:
                 self._tell(f"a viewer was turned away: {CLIENTS_MOST} connections are open")
+                return
+            if (stranger := _stranger(writer)) is not None:
+                self._tell(f"a program of {stranger} asked for the live view and was refused")
                 return
             async with asyncio.timeout(HEAD_S):
                 head = await self._admitted(reader, writer)
@@ -125,6 +134,28 @@ class Relay:
         if now_s - self._told.get(text, -TELL_S) >= TELL_S:
             self._told = {text: now_s, **dict(list(self._told.items())[:10])}
             print(text, file=sys.stderr, flush=True)
+
+
+def _stranger(writer: asyncio.StreamWriter) -> str | None:
+    """Who holds the other end of a connection within this machine, if not we or root.
+
+    An end that is closed already has no owner any more, and nothing from it is wanted.
+    """
+    ours = _in_table(writer.get_extra_info("sockname"))
+    theirs = _in_table(writer.get_extra_info("peername"))
+    rows = [line.split() for line in _CONNECTIONS.read_text().splitlines()[1:]]
+    if not any(row[1:3] == [ours, theirs] for row in rows):
+        return None  # a kernel that does not show its connections
+    owners = [int(row[7]) for row in rows if row[1:4] == [theirs, ours, _ESTABLISHED]]
+    if not owners:
+        return "nobody that could be told"
+    return None if owners[0] in (0, os.getuid()) else f"user {owners[0]}"
+
+
+def _in_table(address: tuple[str, int]) -> str:
+    """As the kernel prints an IPv4 address: a number in the machine's own order, and the port."""
+    number = int.from_bytes(socket.inet_aton(address[0]), sys.byteorder)
+    return f"{number:08X}:{address[1]:04X}"
 
 
 class _Progress:

@@ -3,9 +3,12 @@
 import asyncio
 import contextlib
 import http.client
+import os
 import socket
+import sys
 
 import pytest
+from programs import run_program
 
 from groundstation.viewer import relay
 from groundstation.viewer.relay import Relay
@@ -121,6 +124,41 @@ def test_a_page_of_a_stranger_is_refused(host, line, admitted, capfd):
     assert len(requests) == admitted
     assert all(b"\r\nConnection: close\r\n" in head for head in requests)
     assert ("refused" in capfd.readouterr().err) == (not admitted)
+
+
+ASK = """
+import os, socket, sys
+"here".encode("idna")  # the library may be out of reach below
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
+peer = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+try:
+    peer.sendall(sys.argv[2].encode().replace(b"|", b"\\r\\n"))
+    print(peer.recv(100))
+except ConnectionError:
+    print(b"")
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="becoming another user needs root")
+@pytest.mark.parametrize(
+    "said", ["POST /read HTTP/1.1|Host: 127.0.0.1:{port}||", "PRI * HTTP/2.0||SM||"]
+)
+def test_another_user_of_the_machine_neither_sees_nor_writes_into_the_picture(said, capfd):
+    async def session():
+        async with relayed() as (port, flood):
+            words = [sys.executable, "-c", ASK, str(port), said.replace("{port}", str(port))]
+            got = await asyncio.to_thread(run_program, words, check=True)
+            reader, writer = await ask(port)  # ours is served as before
+            assert b" 200 " in await reader.readline()
+            writer.close()
+            return got.stdout, flood.requests
+
+    got, requests = asyncio.run(session())
+    assert got == "b''\n"
+    assert len(requests) == 1
+    assert "a program of user 65534 asked for the live view and was refused" in (
+        capfd.readouterr().err
+    )
 
 
 def test_half_a_request_is_not_waited_for_for_ever(monkeypatch):
