@@ -104,6 +104,15 @@ def test_3_15_3_16_and_3_21_need_the_lever_arm_to_be_torques():
     assert sp.simplify(with_arm * second**2) == 1
 
 
+def test_3_17_is_a_force_a_torque_needs_the_radius_cubed():
+    """Density, area, radius squared, angular rate squared are newtons; b of 3.18 is a torque's."""
+    metre, kilogram, second = sp.symbols("m kg s", positive=True)
+    newton = kilogram * metre / second**2
+    density, area, rate = kilogram / metre**3, metre**2, 1 / second
+    assert sp.simplify(density * area * metre**2 * rate**2 / newton) == 1
+    assert sp.simplify(density * area * metre**3 * rate**2 / (newton * metre)) == 1
+
+
 def test_3_32_has_the_sign_of_gravity_wrong():
     """Lagrange's equation of the printed energies gives F = m zeta'' + m g e_z, and so 3.35."""
     z = sp.Function("z")(T)
@@ -265,6 +274,16 @@ def test_7_7_with_f_and_c_set_to_one_is_not_the_arx_model_of_7_9():
         arx[t + 1] = 0.8 * arx[t] + inputs[t - 1] * (t > 0)
     np.testing.assert_allclose(lfilter(b, a, inputs), arx[1:], atol=1e-12)
     assert np.abs(lfilter(b, [1.0], inputs) - arx[1:]).max() > 1
+
+
+@pytest.mark.parametrize(("axis", "grey_box", "less"), [("roll", 0.0136, 22), ("yaw", 0.0005, 31)])
+def test_7_18_is_larger_than_what_the_arx_models_say_of_the_same_craft(axis, grey_box, less):
+    """An input's kick on the angle's second difference is c Ts^2, of a free body and of an ARX
+    model with one input term alike, wherever its poles lie."""
+    model = THESIS.arx[axis]
+    assert 1 + sum(model.a) == pytest.approx(0.0, abs=0.003), "nearly a double integrator"
+    c = model.b[0] / model.ts**2
+    assert 100 * (1 - c / grey_box) == pytest.approx(less, abs=0.6)
 
 
 def test_7_27_has_an_unstable_pole_where_a_free_body_has_a_double_one_at_one():
