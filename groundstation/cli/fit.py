@@ -160,6 +160,11 @@ def fit_arx(
     ),
     gyro: bool = typer.Option(False, "--gyro", help="Model the body rates, not the angles."),
     decimate: int = typer.Option(1, min=1, max=20, help="Rows of a recording per model row."),
+    order: list[str] | None = typer.Option(
+        None,
+        help="Structure na,nb,nk to choose from instead of all 88; repeat it to see several beside"
+        " each other.",
+    ),
     segment: list[str] | None = SEGMENT,
     select: str = SELECT,
     html: Path | None = HTML,
@@ -169,12 +174,14 @@ def fit_arx(
 
     Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
-    from groundstation.identification.arx.fit import Criterion
+    from groundstation.identification.arx.fit import Criterion, parse_orders
     from groundstation.identification.arx.workflow import identify_arx
 
     chosen = criterion or ("prediction" if gyro else "free_run")
     if chosen not in tuple(Criterion):
         raise BadInputError(f"--criterion {chosen}: there are {', '.join(Criterion)}")
+
+    orders = parse_orders(order or ())
 
     def identify(task: _Task, progress: Progress) -> Identified:
         return identify_arx(
@@ -183,6 +190,7 @@ def fit_arx(
             "gyro" if gyro else "attitude",
             decimate,
             task.selection,
+            orders,
             progress,
         )
 

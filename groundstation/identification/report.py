@@ -194,7 +194,7 @@ def _tables(page: Page, account: dict[str, Any]) -> None:
         page.table(
             [name.replace("_", " ").replace("rad s", "rad/s") for name in head],
             rows,
-            f"The best by free run on held-out data; chosen: {one['chosen']}.",
+            f"All, the best by free run on held-out data first; chosen: {one['chosen']}.",
         )
     other = account["other_axis"]
     page.text(

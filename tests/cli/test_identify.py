@@ -158,8 +158,24 @@ def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):
     assert set(loaded.arx) == {"roll", "pitch", "yaw"}
     table = loaded.fit["arx"]["axes"]["roll"]["table"]
     errors = [row["rms_validation_rad"] for row in table]
-    assert len(table) == 20
+    assert len({row["model"] for row in table}) == len(table) == 88
     assert errors == sorted(errors)
+
+
+def test_structures_that_are_named_are_chosen_from_and_shown_beside_each_other(files, tmp_path):
+    model, page = tmp_path / "arx.json", tmp_path / "arx.html"
+    named = ("2,1,8", "2,1,4", "2,2,0", "2,1,4")
+    orders = [part for order in named for part in ("--order", order)]
+    run("fit", "arx", files["reduced"], "-o", model, "--html", page, *orders)
+    loaded, text = load_model(model), page.read_text()
+    for axis, one in loaded.fit["arx"]["axes"].items():
+        shown = {one["chosen"], *one["beside"]}
+        assert shown == {"ARX(2,1,8)", "ARX(2,1,4)", "ARX(2,2,0)"}
+        plausible = [row["model"] for row in one["table"] if row["plausible_step"]]
+        assert one["chosen"] == next((m for m in plausible if m in shown), one["chosen"])
+        for label in shown:
+            assert f"{axis} angle, {label}" in text, "its residuals"
+            assert f"50 ms ahead by {label}" in text
 
 
 def test_arx_models_of_rates_are_searched_on_fewer_rows(files, tmp_path):
@@ -231,6 +247,9 @@ def test_axes_names_an_inverted_pitch(files, tmp_path):
         (("fit", "body", "{reduced}", "--with", "ground_effect"), "shows in accelerometer z"),
         (("fit", "motor", "{bench}", "--with", "dead_time"), "the motor fit knows"),
         (("fit", "arx", "{reduced}", "--criterion", "luck"), "there are free_run, prediction"),
+        (("fit", "arx", "{reduced}", "--order", "2,1"), "must be na,nb,nk"),
+        (("fit", "arx", "{reduced}", "--order", "2,1,11"), "nk 0..10"),
+        (("fit", "arx", "{reduced}", "--order", "2,x,1"), "must be na,nb,nk"),
         (("fit", "body", "{reduced}", "--vehicle", "kite"), "neither built in"),
         (("fit", "body", "{reduced}", "--segment", "5"), "two rising numbers"),
         (("fit", "body", "{reduced}", "--segment", "200:300"), "choose less strictly"),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import ArxAxis
+from groundstation.errors import BadInputError
 from groundstation.identification.arx.data import ArxData, require_usable
 from groundstation.identification.arx.residual_tests import cross_correlation_test
 from groundstation.identification.estimate import Estimates, sandwich
@@ -24,6 +25,12 @@ from groundstation.identification.estimate import Estimates, sandwich
 Array = NDArray[np.float64]
 
 MOST_POLES = 4
+POLES, INPUTS, DELAYS = range(1, MOST_POLES + 1), range(1, 3), range(11)
+GRID = (POLES, INPUTS, DELAYS)
+"""The thesis's 88 structures (na, nb, nk)."""
+MOST_BESIDE = 7
+"""Colours that a figure has for lines."""
+Order = tuple[int, int, int]
 WINDOW_S = 2.0
 """Free runs start afresh from measured outputs after this long."""
 PARSIMONY = 0.05
@@ -61,6 +68,10 @@ class ArxCandidate:
     plausible: bool
 
     @property
+    def order(self) -> Order:
+        return self.axis.na, self.axis.nb, self.axis.nk
+
+    @property
     def label(self) -> str:
         return f"ARX({self.axis.na},{self.axis.nb},{self.axis.nk})"
 
@@ -73,16 +84,41 @@ class ArxSearch:
     chosen: ArxCandidate
 
 
+def parse_orders(texts: Sequence[str]) -> list[Order]:
+    """Structures as a user types them, ``na,nb,nk`` each, once.
+
+    Raises BadInputError where one is none of the 88, or for more than can be told apart in one
+    figure.
+    """
+    found: list[Order] = []
+    for text in texts:
+        parts = text.split(",")
+        given = tuple(int(part) if part.strip().isdecimal() else -1 for part in parts)
+        if len(given) != 3 or any(g not in r for g, r in zip(given, GRID, strict=True)):
+            raise BadInputError(
+                f"--order {text}: must be na,nb,nk with na 1..{MOST_POLES}, nb 1..{INPUTS[-1]}, nk"
+                f" 0..{DELAYS[-1]}, for example 2,1,8"
+            )
+        if given not in found:
+            found.append(given)
+    if len(found) > MOST_BESIDE:
+        raise BadInputError(f"--order: {len(found)} structures, at most {MOST_BESIDE} at once")
+    return found
+
+
 def search_arx(
     fit: Sequence[ArxData],
     validation: Sequence[ArxData],
-    na: Iterable[int] = range(1, 5),
-    nb: Iterable[int] = range(1, 3),
-    nk: Iterable[int] = range(11),
+    na: Iterable[int] = POLES,
+    nb: Iterable[int] = INPUTS,
+    nk: Iterable[int] = DELAYS,
     criterion: Criterion = Criterion.FREE_RUN,
     window_s: float = WINDOW_S,
+    among: Sequence[Order] = (),
 ) -> ArxSearch:
     """Fit and judge every structure, and choose one by ``criterion``. Orders up to 4 poles.
+
+    among: the structures (na, nb, nk) that may be chosen; all of them where it is empty.
 
     Raises BadInputError for data that cannot tell: too short, constant, not finite, uneven rates.
     """
@@ -114,11 +150,8 @@ def search_arx(
             )
         )
     candidates.sort(key=lambda c: c.rms_validation)
-    chosen = (
-        _simplest(candidates)
-        if criterion is Criterion.FREE_RUN
-        else _likeliest(candidates, rows, fit)
-    )
+    pool = [c for c in candidates if c.order in among] if among else candidates
+    chosen = _simplest(pool) if criterion is Criterion.FREE_RUN else _likeliest(pool, rows, fit)
     return ArxSearch(tuple(candidates), chosen)
 
 
@@ -293,7 +326,7 @@ def _simplest(candidates: Sequence[ArxCandidate]) -> ArxCandidate:
     usable = [c for c in candidates if c.plausible and np.isfinite(c.rms_validation)]
     pool = usable or list(candidates)
     limit = (1 + PARSIMONY) * pool[0].rms_validation
-    good = [c for c in pool if c.rms_validation <= limit]
+    good = [c for c in pool if c.rms_validation <= limit] or list(pool[:1])
     return min(good, key=lambda c: (c.axis.na + c.axis.nb, c.rms_validation))
 
 

@@ -14,8 +14,10 @@ from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.data import ArxData, arx_data, input_shows, require_usable
 from groundstation.identification.arx.fit import (
+    ArxCandidate,
     ArxSearch,
     Criterion,
+    Order,
     arx_estimates,
     free_run_rms,
     prediction_rms,
@@ -43,7 +45,6 @@ from groundstation.identification.torque import AXES
 
 Array = NDArray[np.float64]
 
-TABLE_ROWS = 20
 STEPS_DRAWN = 4
 AHEAD_S = (0.02, 0.05)
 DRAWN_S = 3.0
@@ -62,12 +63,14 @@ def identify_arx(
     channel: str = "attitude",
     decimate: int = 1,
     selection: Selection = EVERYTHING,
+    orders: Sequence[Order] = (),
     progress: Progress = silent,
 ) -> Identified:
-    """One ARX polynomial per axis, angle (or rate) from u', with the table of the best.
+    """One ARX polynomial per axis, angle (or rate) from u', with the table of all structures.
 
     held: what no fit sees (none: the last third). channel: ``attitude`` or ``gyro``. decimate:
-    rows of the recording per row of the model.
+    rows of the recording per row of the model. orders: structures to choose from and to show
+    beside each other, instead of all.
     """
     fit_on, validate_on = _flown(runs, before, selection), []
     if held:
@@ -104,20 +107,17 @@ def identify_arx(
     for number, (axis, (one, other)) in enumerate(data.items()):
         progress(number / 3, f"searching models of {axis}")
         shown = _require_shown(axis, one)
-        search = search_arx(one, other, criterion=criterion)
+        search = search_arx(one, other, criterion=criterion, among=orders)
         chosen = search.chosen.axis
         found[axis] = chosen
         estimates[f"{axis} {search.chosen.label}"] = arx_estimates(chosen, one)
-        test = residual_test(
-            f"{axis} {UNITS[channel][1]}",
-            residuals(chosen, other[0]),
-            f"{axis} u'",
-            other[0].inputs[-len(residuals(chosen, other[0])) :],
-            sum(len(part.outputs) for part in one),
-        )
-        tests.append(test)
-        traces.append(_trace(axis, channel, chosen, other[0]))
-        steps += _steps(axis, search)
+        beside = _beside(search, orders)
+        fitted_rows = sum(len(part.outputs) for part in one)
+        residual_tests = [_tested(axis, channel, c, other[0], fitted_rows) for c in beside]
+        test = residual_tests[0]
+        tests += residual_tests
+        traces += [_trace(axis, channel, c.axis, other[0]) for c in beside]
+        steps += _steps(axis, search, beside)
         if not search.chosen.plausible:
             warnings.append(f"{axis}: the step response of the chosen model is not plausible")
         if not test.cross.passes:
@@ -129,6 +129,7 @@ def identify_arx(
             **_ahead("identification", chosen, one, UNITS[channel][0]),
             **_ahead("validation", chosen, other, UNITS[channel][0]),
             **test.as_dict(),
+            **_named(beside, residual_tests),
             "table": _table(search, one, other, UNITS[channel][0]),
         }
     account = {
@@ -138,6 +139,7 @@ def identify_arx(
         "decimate": decimate,
         "samples": sum(len(run) for run in fit_on),
         "selection": str(selection),
+        "orders": [list(order) for order in orders],
         "axes": report,
         "other_axis": {
             "roll_model_on_pitch": free_run_rms(found["roll"], data["pitch"][1]),
@@ -177,7 +179,7 @@ def _ahead(part: str, axis: ArxAxis, data: Sequence[ArxData], unit: str) -> dict
 def _table(
     search: ArxSearch, one: Sequence[ArxData], other: Sequence[ArxData], unit: str
 ) -> list[dict[str, Any]]:
-    """The best structures by free run, as the thesis's tables 7.3 and 7.5."""
+    """Every structure, the best by free run first, as the thesis's tables 7.3 and 7.5."""
     name = unit.replace("/", "_")
     return [
         {
@@ -189,7 +191,7 @@ def _table(
             **_ahead("validation", candidate.axis, other, unit),
             "plausible_step": candidate.plausible,
         }
-        for candidate in search.candidates[:TABLE_ROWS]
+        for candidate in search.candidates
     ]
 
 
@@ -210,8 +212,34 @@ def _trace(axis: str, channel: str, chosen: ArxAxis, data: ArxData) -> Trace:
     )
 
 
-def _steps(axis: str, search: ArxSearch) -> list[Step]:
-    """Step responses of the chosen structure and of the best ones by validation."""
+def _beside(search: ArxSearch, orders: Sequence[Order]) -> list[ArxCandidate]:
+    """What is shown beside each other: the chosen structure, then the others that were named."""
+    named = [one for one in search.candidates if one.order in orders and one is not search.chosen]
+    return [search.chosen, *named]
+
+
+def _tested(
+    axis: str, channel: str, candidate: ArxCandidate, data: ArxData, fitted_rows: int
+) -> ResidualTest:
+    left = residuals(candidate.axis, data)
+    return residual_test(
+        f"{axis} {UNITS[channel][1]}, {candidate.label}",
+        left,
+        f"{axis} u'",
+        data.inputs[-len(left) :],
+        fitted_rows,
+    )
+
+
+def _named(beside: Sequence[ArxCandidate], tests: Sequence[ResidualTest]) -> dict[str, Any]:
+    """Residuals of the structures that were named beside the chosen one, by label."""
+    others = zip(beside[1:], tests[1:], strict=True)
+    return {"beside": {one.label: test.as_dict() for one, test in others}} if beside[1:] else {}
+
+
+def _steps(axis: str, search: ArxSearch, beside: Sequence[ArxCandidate]) -> list[Step]:
+    """Step responses of the structures that are shown, of the best by validation where only one
+    is."""
     best = [one for one in search.candidates[:STEPS_DRAWN] if one is not search.chosen]
     return [
         Step(
@@ -221,7 +249,7 @@ def _steps(axis: str, search: ArxSearch) -> list[Step]:
             plausible=one.plausible,
             chosen=one is search.chosen,
         )
-        for one in (search.chosen, *best)
+        for one in (beside if beside[1:] else (search.chosen, *best))
     ]
 
 
