@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, open_one, require_new, say_written, write_table
+from groundstation.cli.model_files import (
+    AS_JSON,
+    HTML,
+    open_one,
+    require_new,
+    say_written,
+    write_table,
+)
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
+
+if TYPE_CHECKING:
+    from groundstation.attitude.filters import KalmanNoise
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -21,56 +33,78 @@ def attitude(
         metavar="REC", help="Any recording with gyro and accelerometer."
     ),
     output: Path | None = typer.Option(None, "-o", "--output", help="Write the angles as CSV."),
+    weight: float = typer.Option(
+        0.998, help="Complementary filter: W, how much of each step is the gyro's, 0..1."
+    ),
+    noise: str = typer.Option(
+        "0.001,0.001,5",
+        help="Kalman filter: Q of angle (deg^2) and offset ((deg/s)^2), R of the accelerometer's"
+        " angle (deg^2). Only their ratios matter.",
+    ),
+    tune: bool = typer.Option(False, "--tune", help="Q and R by likelihood, from --noise on."),
+    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
     """Attitude by integration, complementary and Kalman filter, beside the reported one.
 
-    Example: [bold]groundstation attitude hand_rotation.mcap -o angles.csv[/bold]
+    Example: [bold]groundstation attitude hand_rotation.mcap --html attitude.html[/bold]
     """
     import numpy as np
 
-    from groundstation.attitude.filters import complementary, kalman
-    from groundstation.attitude.sensors import integrate_gyroscope, rest_bias
+    from groundstation.attitude.fusion import fuse
 
-    samples = open_one(recording).samples
-    inertial = np.hstack([samples.gyro, samples.accelerometer])
-    samples = samples[np.flatnonzero(np.isfinite(inertial).all(axis=1))]
-    if len(samples) < 100:
-        raise BadInputError(f"{recording}: too few rows with gyro and accelerometer")
-    time = samples.time_s
-    bias = rest_bias(time, samples.gyro)
-    gyro = samples.gyro - (np.zeros(3) if bias is None else bias)
-    angles = {
-        "integrated": integrate_gyroscope(time, samples.gyro),
-        "complementary": complementary(time, samples.gyro, samples.accelerometer),
-        "kalman": kalman(time, gyro, samples.accelerometer).attitude,
-        "reported": np.unwrap(samples.attitude.astype(np.float64), axis=0),
-    }
-    ends = max(1, min(len(samples) // 20, 500))
-    moved = {
-        name: np.degrees(values[-ends:].mean(axis=0) - values[:ends].mean(axis=0)).tolist()
-        for name, values in angles.items()
-    }
+    for path in (output, html):
+        if path is not None:
+            require_new(path)
+    given = _noise(noise)
+    try:
+        fused = fuse(open_one(recording).samples, weight, given, tune=tune)
+    except BadInputError as error:
+        raise BadInputError(f"{recording}: {error}") from error
+    moved = {name: v for name, v in fused.moved_deg().items() if name != "accelerometer"}
+    if output is not None:
+        drawn = {name: np.degrees(fused.angles[name]) for name in moved}
+        axes_names = ("roll", "pitch", "yaw")
+        head = "time_s," + ",".join(f"{n}_{a}_deg" for n in drawn for a in axes_names)
+        write_table(output, head, np.column_stack([fused.time_s, *drawn.values()]))
+    if html is not None:
+        from groundstation.attitude.fusion_report import fusion_page
+
+        fusion_page(fused, recording.name).write(html)
+    bias, used = fused.rest_bias, fused.noise
     report = {
-        "samples": len(samples),
+        "samples": len(fused.time_s),
         "rest_bias_dps": None if bias is None else np.degrees(bias).tolist(),
+        "weight": fused.weight,
+        "noise": [used.angle, used.bias, used.accelerometer],
         "end_minus_start_deg": moved,
     }
-    if output is not None:
-        require_new(output)
-        axes_names = ("roll", "pitch", "yaw")
-        head = "time_s," + ",".join(f"{n}_{a}_deg" for n in angles for a in axes_names)
-        table = np.column_stack([time, *(np.degrees(values) for values in angles.values())])
-        write_table(output, head, table)
     if as_json:
         show_json(report)
         return
     show("end minus start, deg      roll     pitch       yaw")
     for name, values in moved.items():
         show(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
+    if tune:
+        show(
+            f"Q = {used.angle:.3g} deg^2, {used.bias:.3g} (deg/s)^2;"
+            f" R = {used.accelerometer:.3g} deg^2"
+        )
     if bias is None:
         show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
-    say_written(output)
+    say_written(output, html)
+
+
+def _noise(text: str) -> KalmanNoise:
+    from groundstation.attitude.filters import KalmanNoise
+
+    try:
+        angle, bias, accelerometer = (float(part) for part in text.split(","))
+    except ValueError:
+        raise BadInputError(f"--noise {text}: three numbers, for example 0.001,0.001,5") from None
+    if not all(0 < one < math.inf for one in (angle, bias, accelerometer)):
+        raise BadInputError(f"--noise {text}: all three must be positive and finite")
+    return KalmanNoise(angle, bias, accelerometer)
 
 
 def axes(

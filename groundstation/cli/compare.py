@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.flights import (
-    HTML,
     MARKED,
     MODEL,
     STRETCH,
@@ -18,7 +17,7 @@ from groundstation.cli.flights import (
     read_flights,
     require_apart,
 )
-from groundstation.cli.model_files import AS_JSON, require_new, say_written
+from groundstation.cli.model_files import AS_JSON, HTML, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 

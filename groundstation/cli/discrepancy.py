@@ -11,7 +11,6 @@ import typer
 
 from groundstation.cli.compare import RECORDINGS, say_gap, say_stretches, say_where
 from groundstation.cli.flights import (
-    HTML,
     MARKED,
     MODEL,
     STRETCH,
@@ -21,7 +20,7 @@ from groundstation.cli.flights import (
     read_flights,
     require_apart,
 )
-from groundstation.cli.model_files import require_new, say_written
+from groundstation.cli.model_files import HTML, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 

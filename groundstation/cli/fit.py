@@ -14,6 +14,7 @@ import typer
 from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
+    HTML,
     VEHICLE,
     bridged_runs_in,
     effect_names,
@@ -55,7 +56,6 @@ SELECT = typer.Option(
     help="Only stretches that are, comma separated: hover, moving, steady_altitude, unsaturated,"
     " saturated, auto, battery=LOW:HIGH (V).",
 )
-HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 
 
 def add_commands(app: typer.Typer) -> None:

@@ -27,7 +27,6 @@ STRETCH = typer.Option(
 MARKED = typer.Option(
     False, "--marked", help="Look first at what the live twin marked ('run --twin') in each REC."
 )
-HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 
 
 def model_for(source: str, vehicle: str | None) -> Model:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from groundstation.identification.runs import Run
     from groundstation.recording.session import Recording
 
+HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON for programs.")
 VEHICLE = typer.Option(
     None,

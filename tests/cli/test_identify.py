@@ -221,6 +221,32 @@ def test_attitude_tells_drift_from_fusion(files, tmp_path):
     assert len(np.genfromtxt(table, delimiter=",", names=True)) == report["samples"]
 
 
+def test_sensor_fusion_is_drawn_and_tuned_by_likelihood(files, tmp_path):
+    page = tmp_path / "attitude.html"
+    told = json.loads(run("attitude", files["hand"], "--html", page, "--tune", "--json"))
+    angle, bias, accelerometer = told["noise"]
+    assert bias < angle < accelerometer
+    assert np.abs(told["end_minus_start_deg"]["kalman"]).max() < 1.0
+    assert page.read_text().count("<figure") == 3
+    slow = json.loads(run("attitude", files["hand"], "--weight", 1, "--json"))
+    moved = slow["end_minus_start_deg"]
+    assert moved["complementary"] == pytest.approx(moved["integrated"], abs=0.3), "no filter"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--weight", "1.5", "must be 0..1"),
+        ("--noise", "1,2", "three numbers"),
+        ("--noise", "1,0,5", "must be positive and finite"),
+        ("--noise", "1,nan,5", "must be positive and finite"),
+    ],
+)
+def test_noise_and_weight_that_no_filter_has_are_refused(files, option, value, words):
+    with pytest.raises(BadInputError, match=words):
+        run("attitude", files["hand"], option, value)
+
+
 def test_axes_names_an_inverted_pitch(files, tmp_path):
     assert run("axes", files["axes"]).startswith("as expected")
     lines = files["axes"].read_text().splitlines()
