@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.physics import STOCK, craft_of, gain_place
+from firmware_sim import today
+from firmware_sim.physics import STOCK, craft_of, firmware_of, gain_place
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.vehicle import Vehicle
 
@@ -45,43 +46,59 @@ def loop_margins(
     age_s: of the gyro and the angles. angle_loop: False looks at the rate loop alone.
     """
     vehicle, _ = craft_of(settings)
-    gains = {**vehicle.gains, **settings.gains}
+    is_today = firmware_of(settings, vehicle) == "2.x"
+    gain = _gains(settings, vehicle, is_today, ("roll", "pitch", "yaw").index(axis))
+    thrice, half = settings.quirks.clamp_macro, settings.quirks.attitude_dt
+    fast, slow = (1.0, 1.0) if is_today else (3.0 if thrice else 1.0, 0.5 if half else 1.0)
     omega = np.geomspace(0.5, 1500.0, 200_000)
     s = 1j * omega
-    rate = _rate_gain(s, gains, settings, axis)
-    if axis == "yaw" or not angle_loop:
-        controller = rate
-    else:
-        slow = 0.5 if settings.quirks.attitude_dt else 1.0
-        angle = _gain(gains, "angle_kp", 0) + slow * _gain(gains, "angle_ki", 0) / s
-        # The angles are refreshed every second pass: 2 ms more on average than the rates.
-        controller = rate * (1 + angle / s * np.exp(-2e-3 * s))
-    loop = DEGREES * controller * _craft(s, vehicle, axis) * np.exp(-(age_s + HOLD_S) * s)
-    return _margins(omega, loop)
+    rate = gain["rate_kp"] + fast * gain["rate_ki"] / s
+    damping = 0.0 if thrice and not is_today else gain["rate_kd"] * (1 - np.exp(-2e-3 * s)) / 2e-3
+    # The angles are refreshed every second pass: 2 ms more on average than the rates.
+    angle = (gain["angle_kp"] + slow * gain["angle_ki"] / s) / s * np.exp(-2e-3 * s)
+    if is_today:
+        # today's derivatives are those of what is measured
+        angle = angle + gain["angle_kd"] * np.exp(-2e-3 * s)
+    if not angle_loop or (axis == "yaw" and not is_today):
+        angle = np.zeros_like(s)
+    controller = rate * (1 + angle) + damping * (1.0 if is_today else 1 + angle)
+    craft = _craft(s, vehicle, axis, _millivolts(vehicle, is_today))
+    return _margins(omega, DEGREES * controller * craft * np.exp(-(age_s + HOLD_S) * s))
 
 
-def _rate_gain(
-    s: Complex, gains: dict[str, float], settings: StandInSettings, axis: str
-) -> Complex:
-    index = ("roll", "pitch", "yaw").index(axis)
-    fast = 3.0 if settings.quirks.clamp_macro else 1.0
-    derivative = 0.0 if settings.quirks.clamp_macro else _gain(gains, "rate_kd", index)
-    integral = fast * _gain(gains, "rate_ki", index)
-    return np.asarray(_gain(gains, "rate_kp", index) + integral / s + derivative * s)
+def _gains(
+    settings: StandInSettings, vehicle: Vehicle, is_today: bool, index: int
+) -> dict[str, float]:
+    """Those of one axis, by field of the FIRMWARE record."""
+    stock = today.stock_gains(vehicle) if is_today else STOCK
+    gains = {kind: values[index] for kind, values in stock.items()}
+    for name, value in {**vehicle.gains, **settings.gains}.items():
+        kind, axis = gain_place(name)
+        if axis == index and kind in gains:
+            gains[kind] = value
+    return gains
 
 
-def _gain(gains: dict[str, float], kind: str, index: int) -> float:
-    for name, value in gains.items():
-        if gain_place(name) == (kind, index):
-            return value
-    return STOCK[kind][index]
+def _millivolts(vehicle: Vehicle, is_today: bool) -> float:
+    """Motor voltage (mV) for one more 16-bit unit of the controller's output, at hover."""
+    if not is_today:
+        return BATTERY_MV / 65536
+    curve, most_n = today.thrust_curve(vehicle)
+    volts = vehicle.motor.armature_mv(_hover_rev_s(vehicle)) / 1000.0
+    slope = sum(
+        power * factor * volts ** (power - 1) for power, factor in enumerate(curve) if power
+    )
+    return 1000.0 * most_n / today.MOST_THRUST / slope
 
 
-def _craft(s: Complex, vehicle: Vehicle, axis: str) -> Complex:
-    """rad/s of the craft per unit of 16-bit PWM."""
-    hover = math.sqrt(9.80665 / (4 * vehicle.thrust_per_mass))
-    motor = vehicle.motor
-    speed = motor.a0 * BATTERY_MV / 65536 / (s + motor.a1 + 2 * motor.a2 * hover)
+def _hover_rev_s(vehicle: Vehicle) -> float:
+    return math.sqrt(9.80665 / (4 * vehicle.thrust_per_mass))
+
+
+def _craft(s: Complex, vehicle: Vehicle, axis: str, millivolts: float) -> Complex:
+    """rad/s of the craft per unit of the controller's output."""
+    hover, motor = _hover_rev_s(vehicle), vehicle.motor
+    speed = motor.a0 * millivolts / (s + motor.a1 + 2 * motor.a2 * hover)
     c0, _, c2 = vehicle.body_constants
     # Roll reaches two rotors (plus), or four by half (x); yaw reaches all four.
     constant, rotors = (c2, 4.0) if axis == "yaw" else (c0, 2.0)

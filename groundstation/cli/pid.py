@@ -17,12 +17,16 @@ from groundstation.paths import taken
 if TYPE_CHECKING:
     from groundstation.control.design import Design
     from groundstation.control.firmware_design import AxisDesign, Robustness
+    from groundstation.control.firmwares import Release
     from groundstation.control.pid import PidGains
     from groundstation.dynamics.model import Model
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
+FIRMWARE = typer.Option(
+    None, "--firmware", help="2014 or 2.x: whose loops and gains (default: the vehicle's)."
+)
 AXIS = typer.Option(None, "--axis", help="roll, pitch or yaw; repeatable (default: all).")
 
 
@@ -48,6 +52,7 @@ def evaluate(
         False, "--thesis", help="The printed controllers beside the printed tables 8.5-8.7."
     ),
     delay: int | None = DELAY,
+    firmware: str | None = FIRMWARE,
     seconds: float = typer.Option(1.5, help="Window of the step response."),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
@@ -62,7 +67,7 @@ def evaluate(
     """
     from groundstation.control.evaluate import LOOPS
     from groundstation.control.evaluate import evaluate as evaluate_gains
-    from groundstation.control.gains_file import load_gains
+    from groundstation.control.gains_file import load_gains, require_gains_of
     from groundstation.control.pid import PidGains
     from groundstation.control.report import (
         METRICS_HEAD,
@@ -85,17 +90,28 @@ def evaluate(
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
     loaded = load_model(model)
-    results = evaluate_gains(loaded, given, chosen, seconds, delay)
+    release = _release_of(loaded, firmware) if chosen == "firmware" else None
+    if release is not None and gains is not None and form == "firmware":
+        require_gains_of(gains, release, f"the craft of {model}", said=firmware)
+    results = evaluate_gains(loaded, given, chosen, seconds, delay, release)
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)
     if as_json:
         axes = {one.axis: one.as_dict() for one in results}
-        show_json({"loop": chosen, "model": model, "axes": axes})
+        show_json({"loop": chosen, "firmware": release, "model": model, "axes": axes})
         return
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
         show(line)
     say_written(html)
+
+
+def _release_of(model: Model, said: str | None) -> Release:
+    """Whose loops fly the craft of a model, or what the user says instead."""
+    from groundstation.control.firmwares import firmware_of_vehicle
+    from groundstation.dynamics.model import model_vehicle
+
+    return firmware_of_vehicle(model_vehicle(model), said).name
 
 
 def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
@@ -160,6 +176,7 @@ def design(
     model: str = MODEL,
     output: Path | None = typer.Option(None, "-o", "--output", help="A new TOML file of gains."),
     form: str = typer.Option("firmware", help="firmware (cascaded) or thesis (a PID on u')."),
+    firmware: str | None = FIRMWARE,
     axis: list[str] | None = AXIS,
     sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
     spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
@@ -195,9 +212,11 @@ def design(
         raise BadInputError(f"--draws {draws}: must not be negative")
     loaded = load_model(model)
     gains: dict[str, float] | dict[str, PidGains]
+    release: Release | None = None
     if form == "firmware":
+        release = _release_of(loaded, firmware)
         report, gains, page = _design_firmware(
-            loaded, axes, sensitivity, spare_ms / 1e3, draws, seed, model
+            loaded, release, axes, sensitivity, spare_ms / 1e3, draws, seed, model
         )
     elif form == "thesis":
         report, gains, page = _design_thesis(
@@ -208,7 +227,7 @@ def design(
     from groundstation.control.gains_file import gains_text
 
     if output is not None:
-        _write_new(output, gains_text(gains))
+        _write_new(output, gains_text(gains, release))
         report["output"] = str(output)
     if html is not None:
         page.write(html)
@@ -223,6 +242,7 @@ def design(
 
 def _design_firmware(
     model: Model,
+    release: Release,
     axes: tuple[str, ...],
     sensitivity: float,
     spare_s: float,
@@ -241,11 +261,15 @@ def _design_firmware(
             show(0.9 * sum(done.values()) / len(axes), f"designing {axis}")
 
         limits = cascade_limits(sensitivity, spare_s)
-        designs: list[AxisDesign] = design_cascade(model, axes, limits, seed, progress=progress)
+        designs: list[AxisDesign] = design_cascade(
+            model, axes, limits, seed, progress=progress, release=release
+        )
         gains = {key: value for one in designs for key, value in one.gains.items()}
         show(0.9, f"trying {draws} models")
-        tried: Robustness | None = robustness(model, gains, axes, draws, seed) if draws else None
-    report = firmware_report(model, designs, tried, limits)
+        tried: Robustness | None = (
+            robustness(model, gains, axes, draws, seed, release=release) if draws else None
+        )
+    report = firmware_report(model, release, designs, tried, limits)
     return report, gains, firmware_page(model, name, designs, tried, report)
 
 

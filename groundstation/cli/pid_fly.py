@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from groundstation.service.client import Pilot, ask
 from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
+    from groundstation.control.firmwares import Release
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
 
@@ -56,6 +58,11 @@ def fly(
     hold: float = typer.Option(1.0, help="How long each level is held, s."),
     rest: float = typer.Option(1.0, help="Level flight between manoeuvres, s."),
     repeat: int = typer.Option(8, help="Manoeuvres an axis; more of them, less noise."),
+    firmware: str | None = typer.Option(
+        None,
+        "--firmware",
+        help="2014 or 2.x, where neither file nor craft say whose the gains are.",
+    ),
     thrust: str = typer.Option(
         "", help="stand-in, keyboard or gamepad:/dev/input/js0 (default: by the command link)."
     ),
@@ -76,6 +83,7 @@ def fly(
     Example: [bold]groundstation pid fly --gains gains.toml --model body.json --restore[/bold]
     """
     from groundstation.control.firmware_loop import require_gains
+    from groundstation.control.firmwares import require_release
     from groundstation.control.gains_file import load_gains
     from groundstation.control.pid import AXES, PidGains
     from groundstation.control.plant import plant_of_model
@@ -103,15 +111,18 @@ def fly(
                 )
             wanted[name] = value
         require_gains(wanted, f"gains {gains}")
+    if firmware is not None:
+        require_release(firmware)
     if model is not None:
-        plant_of_model(load_model(model))  # what is wrong with it is better known before a flight
+        # what is wrong with it is better known before a flight
+        plant_of_model(load_model(model), release=firmware)
     if dry_run:
         _show(planned, wanted, as_json)
         return
     if undo:
         _undo()
         return
-    report = _flight(planned, wanted, restore, thrust, yes)
+    report = _flight(planned, wanted, _Whose(gains, model, firmware), restore, thrust, yes)
     if report["aborted"]:
         raise GroundStationError(
             f"flight aborted: {report['aborted']}; {report['motors']}, the recording is"
@@ -138,14 +149,59 @@ def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None
         show(f"  {name} = {value:g}")
 
 
+@dataclass(frozen=True, slots=True)
+class _Whose:
+    """The files of gains and of the model, and the firmware that the user says they are for."""
+
+    gains: Path | None
+    model: str | None
+    said: str | None
+
+    def require(self, craft: str, uri: str) -> Release | None:
+        """The firmware of the craft that calls its own ``craft`` (empty: it does not say).
+
+        Raises BadInputError where gains or model are another's: the same parameters mean other
+        numbers there.
+        """
+        from groundstation.control.firmwares import firmware_of_vehicle, require_release
+        from groundstation.control.gains_file import require_gains_of
+        from groundstation.dynamics.model import load_model, model_vehicle
+
+        if not (craft or self.said):
+            if self.gains is None and self.model is None:
+                return None
+            raise BadInputError(
+                f"{uri} does not say whose loops it flies; say --firmware 2014 or --firmware 2.x"
+            )
+        if craft and self.said and craft != self.said:
+            raise BadInputError(f"--firmware {self.said}: {uri} flies {craft}; nothing was written")
+        release = require_release(craft or str(self.said))
+        if self.gains is not None:
+            require_gains_of(self.gains, release, uri, said=self.said)
+        if self.model is not None and self.said is None:
+            vehicle = model_vehicle(load_model(self.model))
+            if firmware_of_vehicle(vehicle).name != release:
+                raise BadInputError(
+                    f"model {self.model}: a {vehicle.name} flies {vehicle.firmware}, {uri} flies"
+                    f" {release}: not of this craft, or say --firmware {release}"
+                )
+        return release
+
+
 def _flight(
-    programme: Programme, wanted: dict[str, float], restore: bool, thrust: str, yes: bool
+    programme: Programme,
+    wanted: dict[str, float],
+    whose: _Whose,
+    restore: bool,
+    thrust: str,
+    yes: bool,
 ) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
     path = socket_path()
     _await_connection(path)
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
+        release = whose.require(pilot.lease["firmware"], uri)
         real = not uri.startswith("udp://")
         if real and thrust == "stand-in":
             raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
@@ -169,6 +225,7 @@ def _flight(
             try:
                 _write(pilot, changed)
                 details = {"programme": programme.as_dict(), "gains": wanted, "saved": saved}
+                details["firmware"] = release
                 pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
                 say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
                 aborted = fly_programme(pilot, programme, sticks)
@@ -191,6 +248,7 @@ def _flight(
         "motors": motors,
         "recording": _end_recording(path, recording, aborted),
         "gains": _flown_gains(before, wanted),
+        "firmware": release,
         "restored": sorted(back),
     }
 
@@ -415,7 +473,9 @@ def _judge(
         loaded = None if model is None else load_model(model)
         recording = open_recording(Path(report["recording"]))
         try:
-            flown = analyse_recording(recording, loaded, report["gains"], CLIENT)
+            flown = analyse_recording(
+                recording, loaded, report["gains"], CLIENT, report["firmware"]
+            )
         except BadInputError as error:
             raise BadInputError(
                 f"flown and recorded to {report['recording']}, but not measured: {error}"

@@ -93,7 +93,7 @@ def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> 
     if isinstance(sticks, StandInPilot):
         if HOLD_HEIGHT in pilot.parameters():
             pilot.write({HOLD_HEIGHT: 0.0})
-        hover = 65536.0 * sum(last["telemetry"]["motors"]) / 4.0
+        hover = _thrust(pilot, last["telemetry"])
         for _ in range(round(DESCENT_S * RATE_HZ)):
             answer = pilot.setpoint(0.0, 0.0, 0.0, round(DESCENT * hover))
             reason = reason_to_abort(answer, LANDING)
@@ -114,6 +114,16 @@ def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> 
         if reason:
             return reason
         clock.wait()
+
+
+def _thrust(pilot: Pilot, telemetry: dict[str, Any]) -> float:
+    """The 16-bit thrust behind what the motors get: the firmware's own scale."""
+    from groundstation.control.firmwares import firmware_of_vehicle
+    from groundstation.dynamics.vehicle import load_vehicle
+
+    vehicle = load_vehicle(pilot.ask("GET", "/status")["vehicle"])
+    firmware = firmware_of_vehicle(vehicle, pilot.lease["firmware"] or None)
+    return float(firmware.thrust(telemetry["motors"], 1000.0 * telemetry["battery_v"]).mean())
 
 
 class _Clock:

@@ -21,6 +21,7 @@ from groundstation.control.design import (
 )
 from groundstation.control.evaluate import AxisResult, evaluate
 from groundstation.control.firmware_design import WINDOW_S, AxisDesign, Robustness
+from groundstation.control.firmwares import Release
 from groundstation.control.linear_loop import DirectJudge
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
@@ -42,7 +43,11 @@ DIRECT = ("kp", "ki", "kd")
 
 
 def firmware_report(
-    model: Model, designs: Sequence[AxisDesign], tried: Robustness | None, limits: Limits
+    model: Model,
+    release: Release,
+    designs: Sequence[AxisDesign],
+    tried: Robustness | None,
+    limits: Limits,
 ) -> dict[str, Any]:
     """``pid design --json`` for the firmware's loops."""
     notes = [_limits_line(limits)]
@@ -78,7 +83,13 @@ def firmware_report(
         axes[one.axis] = entry
     if not estimates_of(model):
         notes.append("the model carries no covariance: what its uncertainty does is not known")
-    return {"form": "firmware", "vehicle": model.vehicle, "axes": axes, "notes": notes}
+    return {
+        "form": "firmware",
+        "firmware": release,
+        "vehicle": model.vehicle,
+        "axes": axes,
+        "notes": notes,
+    }
 
 
 def _of_95_percent(values: Array) -> float | None:
@@ -125,8 +136,14 @@ def firmware_page(
     page = Page(f"Gains for {name}", LOOP_NAMES["firmware"])
     gains = {key: value for one in designs for key, value in one.gains.items()}
     wanted = [one.axis for one in designs]
-    ours = [r for r in evaluate(model, gains, "firmware", WINDOW_S) if r.axis in wanted]
-    stock = [r for r in evaluate(model, {}, "firmware", WINDOW_S) if r.axis in wanted]
+    ours, stock = (
+        [
+            one
+            for one in evaluate(model, each, "firmware", WINDOW_S, release=report["firmware"])
+            if one.axis in wanted
+        ]
+        for each in (gains, {})
+    )
     page.verdict(
         "; ".join(_verdict(one, old) for one, old in zip(ours, stock, strict=True)), "good"
     )

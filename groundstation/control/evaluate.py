@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from groundstation.control.firmware_loop import (
     STEP_RAD,
-    STOCK,
     cascade_margins,
-    gain_names,
     step_response,
 )
 from groundstation.control.linear_loop import (
@@ -27,7 +25,7 @@ from groundstation.control.linear_loop import (
 from groundstation.control.margins import Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, PidGains
-from groundstation.control.plant import plant_of_model
+from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.thesis_loop import Body, run_whole, whole_margins
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
@@ -82,11 +80,13 @@ def evaluate(
     loop: Loop,
     seconds: float = 1.0,
     delay: int | None = None,
+    release: str | None = None,
 ) -> list[AxisResult]:
     """A step on each axis for which there are gains, one axis at a time.
 
     gains: by axis for ``direct`` (u' per rad) and ``whole`` (PWM counts per rad), by parameter
-    for ``firmware``. delay: samples instead of the model's, not for ``firmware``.
+    for ``firmware``. delay: samples instead of the model's, not for ``firmware``. release: whose
+    loops ``firmware`` is, None: the vehicle's.
 
     Raises BadInputError for gains of the other form, or a model that the loop cannot use.
     """
@@ -97,7 +97,8 @@ def evaluate(
         if delay is not None:
             raise BadInputError("--delay: the firmware's loop has the model's dead time")
         values = {name: g for name, g in gains.items() if not isinstance(g, PidGains)}
-        return [_firmware(model, values, axis, seconds) for axis in AXES]
+        plant = plant_of_model(model, release=release)
+        return [_firmware(plant, values, axis, seconds) for axis in AXES]
     if not by_axis:
         raise BadInputError(f"--loop {loop} needs gains by axis, [roll] kp = ...")
     if loop == "direct":
@@ -152,15 +153,14 @@ def _whole(
     return found
 
 
-def _firmware(model: Model, gains: Mapping[str, float], axis: str, seconds: float) -> AxisResult:
-    plant = plant_of_model(model)
+def _firmware(plant: Plant, gains: Mapping[str, float], axis: str, seconds: float) -> AxisResult:
     step = STEP_RAD[axis]
     y = step_response(plant, gains, axis, seconds)
     margins = cascade_margins(plant, gains, axis)
     stable = _calms(step_response(plant, gains, axis, max(seconds, STEADY_S)))
     return AxisResult(
         axis,
-        {name: gains.get(name, STOCK[name]) for name in gain_names(axis)},
+        {n: gains.get(n, plant.firmware.stock[n]) for n in plant.firmware.gain_names(axis)},
         step,
         step_metrics(y * step, SAMPLE_PERIOD_S, step),
         stable,

@@ -13,24 +13,32 @@ from numpy.typing import NDArray
 from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design, Limits, optimise
 from groundstation.control.firmware_loop import (
     GAIN_MOST,
-    STOCK,
     SUPPLY_MV,
     CascadeJudge,
     cascade_margins,
-    gain_names,
 )
+from groundstation.control.firmwares import Release, firmware_of_vehicle
 from groundstation.control.margins import Margins
 from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.search import Budget
 from groundstation.control.uncertainty import corners, draws, estimates_of, require_certain
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.model import Model, model_vehicle
 
 Array = NDArray[np.float64]
 
 WINDOW_S = 1.5
-LOW = {"roll": (0.5, 0.2, 0.05, 0.002), "yaw": (1.0, 1.0)}
-HIGH = {"roll": (300.0, 60.0, 100.0, 10.0), "yaw": (GAIN_MOST, GAIN_MOST)}
-"""Where gains are searched; pitch as roll."""
+LOW: dict[Release, dict[str, tuple[float, ...]]] = {
+    "2014": {"roll": (0.5, 0.2, 0.05, 0.002), "yaw": (1.0, 1.0)},
+    "2.x": {"roll": (10.0, 1.0, 0.02, 0.5, 0.05), "yaw": (10.0, 0.5, 0.5, 0.05)},
+}
+HIGH: dict[Release, dict[str, tuple[float, ...]]] = {
+    "2014": {"roll": (300.0, 60.0, 100.0, 10.0), "yaw": (GAIN_MOST, GAIN_MOST)},
+    "2.x": {
+        "roll": (GAIN_MOST, GAIN_MOST, 20.0, 60.0, 60.0),
+        "yaw": (GAIN_MOST, 300.0, 40.0, 40.0),
+    },
+}
+"""Where gains are searched, in the order of ``Firmware.gain_names``; pitch as roll."""
 EFFORT = 0.15
 """Largest step of a motor, as a share of full PWM: what hover leaves to either side, less a
 reserve for the height."""
@@ -81,27 +89,29 @@ def design_cascade(
     supply_mv: float = SUPPLY_MV,
     budget: Budget = BUDGET,
     progress: Callable[[str, float], None] = lambda axis, share: None,
+    release: str | None = None,
 ) -> list[AxisDesign]:
     """Gains for each axis of a fitted model, on every core.
 
     A design must keep its limits on the model and two standard errors away from it
-    (``uncertainty.corners``).
+    (``uncertainty.corners``). release: of the firmware, None: the vehicle's.
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
     require_certain(model, axes)
+    firmware = firmware_of_vehicle(model_vehicle(model), release)
 
     def one(axis: str) -> AxisDesign:
-        plants = [plant_of_model(other) for other in corners(model, axis)]
+        plants = [plant_of_model(other, release=release) for other in corners(model, axis)]
         judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
         kind = "yaw" if axis == "yaw" else "roll"
-        low, high = np.array(LOW[kind]), np.array(HIGH[kind])
+        low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
         design = optimise(
             judge, low, high, limits, seed, budget, progress=lambda s: progress(axis, s)
         )
-        names = gain_names(axis)
+        names = firmware.gain_names(axis)
         gains = {n: _rounded(v) for n, v in zip(names, design.gains, strict=True)}
-        stock = {name: STOCK[name] for name in names}
+        stock = {name: firmware.stock[name] for name in names}
         alone = CascadeJudge(plants[:1], axis, WINDOW_S, 0.0, supply_mv)
         nominal = alone(np.array([list(gains.values())]))[0]
         return AxisDesign(
@@ -125,16 +135,18 @@ def robustness(
     count: int = DRAWS,
     seed: int = 0,
     supply_mv: float = SUPPLY_MV,
+    release: str | None = None,
 ) -> Robustness | None:
     """How gains do on models drawn from the fit's covariance; None where it carries none."""
     if not estimates_of(model):
         return None
-    plants = [plant_of_model(other) for other in draws(model, count, seed)]
+    plants = [plant_of_model(other, release=release) for other in draws(model, count, seed)]
+    names = firmware_of_vehicle(model_vehicle(model), release).gain_names
     cores = os.cpu_count() or 1
     judgements = {}
     with ThreadPoolExecutor(cores) as pool:
         for axis in axes:
-            values = np.array([[gains[name] for name in gain_names(axis)]])
+            values = np.array([[gains[name] for name in names(axis)]])
             slices = [plants[i::cores] for i in range(cores)]
 
             def judged(part: Sequence[Plant], axis: str = axis, values: Array = values) -> Array:
@@ -167,6 +179,7 @@ def _reason(judge: CascadeJudge, gains: dict[str, float], name: str, limits: Lim
 
 PURPOSE = {
     ("pid_rate", "kp"): "damps the rate against the motors' lag",
+    ("pid_rate", "kd"): "turns the loop forward against the motors' lag and the filters'",
     ("pid_rate", "ki"): "removes lasting rate errors, such as trim",
     ("pid_attitude", "kp"): "sets how fast the angle follows",
     ("pid_attitude", "ki"): "removes the lean of the attitude filter and trim",

@@ -1,9 +1,12 @@
-"""The firmware's loops: an angle PID that commands a rate PID, as release 2014.01.0 runs them.
+"""The firmware's loops: an angle PID that commands a rate PID, on the craft of a model.
 
-Gains go by the firmware's parameter names (``pid_rate.roll_kp``). Angle loops: error in deg,
-output deg/s, 250 Hz; rate loops: error in deg/s, output in 16-bit PWM units, 500 Hz; yaw is
-commanded as a rate. Each integral is clamped, not the product with its gain. Here angles are in
-rad, pitch nose down positive; inside, the kernel turns them into the firmware's.
+Gains go by the firmware's parameter names (``pid_rate.roll_kp``). As release 2014.01.0 runs them:
+angle loops, error in deg, output deg/s, 250 Hz; rate loops, error in deg/s, output in 16-bit PWM
+units, 500 Hz; yaw is commanded as a rate. As today's firmware does: both at 500 Hz, derivatives of
+what is measured, a yaw setpoint turns a heading that is held, and outputs are units of 16-bit
+thrust, which a motor gets whatever the battery (``firmwares``). Each integral is clamped, not the
+product with its gain. Here angles are in rad, pitch nose down positive; inside, the kernel turns
+them into the firmware's.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.control.firmwares import RELEASE_2014, Firmware
 from groundstation.control.margins import Margins, loop_margins
 from groundstation.control.pid import AXES
 from groundstation.control.plant import Plant
@@ -25,17 +29,8 @@ from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 Array = NDArray[np.float64]
 Complex = NDArray[Any]
 
-STOCK: dict[str, float] = {
-    **{f"pid_rate.{axis}_kp": kp for axis, kp in zip(AXES, (70.0, 70.0, 50.0), strict=True)},
-    **{f"pid_rate.{axis}_ki": ki for axis, ki in zip(AXES, (0.0, 0.0, 25.0), strict=True)},
-    **{f"pid_rate.{axis}_kd": 0.0 for axis in AXES},
-    **{f"pid_attitude.{axis}_kp": kp for axis, kp in zip(AXES, (3.5, 3.5, 0.0), strict=True)},
-    **{f"pid_attitude.{axis}_ki": ki for axis, ki in zip(AXES, (2.0, 2.0, 0.0), strict=True)},
-    **{f"pid_attitude.{axis}_kd": 0.0 for axis in AXES},
-}
-"""The release's gains."""
 GAIN_MOST = 1000.0
-"""No gain of the release comes near it."""
+"""No gain of either firmware comes near it."""
 SUPPLY_MV = 3700.0
 STEP_RAD = {"roll": math.radians(10), "pitch": math.radians(10), "yaw": math.radians(90)}
 """Sizes of the steps by which loops are judged; yaw's in rad/s."""
@@ -57,6 +52,10 @@ FIRMWARE = np.dtype(
         ("quirk_lower_limit", "i8"),
         ("quirk_negate", "i8"),
         ("quantised", "i8"),
+        ("today", "i8"),
+        ("curve", "f8", (4,)),
+        ("most_n", "f8"),
+        ("heading", "f8"),
         ("integral", "f8", (2, 3)),
         ("previous", "f8", (2, 3)),
         ("quaternion", "f8", (4,)),
@@ -88,7 +87,7 @@ AS_RELEASED = Quirks()
 @dataclass(frozen=True, slots=True)
 class CascadeResponse:
     """One row per pass of 2 ms: angles (k, 3) rad as the firmware estimates them, gyro (k, 3)
-    rad/s as it measures them, pwm (k, 4) steps of 512."""
+    rad/s as it measures them, pwm (k, 4) in steps of 1/512 of full PWM."""
 
     angles: Array
     gyro: Array
@@ -98,24 +97,29 @@ class CascadeResponse:
 def require_gains(gains: Mapping[str, float], where: str) -> None:
     """Raises BadInputError for a name the firmware has not, or a gain that is not 0..1000."""
     for name, value in gains.items():
-        if name not in STOCK:
-            raise BadInputError(f"{where}: {name!r} is no gain of the firmware: {', '.join(STOCK)}")
+        if name not in RELEASE_2014.stock:
+            known = ", ".join(RELEASE_2014.stock)
+            raise BadInputError(f"{where}: {name!r} is no gain of the firmware: {known}")
         if not (math.isfinite(value) and 0.0 <= value <= GAIN_MOST):
             raise BadInputError(f"{where}: {name} is {value}, must be 0..{GAIN_MOST:g}")
 
 
 def firmware_of(
-    gains: Mapping[str, float], quirks: Quirks = AS_RELEASED, quantised: bool = False
+    gains: Mapping[str, float],
+    quirks: Quirks = AS_RELEASED,
+    quantised: bool = False,
+    firmware: Firmware = RELEASE_2014,
 ) -> NDArray[np.void]:
     """The firmware at rest, shape (1,); gains not named are stock."""
     record = np.zeros(1, FIRMWARE)
     f = record[0]
-    values = {**STOCK, **gains}
+    values = {**firmware.stock, **gains}
     for group, loop in (("pid_rate", "rate"), ("pid_attitude", "angle")):
         for index, axis in enumerate(AXES):
             for gain in ("kp", "ki", "kd"):
                 f[f"{loop}_{gain}"][index] = values[f"{group}.{axis}_{gain}"]
-    f["rate_limit"], f["angle_limit"] = (100.0, 100.0, 500.0), (20.0, 20.0, 360.0)
+    f["rate_limit"], f["angle_limit"] = firmware.rate_limit, firmware.angle_limit
+    f["today"], f["curve"], f["most_n"] = firmware.is_today, firmware.curve, firmware.most_n
     f["fusion_kp"], f["fusion_ki"] = 0.8, 0.002
     f["quirk_attitude_dt"], f["quirk_clamp_macro"] = quirks.attitude_dt, quirks.clamp_macro
     f["quirk_lower_limit"], f["quirk_negate"] = quirks.lower_limit, quirks.negate
@@ -136,8 +140,9 @@ def run_cascade(
     """Fly setpoints (k, 3), roll and pitch in rad, yaw rate in rad/s, one row per 2 ms.
 
     thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise.
-    quantised: the PWM has 512 steps and outputs are whole numbers; otherwise what a flight gives
-    on average, in which the thrust wanders across many steps.
+    quirks, quantised: of 2014's firmware; quantised: the PWM has 512 steps and outputs are whole
+    numbers; otherwise what a flight gives on average, in which the thrust wanders across many
+    steps.
     The craft starts level, at rest, its rotors at the speed that carries it.
     """
     from groundstation.control.flight_kernels import cascade_run
@@ -146,7 +151,7 @@ def run_cascade(
     rows = len(wanted)
     supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
     if thrust is None:
-        thrust = plant.hover_duty(supply) * 65536.0
+        thrust = plant.hover_thrust(supply)
     lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
     angles, gyro, pwm = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
     cascade_run(
@@ -155,7 +160,7 @@ def run_cascade(
         plant.airframe_x,
         plant.fusion,
         plant.start,
-        firmware_of(gains, quirks, quantised)[0],
+        firmware_of(gains, quirks, quantised, plant.firmware)[0],
         wanted,
         lift,
         supply,
@@ -199,17 +204,25 @@ def loop_response(
     """
     index = AXES.index(axis)
     s = 1j * omega
-    base, hold, lean, integral, derivative, _ = _loop_parts(plant, index, s, supply_mv)
-    f = firmware_of(gains, quirks)[0]
-    rate = (
-        f["rate_kp"][index] + (3.0 if quirks.clamp_macro else 1.0) * f["rate_ki"][index] * integral
-    )
-    if not quirks.clamp_macro:
-        rate = rate + f["rate_kd"][index] * (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
-    ratio = 0.5 if quirks.attitude_dt else 1.0
-    angle = f["angle_kp"][index] + ratio * f["angle_ki"][index] * integral
-    angle = angle + f["angle_kd"][index] / ratio * derivative
-    return np.asarray(base * rate * (hold + angle * lean))
+    base, hold, lean, integral, derivative, sharp, _ = _loop_parts(plant, index, s, supply_mv)
+    f = firmware_of(gains, quirks, firmware=plant.firmware)[0]
+    fast, slow = _quirk_ratios(plant.firmware, quirks)
+    rate = f["rate_kp"][index] + fast * f["rate_ki"][index] * integral
+    slope = 0.0
+    if plant.firmware.is_today or not quirks.clamp_macro:
+        slope = f["rate_kd"][index] * sharp
+    angle = f["angle_kp"][index] + slow * f["angle_ki"][index] * integral
+    angle = angle + f["angle_kd"][index] / slow * derivative
+    if not plant.firmware.is_today:
+        rate, slope = rate + slope, 0.0  # of the error, the angle loop's part included
+    return np.asarray(base * (rate * (hold + angle * lean) + slope * hold))
+
+
+def _quirk_ratios(firmware: Firmware, quirks: Quirks) -> tuple[float, float]:
+    """What the integrals of the rate and of the angle loops are multiplied by."""
+    if firmware.is_today:
+        return 1.0, 1.0
+    return 3.0 if quirks.clamp_macro else 1.0, 0.5 if quirks.attitude_dt else 1.0
 
 
 def cascade_margins(
@@ -224,22 +237,20 @@ UNUSABLE = 4.0
 """Maximum sensitivity beyond which a loop is not worth simulating."""
 
 
-def gain_names(axis: str) -> tuple[str, ...]:
-    """The firmware's names of the gains that a design chooses for an axis.
-
-    The release's rate derivative has no effect (``Quirks``), yaw has no angle loop, and the
-    integral of roll and pitch is the angle loop's; their rate integral stays at its stock 0.
-    """
-    if axis == "yaw":
-        return "pid_rate.yaw_kp", "pid_rate.yaw_ki"
-    return f"pid_rate.{axis}_kp", *(f"pid_attitude.{axis}_{k}" for k in ("kp", "ki", "kd"))
+COLUMNS = {
+    "pid_rate": {"kp": 0, "ki": 1, "kd": 5},
+    "pid_attitude": {"kp": 2, "ki": 3, "kd": 4},
+}
+"""Where the kernel has the gains of an axis."""
 
 
 class CascadeJudge:
-    """Judges gains (m, d) of one axis, in the order of ``gain_names``, by a step of ``STEP_RAD``.
+    """Judges gains (m, d) of one axis, as ``Firmware.gain_names`` orders them, by a step of
+    ``STEP_RAD``.
 
-    Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of
-    a motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
+    plants: of one firmware.
+    Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of a
+    motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
     rad/s^2. What is unstable or has a sensitivity beyond
     ``UNUSABLE`` is infinite throughout.
     """
@@ -262,28 +273,35 @@ class CascadeJudge:
         s = 1j * omega
         self._late = -omega * spare_s
         self._parts = [_loop_parts(plant, self._index, s, supply_mv) for plant in plants]
-        self._rest = firmware_of({})
+        firmware = plants[0].firmware
+        self._rest = firmware_of({}, firmware=firmware)
+        self._ratios = _quirk_ratios(firmware, AS_RELEASED)
+        names = [f"{group}.{axis}_{k}" for group, ks in COLUMNS.items() for k in ks]
+        self._stock = np.zeros(len(names))
+        for name in names:
+            self._stock[_column(name)] = firmware.stock[name]
+        self._columns = [_column(name) for name in firmware.gain_names(axis)]
+        if not firmware.is_today:
+            self._stock[_column(f"pid_rate.{axis}_kd")] = 0.0  # without effect
 
     def __call__(self, candidates: Array) -> Array:
         from groundstation.control.flight_kernels import cascade_many
         from groundstation.control.linear_loop_kernels import measure_many
 
-        gains = np.zeros((len(candidates), 5))
-        # columns of the kernel: rate kp, ki, angle kp, ki, kd
-        gains[:, [0, 1] if self._index == 2 else [0, 2, 3, 4]] = candidates
+        gains = np.tile(self._stock, (len(candidates), 1))
+        gains[:, self._columns] = candidates
         worst, one = np.zeros((len(gains), 7)), np.zeros((len(gains), 7))
         peak, effort, compliance = (np.empty(len(gains)) for _ in range(3))
         y = np.zeros((len(gains), self._rows))
         room = self._rest.copy()
         for plant, parts in zip(self._plants, self._parts, strict=True):
             left = np.flatnonzero(np.isfinite(worst[:, 0]))
-            thrust = plant.hover_duty(self._supply) * 65536.0
+            level = 512.0 * plant.hover_duty(self._supply)
             cascade_many(
                 plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion, plant.start,
                 self._rest[0], room[0], self._index, gains[left], *parts,
-                self._late, 3.0 if AS_RELEASED.clamp_macro else 1.0,
-                0.5 if AS_RELEASED.attitude_dt else 1.0, UNUSABLE, self._size, thrust,
-                self._supply, SAMPLE_PERIOD_S,
+                self._late, *self._ratios, UNUSABLE, self._size,
+                plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
                 peak[: len(left)], effort[: len(left)], compliance[: len(left)],
                 y[: len(left)],
             )  # fmt: skip
@@ -298,19 +316,28 @@ class CascadeJudge:
         return worst
 
 
+def _column(name: str) -> int:
+    group, _, rest = name.partition(".")
+    return COLUMNS[group][rest[-2:]]
+
+
 def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Complex, ...]:
-    """base, hold, lean, integral, derivative, push: L = base (rate gains) (hold +
-    (angle gains) lean), and what a push of 1 rad/s^2 moves without a controller."""
+    """base, hold, lean, integral, derivative, sharp, push: L = base ((rate gains) (hold +
+    (angle gains) lean) + rate derivative hold); derivative and sharp are those of angle and rate,
+    push what a push of 1 rad/s^2 moves without a controller."""
     damping = plant.slopes(index)[0]
     base = math.degrees(1) * _rate_per_pwm(plant, index, s, supply_mv)
     base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
-    leak = 0.4 if plant.fusion else 0.0
-    lean = np.zeros_like(s) if index == 2 else 1 / (s + leak)
+    leak = 0.4 if plant.fusion and index < 2 else 0.0
+    lean = 1 / (s + leak)
     twice = 2 * SAMPLE_PERIOD_S
     derivative = (1 - np.exp(-twice * s)) / twice
     push = np.abs(1 / (s + damping) * (1.0 if index == 2 else lean))
+    if index == 2 and not plant.firmware.is_today:
+        lean = np.zeros_like(s)  # no heading is held
     integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
-    return base, _hold(s, SAMPLE_PERIOD_S), lean, integral, derivative, push
+    sharp = (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
+    return base, _hold(s, SAMPLE_PERIOD_S), lean, integral, derivative, sharp, push
 
 
 def _hold(s: Complex, period_s: float) -> Complex:
@@ -318,10 +345,15 @@ def _hold(s: Complex, period_s: float) -> Complex:
 
 
 def _rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
-    """rad/s of the craft per 16-bit PWM unit of the controller's output."""
+    """rad/s of the craft per unit of the controller's output, of 16-bit PWM or thrust."""
     motor = {key: float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2")}
     pole = motor["a1"] + 2 * motor["a2"] * plant.hover_rev_s
-    speed = motor["a0"] * supply_mv / 65536.0 / (s + pole)
+    if plant.firmware.is_today:
+        volts = float(plant.hover_duty(supply_mv)) * supply_mv / 1000.0
+        mv = 1000.0 * plant.firmware.volts_per_thrust(volts)
+    else:
+        mv = supply_mv / 65536.0
+    speed = motor["a0"] * mv / (s + pole)
     damping, by_speed, by_slope = plant.slopes(index)
     # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
     share = 0.5 if plant.airframe_x and index < 2 else 1.0

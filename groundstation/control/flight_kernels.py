@@ -154,6 +154,50 @@ def _rate_pid(f: Any, axis: int, error: float) -> float:
 
 
 @spliced
+def _update_today(
+    f: Any, kind: int, axis: int, error: float, measured: float, limit: float, kp: float,
+    ki: float, kd: float,
+) -> float:  # fmt: skip
+    """One PID of today's firmware: the derivative is that of what is measured, in deg or deg/s."""
+    value = min(max(f.integral[kind, axis] + error * 0.002, -limit), limit)
+    f.integral[kind, axis] = value
+    change = measured - f.previous[kind, axis]
+    if kind == 0:
+        change = _turned(change)
+    f.previous[kind, axis] = measured
+    return float(kp * error + ki * value - kd * change / 0.002)
+
+
+@spliced
+def _rate_today(f: Any, axis: int, wanted: float, measured: float) -> float:
+    output = _update_today(
+        f, 1, axis, wanted - measured, measured, f.rate_limit[axis],
+        f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
+    )  # fmt: skip
+    return min(max(output, -32767.0), 32767.0)
+
+
+@spliced
+def _turned(degrees: float) -> float:
+    """The same direction within half a turn."""
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+@spliced
+def _compensated(f: Any, thrust: float, supply_v: float) -> float:
+    """PWM (16 bits, not yet limited) by which the firmware's thrust curve gives a thrust."""
+    if thrust <= 0.0:
+        return 0.0
+    wanted, volts = thrust / 65535.0 * f.most_n, 2.0
+    c = f.curve
+    for _ in range(6):
+        value = c[0] + volts * (c[1] + volts * (c[2] + volts * c[3])) - wanted
+        slope = c[1] + volts * (2.0 * c[2] + 3.0 * volts * c[3])
+        volts = min(max(volts - value / slope, 0.0), 5.0)
+    return volts / supply_v * 65535.0
+
+
+@spliced
 def _fuse(f: Any, gyro: Any, felt: Any) -> Any:
     """The firmware's Mahony update at 250 Hz; returns its quaternion."""
     q, kept = f.quaternion, f.feedback
@@ -185,7 +229,7 @@ def cascade_run(
 
     setpoints (k, 3): roll, pitch (nose down) in rad, yaw rate (counter-clockwise) in rad/s;
     thrust (k,) 16-bit; supply (k,) mV. Fills angles (k, 3) as the firmware estimates them (rad,
-    nose down), gyro (k, 3) as it measures them (rad/s), compare (k, 4) PWM steps of 512.
+    nose down), gyro (k, 3) as it measures them (rad/s), compare (k, 4) PWM steps of 1/512.
     start: the state. fusion: the angles are the firmware's filter's, otherwise the true ones.
     ``f`` holds the firmware's state and is changed.
     """
@@ -230,7 +274,18 @@ def cascade_run(
                 q = (past[low, 0], past[low, 1], past[low, 2], past[low, 3])
                 q = quaternion.product(q, mount)
             found[0], found[1], found[2] = quaternion.angles(q)
-            # the firmware's degrees, pitch nose up
+        # the firmware's degrees, pitch nose up
+        if f.today != 0:
+            f.heading = _turned(f.heading + DEGREES * setpoints[k, 2] * period)
+            for axis in range(3):
+                sign = -1.0 if axis == 1 else 1.0
+                at_deg = sign * DEGREES * found[axis]
+                goal = f.heading if axis == 2 else sign * DEGREES * setpoints[k, axis]
+                desired[axis] = _update_today(
+                    f, 0, axis, _turned(goal - at_deg), at_deg, f.angle_limit[axis],
+                    f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
+                )  # fmt: skip
+        elif k % 2 == 0:
             for axis in range(2):
                 sign = 1.0 if axis == 0 else -1.0
                 error = sign * DEGREES * (setpoints[k, axis] - found[axis])
@@ -241,11 +296,16 @@ def cascade_run(
             desired[2] = DEGREES * setpoints[k, 2]
         for axis in range(3):
             angles[k, axis] = found[axis]
-        roll = _rate_pid(f, 0, desired[0] - DEGREES * gyro[k, 0])
-        pitch = _rate_pid(f, 1, desired[1] + DEGREES * gyro[k, 1])
-        yaw = -_rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
-        if yaw > 32767.0:
-            yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
+        if f.today != 0:
+            roll = _rate_today(f, 0, desired[0], DEGREES * gyro[k, 0])
+            pitch = _rate_today(f, 1, desired[1], -DEGREES * gyro[k, 1])
+            yaw = -_rate_today(f, 2, desired[2], DEGREES * gyro[k, 2])
+        else:
+            roll = _rate_pid(f, 0, desired[0] - DEGREES * gyro[k, 0])
+            pitch = _rate_pid(f, 1, desired[1] + DEGREES * gyro[k, 1])
+            yaw = -_rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
+            if yaw > 32767.0:
+                yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
         if airframe_x:
             roll, pitch = 0.5 * roll, 0.5 * pitch
             if f.quantised != 0:
@@ -255,8 +315,15 @@ def cascade_run(
         else:
             mixed[0], mixed[1] = pitch + yaw, -roll - yaw
             mixed[2], mixed[3] = -pitch + yaw, roll - yaw
+        beyond = 0.0
+        if f.today != 0:
+            for i in range(4):
+                mixed[i] = _compensated(f, thrust[k] + mixed[i], supply_mv[k] / 1000.0)
+                beyond = max(beyond, mixed[i] - 65535.0)
         for i in range(4):
-            steps = min(max(thrust[k] + mixed[i], 0.0), 65535.0) / 128.0
+            # today's lowers all motors together: attitude comes before thrust
+            wanted = mixed[i] - beyond if f.today != 0 else thrust[k] + mixed[i]
+            steps = min(max(wanted, 0.0), 65535.0) / 128.0
             if f.quantised != 0:
                 steps = float(int(steps))
             compare[k, i] = steps
@@ -281,6 +348,7 @@ def cascade_many(
     lean: Any,
     integral: Any,
     derivative: Any,
+    sharp: Any,
     push: Any,
     late: Any,
     fast: float,
@@ -288,6 +356,7 @@ def cascade_many(
     worst_peak: float,
     size: float,
     thrust: Any,
+    level: Any,
     supply_mv: Any,
     period: float,
     peak: Any,
@@ -295,11 +364,12 @@ def cascade_many(
     compliance: Any,
     y: Any,
 ) -> None:
-    """Judge gains (m, 5), rate kp and ki, angle kp, ki and kd, of one axis by a step of ``size``.
+    """Judge gains (m, 6), rate kp and ki, angle kp, ki and kd, rate kd, of one axis by a step of
+    ``size``; level (k,): the steps of 1/512 of full PWM that hold the hover.
 
-    The loop at n frequencies is base (rate) (hold + (angle) lean), with the responses of
-    an integral, of the angle's derivative, and of the craft to a push; fast and slow the firmware's
-    factors on integrals, late the phase of more delay. Fills
+    The loop at n frequencies is base ((rate) (hold + (angle) lean) + rate derivative hold), with
+    the responses of an integral, of the derivatives of angle and rate, and of the craft to a push;
+    fast and slow the firmware's factors on integrals, late the phase of more delay. Fills
     peak (m,), the maximum sensitivity, inf where the loop is unstable or worse than
     ``worst_peak``; effort (m,), the largest step of a motor, 0..1; compliance (m,), how far
     a push of 1 rad/s^2 moves it at worst; y (m, k), the response over
@@ -317,7 +387,7 @@ def cascade_many(
             rate = gains[m, 0] + fast * gains[m, 1] * integral[i]
             angle = gains[m, 2] + slow * gains[m, 3] * integral[i]
             angle += gains[m, 4] / slow * derivative[i]
-            loop = base[i] * rate * (hold[i] + angle * lean[i])
+            loop = base[i] * (rate * (hold[i] + angle * lean[i]) + gains[m, 5] * sharp[i] * hold[i])
             away = 1.0 + loop
             distance = away.real * away.real + away.imag * away.imag
             least = min(least, distance)
@@ -347,10 +417,11 @@ def cascade_many(
         for i in range(3):
             f.quaternion[i + 1] = 0.0
             f.feedback[i] = 0.0
-            f.rate_kp[i], f.rate_ki[i], f.rate_kd[i] = rest.rate_kp[i], rest.rate_ki[i], 0.0
-            f.angle_kp[i], f.angle_ki[i], f.angle_kd[i] = rest.angle_kp[i], rest.angle_ki[i], 0.0
-        f.quaternion[0] = 1.0
-        f.rate_kp[axis], f.rate_ki[axis] = gains[m, 0], gains[m, 1]
+            f.rate_kp[i], f.rate_ki[i] = rest.rate_kp[i], rest.rate_ki[i]
+            f.angle_kp[i], f.angle_ki[i] = rest.angle_kp[i], rest.angle_ki[i]
+            f.rate_kd[i], f.angle_kd[i] = rest.rate_kd[i], rest.angle_kd[i]
+        f.quaternion[0], f.heading = 1.0, 0.0
+        f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis] = gains[m, 0], gains[m, 1], gains[m, 5]
         f.angle_kp[axis], f.angle_ki[axis] = gains[m, 2], gains[m, 3]
         f.angle_kd[axis] = gains[m, 4]
         cascade_run(
@@ -361,5 +432,5 @@ def cascade_many(
         for k in range(rows):
             y[m, k] = (gyro[k, axis] if axis == 2 else angles[k, axis]) / size
             for i in range(4):
-                largest = max(largest, abs(compare[k, i] - thrust[k] / 128.0))
+                largest = max(largest, abs(compare[k, i] - level[k]))
         effort[m] = largest / 512.0

@@ -1,8 +1,11 @@
 """Gains in a TOML file: the thesis's form by axis, or the firmware's by parameter name.
 
-[roll]                        "pid_rate.roll_kp" = 5.1
-kp = 1.5e6                    "pid_attitude.roll_kp" = 3.2
-kd = 1.0e4
+[roll]                        firmware = "2014"
+kp = 1.5e6                    "pid_rate.roll_kp" = 5.1
+kd = 1.0e4                    "pid_attitude.roll_kp" = 3.2
+
+The names are those of both firmwares and the numbers mean other things to each: a file that names
+none holds gains of 2014's.
 """
 
 from __future__ import annotations
@@ -14,9 +17,13 @@ from typing import Any
 import msgspec
 
 from groundstation.control.firmware_loop import require_gains
+from groundstation.control.firmwares import RELEASES, Release
 from groundstation.control.pid import AXES, PidGains, require_finite
 from groundstation.documents import decode_toml, explained, read_document, seems
 from groundstation.errors import BadInputError
+
+FIRMWARE = "firmware"
+UNNAMED: Release = "2014"
 
 
 def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
@@ -26,12 +33,8 @@ def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
     no gain can be.
     """
     where = f"gains {path}"
-    content = b""
-    try:
-        content = read_document(Path(path))
-        table = decode_toml(content, dict[str, Any])
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"{where}: cannot be read: {error}{seems(content)}") from error
+    table = _read(path, where)
+    _named(table.pop(FIRMWARE, None), where)
     if not table:
         raise BadInputError(f"{where}: holds no gains")
     if any(name in table for name in AXES):
@@ -47,9 +50,40 @@ def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
     return values
 
 
-def gains_text(gains: Mapping[str, PidGains] | Mapping[str, float]) -> str:
-    """What ``load_gains`` reads back to the same numbers."""
-    lines = []
+def firmware_of_gains(path: str | Path) -> Release | None:
+    """The firmware that a file of gains is for; None where it names none.
+
+    Raises as ``load_gains``.
+    """
+    where = f"gains {path}"
+    return _named(_read(path, where).get(FIRMWARE), where)
+
+
+def require_gains_of(
+    path: str | Path, release: Release, whose: str, *, said: str | None = None
+) -> None:
+    """Raises BadInputError where a file of the firmware's gains is for another release.
+
+    whose: what flies ``release``, in words. said: the release that the user says the file is for.
+    """
+    named = firmware_of_gains(path)
+    if said is not None and named is not None and named != said:
+        raise BadInputError(f"gains {path}: for firmware {named}, --firmware says {said}")
+    if (named or said or UNNAMED) == release:
+        return
+    what = f"for firmware {named or said}"
+    if not (named or said):
+        what = f'taken for firmware {UNNAMED}, for no line says firmware = "{release}"'
+    raise BadInputError(
+        f"gains {path}: {what}; {whose} flies {release}, where the same names mean other numbers"
+    )
+
+
+def gains_text(
+    gains: Mapping[str, PidGains] | Mapping[str, float], release: Release | None = None
+) -> str:
+    """What ``load_gains`` reads back to the same numbers. release: whose gains they are."""
+    lines = [] if release is None else [f'{FIRMWARE} = "{release}"']
     for name, value in gains.items():
         if isinstance(value, PidGains):
             lines += [
@@ -59,6 +93,24 @@ def gains_text(gains: Mapping[str, PidGains] | Mapping[str, float]) -> str:
         else:
             lines.append(f'"{name}" = {value!r}')
     return "\n".join(lines) + "\n"
+
+
+def _read(path: str | Path, where: str) -> dict[str, Any]:
+    content = b""
+    try:
+        content = read_document(Path(path))
+        return decode_toml(content, dict[str, Any])
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"{where}: cannot be read: {error}{seems(content)}") from error
+
+
+def _named(value: Any, where: str) -> Release | None:
+    for release in RELEASES:
+        if value == release:
+            return release
+    if value is not None:
+        raise BadInputError(f"{where}: {FIRMWARE} is {value!r}, there are {', '.join(RELEASES)}")
+    return None
 
 
 def _of_axis(value: Any, where: str) -> PidGains:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.control.firmwares import RELEASE_2014, Firmware, firmware_of_vehicle
 from groundstation.dynamics.craft import Crafts, craft_of_model, craft_of_motors
 from groundstation.dynamics.hover import hover_duty, hover_rev_s
 from groundstation.dynamics.law import FAR_M
@@ -31,6 +32,7 @@ NUDGE_RATE, NUDGE_SPEED = 1e-3, 1e-2
 class Plant:
     """craft, sensor: records of shape (1,). hover_rev_s: rotor speed that carries the craft.
     mixer: (3, 4). fusion: the controller hears the firmware's attitude filter, not the truth.
+    firmware: whose loops fly it.
     """
 
     craft: Crafts
@@ -38,6 +40,7 @@ class Plant:
     hover_rev_s: float
     mixer: Array
     fusion: bool
+    firmware: Firmware = RELEASE_2014
 
     @property
     def start(self) -> Array:
@@ -52,6 +55,10 @@ class Plant:
     def hover_duty(self, supply_mv: ArrayLike) -> Array:
         """Duty 0..1 (k,), mean of the rotors, that holds the hover at supplies (k,) in mV."""
         return hover_duty(self.craft, self.hover_rev_s, supply_mv)
+
+    def hover_thrust(self, supply_mv: ArrayLike) -> Array:
+        """The firmware's 16-bit thrust (k,) for it."""
+        return self.firmware.thrust(self.hover_duty(supply_mv), supply_mv)
 
     def slopes(self, axis: int) -> tuple[float, float, float]:
         """Around the hover, of the angular acceleration of an axis: damping in 1/s, by the speed of
@@ -87,15 +94,17 @@ RESPONSE_S, RESPONSE_STEP_S = 0.5, 1e-4
 """Length and step of the sensors' step response."""
 
 
-def plant_of_model(model: Model, fusion: bool = True) -> Plant:
+def plant_of_model(model: Model, fusion: bool = True, release: str | None = None) -> Plant:
     """A fitted model with all its effects.
 
     fusion: the controller hears the firmware's attitude filter; otherwise the true angles.
+    release: of the firmware, None: the vehicle's.
 
-    Raises BadInputError for a model without a body.
+    Raises BadInputError for a model without a body, or a firmware that cannot fly it.
     """
-    craft, mixer = craft_of_model(model), MIXERS[model_vehicle(model).configuration]
-    return Plant(craft, sensors_of_model(model), hover_rev_s(craft), mixer, fusion)
+    vehicle, craft = model_vehicle(model), craft_of_model(model)
+    mixer, firmware = MIXERS[vehicle.configuration], firmware_of_vehicle(vehicle, release)
+    return Plant(craft, sensors_of_model(model), hover_rev_s(craft), mixer, fusion, firmware)
 
 
 def motors_of_model(model: Model) -> Plant:

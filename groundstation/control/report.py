@@ -64,7 +64,7 @@ def evaluation_page(results: Sequence[AxisResult], title: str, loop: str) -> Pag
 LOOP_NAMES = {
     "direct": "direct loop: the controller's output is u' in (rev/s)^2",
     "whole": "whole simulation (Figure 8.10): PWM, battery, motors, mixer, body, delay",
-    "firmware": "the firmware's cascaded loops, 500 Hz rates and 250 Hz angles",
+    "firmware": "the firmware's cascaded loops of angles and rates",
 }
 
 

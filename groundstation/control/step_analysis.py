@@ -257,7 +257,7 @@ def _predict(
     for edge in edges:
         row = int(np.searchsorted(grid, edge.time_s - 0.25 * SAMPLE_PERIOD_S)) - begin
         setpoints[max(row, 0) :, edge.axis] = edge.after
-    thrust = 65536.0 * duty.mean(axis=1)
+    thrust = plant.firmware.thrust(duty, supply[:, None]).mean(axis=1)
     # after the landing the motors stand still, which no model of flight explains
     thrust = np.maximum(thrust, 0.5 * np.median(thrust))
     response = run_cascade(plant, gains, setpoints, thrust[begin:], supply[begin:])

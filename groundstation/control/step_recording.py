@@ -20,11 +20,16 @@ MARGIN_NS = 200_000_000
 
 
 def analyse_recording(
-    recording: Recording, model: Model | None, gains: Mapping[str, float], client: str
+    recording: Recording,
+    model: Model | None,
+    gains: Mapping[str, float],
+    client: str,
+    release: str | None = None,
 ) -> Flown:
     """Step metrics of the programme that ``client`` flew, from its recording alone.
 
-    model: for the prediction, None for none. gains: those that were flown.
+    model: for the prediction, None for none. gains: those that were flown. release: of the
+    firmware, None: the vehicle's.
 
     Raises BadInputError where the file holds no such programme.
     """
@@ -41,8 +46,9 @@ def analyse_recording(
     samples = recording.samples
     host = samples.host_time_ns
     flying = np.flatnonzero((host >= begin - MARGIN_NS) & (host <= end + MARGIN_NS))
-    vehicle = load_vehicle("crazyflie1") if model is None else model_vehicle(model)
-    plant = None if model is None else plant_of_model(model)
+    recorded = recording.metadata.get("vehicle", {}).get("profile", "crazyflie1")
+    vehicle = load_vehicle(recorded) if model is None else model_vehicle(model)
+    plant = None if model is None else plant_of_model(model, release=release)
     return analyse(
         samples[flying], times[inside], setpoints[inside], vehicle.configuration, plant, gains
     )

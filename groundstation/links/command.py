@@ -21,7 +21,7 @@ THRUST_MOST = 60000
 ANGLE_MOST_DEG = 45.0
 YAW_RATE_MOST_DPS = 720.0
 GAIN_MOST = 1000.0
-"""No controller gain of the firmware is near this; the stock ones are below 100."""
+"""No controller gain of the firmware is near this; the largest stock one is 500."""
 SINGLE_MOST = 3.4028234e38
 """The largest number of 32 bits."""
 
@@ -51,6 +51,11 @@ class CommandLink(ABC):
         self.superseded = 0
         self.on_event: EventSink = lambda event: None
         self.on_entry: EntrySink = lambda entry: None
+
+    @property
+    def firmware(self) -> str:
+        """Whose loops the craft flies, 2014 or 2.x; empty where nothing says so."""
+        return ""
 
     @abstractmethod
     async def open(self) -> None:

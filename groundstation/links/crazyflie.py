@@ -74,6 +74,14 @@ class CrazyflieLink(CommandLink):
             await self._connection.close()
         self._enter(CommandState.CLOSED, "closed")
 
+    @property
+    def firmware(self) -> str:
+        if not self._connection.is_open:
+            return ""
+        protocol = self._connection.protocol
+        # the loops of today came between the first version that was numbered and this one
+        return "2.x" if protocol >= TODAY else "2014" if protocol < 0 else ""
+
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:
             return {}

@@ -81,10 +81,12 @@ class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The command link. client: who commands. interventions: of the dead man."""
+    """The command link. firmware: whose loops the craft flies, empty where it does not say.
+    client: who commands. interventions: of the dead man."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
+    firmware: Literal["2014", "2.x", ""]
     client: str | None
     setpoints: int
     superseded: int
@@ -120,10 +122,11 @@ class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the daemon is doing. faults: of the program, survived. turned_away: requests beyond the
+    """What the daemon is doing. vehicle: the profile that recordings name. faults: of the program, survived. turned_away: requests beyond the
     limits. statistics: of the link, None in the first second. twin: None without a model."""
 
     link: LinkStatus
+    vehicle: str
     recording: RecordingStatus
     viewer: ViewerStatus
     command: CommandStatus | None

@@ -140,6 +140,7 @@ class Commander:
             stop_s=self.limits.stop_s,
             uri=link.uri,
             state=link.state.value,
+            firmware=link.firmware,
         )
 
     def release(self, token: str) -> None:
@@ -208,6 +209,7 @@ class Commander:
         return {
             "uri": self.link.uri,
             "state": self.link.state.value,
+            "firmware": self.link.firmware,
             "client": self.client,
             "setpoints": self.setpoints,
             "superseded": self.link.superseded,

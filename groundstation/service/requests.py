@@ -64,7 +64,8 @@ class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
     """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
-    uri, state: of the command link."""
+    uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
+    it does not say."""
 
     token: str
     lease_s: float
@@ -72,6 +73,7 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     stop_s: float
     uri: str
     state: str
+    firmware: str
 
 
 class Telemetry(msgspec.Struct, frozen=True, kw_only=True):

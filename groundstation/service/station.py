@@ -272,6 +272,7 @@ class Station:
                 "lost": statistics.lost if statistics else 0,
                 "latency_ms": statistics.latency_ms if statistics else None,
             },
+            "vehicle": self._recorded["vehicle"]["profile"],
             "recording": self.recordings.status(),
             "viewer": self.viewer.status(),
             "command": self.commander.status(),

@@ -31,7 +31,8 @@ from groundstation.control.firmware_design import (
     design_cascade,
     robustness,
 )
-from groundstation.control.firmware_loop import CascadeJudge, gain_names
+from groundstation.control.firmware_loop import CascadeJudge
+from groundstation.control.firmwares import RELEASE_2014
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.linear_loop import axis_plant, is_stable
 from groundstation.control.pid import PidGains
@@ -243,13 +244,13 @@ def test_a_report_says_what_draws_do_that_are_lost_or_never_settle():
     spoiled = tried.judgements["yaw"].copy()
     spoiled[:3] = np.inf
     lost = Robustness(20, {"yaw": 17}, {"yaw": spoiled})
-    report = firmware_report(MODEL, [one], lost, cascade_limits())
+    report = firmware_report(MODEL, "2014", [one], lost, cascade_limits())
     assert report["axes"]["yaw"]["draws"]["settling_s_95"] is None
     assert "more than 5 % of them do not settle" in report["axes"]["yaw"]["notes"][-1]
     for several in (lost, Robustness(20, {"yaw": 0}, {"yaw": np.full_like(spoiled, np.inf)})):
         page = firmware_page(MODEL, "body", [one], several, report)
         assert "<svg" in page.html()
-    untried = firmware_report(MODEL, [one], None, cascade_limits())
+    untried = firmware_report(MODEL, "2014", [one], None, cascade_limits())
     assert not any("covariance" in line for line in untried["notes"])
 
 
@@ -303,4 +304,4 @@ def test_designs_are_the_same_for_a_seed():
         warnings.simplefilter("error")
         first, again = (design_direct([plant], Limits(), 1.0, 4, SMALL)[0] for _ in range(2))
     assert first == again
-    assert gain_names("yaw") == ("pid_rate.yaw_kp", "pid_rate.yaw_ki")
+    assert RELEASE_2014.gain_names("yaw") == ("pid_rate.yaw_kp", "pid_rate.yaw_ki")

@@ -11,15 +11,14 @@ from offline_flight import fly_offline
 from firmware_sim.craft import StandInSettings
 from firmware_sim.margins import loop_margins as stand_in_margins
 from groundstation.control.firmware_loop import (
-    STOCK,
     CascadeJudge,
     Quirks,
     cascade_margins,
-    gain_names,
     require_gains,
     run_cascade,
     step_response,
 )
+from groundstation.control.firmwares import RELEASE_2014
 from groundstation.control.gains_file import load_gains
 from groundstation.control.metrics import step_metrics
 from groundstation.control.plant import plant_of_model
@@ -75,7 +74,7 @@ def test_the_loop_becomes_unstable_at_its_delay_margin(gains):
     assert grows(0.0033 + 1.15 * margin)
 
 
-@pytest.mark.parametrize("vehicle", ["crazyflie1", "crazyflie21"])
+@pytest.mark.parametrize("vehicle", ["crazyflie1", "crazyflie21", "crazyflie21plus", "brushless"])
 @pytest.mark.parametrize("axis", ["roll", "yaw"])
 def test_crossover_and_phase_are_those_the_stand_in_knows(vehicle, axis):
     ours = cascade_margins(plant_of_model(late_model(vehicle=vehicle)), {}, axis)
@@ -145,7 +144,11 @@ def test_an_integral_is_clamped_at_its_limit():
     plant.craft["inertia"] *= 1e9  # nothing turns: the error stays
     setpoints = np.zeros((3000, 3))
     setpoints[:, 0] = 0.4
-    gains = {**dict.fromkeys(STOCK, 0.0), "pid_rate.roll_kp": 1.0, "pid_attitude.roll_ki": 10.0}
+    gains = {
+        **dict.fromkeys(RELEASE_2014.stock, 0.0),
+        "pid_rate.roll_kp": 1.0,
+        "pid_attitude.roll_ki": 10.0,
+    }
     pwm = run_cascade(plant, gains, setpoints, 30000.0).pwm
     output = 128 * (pwm[:, 3] - pwm[:, 1]) / 2
     assert output[-1] == pytest.approx(10.0 * 20.0)
@@ -171,7 +174,7 @@ def test_many_gains_are_judged_as_each_alone():
     ):
         judged = CascadeJudge([plant], axis, 1.5)(np.array(table))
         for row, values in zip(judged, table, strict=True):
-            gains = dict(zip(gain_names(axis), values, strict=True))
+            gains = dict(zip(RELEASE_2014.gain_names(axis), values, strict=True))
             alone = step_metrics(step_response(plant, gains, axis), TS)
             assert row[0] == pytest.approx(alone.rms, rel=1e-6)
             assert row[2] == pytest.approx(alone.settling_s)
