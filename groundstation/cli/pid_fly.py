@@ -224,8 +224,12 @@ def _flight(
             aborted, motors, stopped = "an unforeseen error", "", False
             try:
                 _write(pilot, changed)
-                details = {"programme": programme.as_dict(), "gains": wanted, "saved": saved}
-                details["firmware"] = release
+                details = {
+                    "programme": programme.as_dict(),
+                    "gains": wanted,
+                    "saved": saved,
+                    "firmware": release,
+                }
                 pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
                 say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
                 aborted = fly_programme(pilot, programme, sticks)

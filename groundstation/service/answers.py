@@ -122,8 +122,9 @@ class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the daemon is doing. vehicle: the profile that recordings name. faults: of the program, survived. turned_away: requests beyond the
-    limits. statistics: of the link, None in the first second. twin: None without a model."""
+    """What the daemon is doing. vehicle: the profile that recordings name. faults: of the program,
+    survived. turned_away: requests beyond the limits. statistics: of the link, None in the first
+    second. twin: None without a model."""
 
     link: LinkStatus
     vehicle: str

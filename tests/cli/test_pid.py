@@ -176,5 +176,5 @@ def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeyp
 def test_a_flight_that_cannot_be_measured_says_where_it_is_recorded():
     recording = str(sorted(RECORDINGS.glob("*.mcap"))[0])
     with pytest.raises(BadInputError, match=r"not measured: .* no whole programme") as refusal:
-        _judge({"recording": recording, "gains": {}}, Programme(), None, None, False)
+        _judge({"recording": recording, "gains": {}, "firmware": "2014"}, Programme(), None, None, False)
     assert f"recorded to {recording}" in str(refusal.value)

@@ -20,6 +20,9 @@ def fly_offline(settings, programme, jitter_s=0.0):
     start = 4.0
     packets, heard = craft.advance(start)
     parts = [(packets, heard)]
+    # today's firmware takes thrust only from who was armed and has sent zero once
+    craft.arm(True)
+    craft.command(0.0, 0.0, 0.0, 0)
     level = np.zeros((round(TAKE_OFF_S / TICK_S), 3))
     table = np.vstack([level, programme.setpoints()])
     times = start + TICK_S * np.arange(len(table)) + late.uniform(0, jitter_s, len(table))
