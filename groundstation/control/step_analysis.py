@@ -8,6 +8,7 @@ the measured motion has no part in it. Both are then cut and averaged alike.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -99,7 +100,8 @@ class FlownAxis:
 @dataclass(frozen=True, slots=True)
 class Flown:
     """axes that were moved. delay_s: from sending a setpoint to its effect, median; spread_s:
-    the middle half of it. found: edges whose effect was seen in the motors, of edges."""
+    the middle half of it. found: edges whose effect was seen in the motors, of
+    edges that show there."""
 
     axes: tuple[FlownAxis, ...]
     delay_s: float
@@ -133,16 +135,21 @@ def analyse(
     configuration: Configuration = "plus",
     plant: Plant | None = None,
     gains: Mapping[str, float] | None = None,
+    holds_heading: bool = False,
 ) -> Flown:
     """Metrics of a flown programme, beside the prediction where a plant and its gains are given.
 
-    samples: of one segment. times_ns, setpoints: as ``setpoint_table`` gives them.
+    samples: of one segment. times_ns, setpoints: as ``setpoint_table`` gives them. holds_heading:
+    a yaw setpoint turns the heading that the firmware holds, as today's does: no edge of it shows
+    in the motors.
 
     Raises BadInputError where there is no telemetry of the setpoints, or no edge among them.
     """
     grid, measured, duty, supply = _on_grid(samples)
     sent = _device_times(samples, times_ns)
-    edges, delay, spread, found = _effective(grid, duty, sent, setpoints, configuration)
+    edges, delay, spread, found, visible = _effective(
+        grid, duty, sent, setpoints, MIXERS[configuration][: 2 if holds_heading else 3]
+    )
     if not edges:
         raise BadInputError("the setpoints of this flight never change: nothing to measure")
     predicted = None
@@ -161,7 +168,7 @@ def analyse(
         model, _ = _average(grid, predicted[:, index], own)
         metrics = step_metrics(model * step, SAMPLE_PERIOD_S, step)
         axes.append(FlownAxis(axis, len(own), step, flown, response, metrics, model))
-    return Flown(tuple(axes), delay, spread, found, len(edges))
+    return Flown(tuple(axes), delay, spread, found, visible)
 
 
 def _on_grid(samples: SampleBatch) -> tuple[Array, Array, Array, Array]:
@@ -196,13 +203,15 @@ def _device_times(samples: SampleBatch, times_ns: NDArray[np.int64]) -> Array:
 
 
 def _effective(
-    grid: Array, duty: Array, sent: Array, setpoints: Array, configuration: Configuration
-) -> tuple[list[Edge], float, float, int]:
-    """Edges at the device times of their effect, the usual delay, its spread, how many were seen.
+    grid: Array, duty: Array, sent: Array, setpoints: Array, shown: Array
+) -> tuple[list[Edge], float, float, int, int]:
+    """Edges at the device times of their effect, the usual delay, its spread, how many were seen
+    and how many could be.
 
-    A row's motors were computed one row earlier: there the setpoint acts.
+    shown: rows of the mixer (a, 4) of the axes whose edges show in the motors; another's take the
+    usual delay. A row's motors were computed one row earlier: there the setpoint acts.
     """
-    output = duty @ MIXERS[configuration].T
+    output = duty @ shown.T
     jumps = np.diff(output, axis=0, prepend=output[:1])
     changes: list[tuple[int, int]] = []  # (row of setpoints, axis)
     for axis in range(3):
@@ -214,6 +223,10 @@ def _effective(
     room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
     delays, clear = [], []
     for (row, axis), before, after in zip(changes, room[:-1], room[1:], strict=True):
+        if axis >= len(shown):
+            delays.append(math.nan)
+            clear.append(False)
+            continue
         sign = np.sign(setpoints[row, axis] - setpoints[row - 1, axis])
         low = np.searchsorted(grid, sent[row] + max(EARLIEST_S, -before))
         high = np.searchsorted(grid, sent[row] + min(LATEST_S, after))
@@ -223,9 +236,12 @@ def _effective(
         delays.append(grid[strongest - 1] - sent[row])
         clear.append(sign * jumps[strongest, axis] > CLEAR * noise[axis])
     if not delays:
-        return [], 0.0, 0.0, 0
-    usual = float(np.median(delays))
-    spread = float(np.subtract(*np.percentile(delays, [75, 25])))
+        return [], 0.0, 0.0, 0, 0
+    usual, spread = 0.0, 0.0
+    seen = [delay for delay in delays if math.isfinite(delay)]
+    if seen:
+        usual = float(np.median(seen))
+        spread = float(np.subtract(*np.percentile(seen, [75, 25])))
     near = [
         bool(stands_out or abs(delay - usual) <= APART_S)
         for delay, stands_out in zip(delays, clear, strict=True)
@@ -239,7 +255,7 @@ def _effective(
         Edge(axis, float(start), setpoints[row - 1, axis], setpoints[row, axis], float(end))
         for (row, axis), start, end in zip(changes, starts, ends, strict=True)
     ]
-    return edges, usual, spread, sum(near)
+    return edges, usual, spread, sum(near), len(seen)
 
 
 def _predict(

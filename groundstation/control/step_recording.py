@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.plant import plant_of_model
 from groundstation.control.step_analysis import Flown, analyse, setpoint_table
 from groundstation.dynamics.model import Model, model_vehicle
@@ -50,5 +51,11 @@ def analyse_recording(
     vehicle = load_vehicle(recorded) if model is None else model_vehicle(model)
     plant = None if model is None else plant_of_model(model, release=release)
     return analyse(
-        samples[flying], times[inside], setpoints[inside], vehicle.configuration, plant, gains
+        samples[flying],
+        times[inside],
+        setpoints[inside],
+        vehicle.configuration,
+        plant,
+        gains,
+        firmware_of_vehicle(vehicle, release).is_today,
     )

@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 from groundstation.cli.app import app
 from groundstation.cli.pid_fly import _judge
 from groundstation.control.programme import Programme
+from groundstation.dynamics.model import save_model, vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 
 DATA = Path(__file__).parents[1] / "control" / "data"
@@ -63,6 +65,24 @@ def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
         assert one["settling_s"] < 0.6 * other["settling_s"]
     assert "<svg" in page.read_text()
     assert "roll" in pid("evaluate", "--model", BODY)
+
+
+def test_todays_craft_is_evaluated_on_todays_loops_and_takes_no_gains_of_2014(tmp_path):
+    model = tmp_path / "today.json"
+    save_model(vehicle_model(BUILT_IN["crazyflie21"]), model)
+    stock = json.loads(pid("evaluate", "--model", model, "--json"))
+    assert stock["firmware"] == "2.x"
+    assert stock["axes"]["roll"]["gains"]["pid_rate.roll_kp"] == 250.0
+    older = json.loads(pid("evaluate", "--model", model, "--firmware", "2014", "--json"))
+    assert older["axes"]["roll"]["gains"]["pid_rate.roll_kp"] == 70.0
+    with pytest.raises(BadInputError, match="taken for firmware 2014"):
+        pid("evaluate", "--model", model, "--gains", GAINS)
+    gains = tmp_path / "gains.toml"
+    gains.write_text('firmware = "2.x"\n"pid_rate.roll_kp" = 200.0\n')
+    ours = json.loads(pid("evaluate", "--model", model, "--gains", gains, "--json"))
+    assert ours["axes"]["roll"]["gains"]["pid_rate.roll_kp"] == 200.0
+    with pytest.raises(BadInputError, match=r"for firmware 2\.x; the craft of .* flies 2014"):
+        pid("evaluate", "--model", BODY, "--gains", gains)
 
 
 def test_every_effect_of_a_model_flies_in_the_loop(tmp_path):
@@ -124,6 +144,9 @@ def test_a_design_is_written_explained_and_never_overwritten(tmp_path):
         (("evaluate", "--model", "thesis", "--loop", "direct"), "needs gains by axis"),
         (("evaluate", "--model", BODY, "--gains", GAINS, "--loop", "whole"), "needs gains by axis"),
         (("evaluate", "--model", BODY, "--delay", "3"), "model's dead time"),
+        (("evaluate", "--model", BODY, "--firmware", "3.x"), "--firmware 3.x: there are 2014, 2.x"),
+        (("evaluate", "--model", BODY, "--firmware", "2.x"), "crazyflie1 is a plus"),
+        (("fly", "--firmware", "betaflight"), "there are 2014, 2.x"),
         (("evaluate", "--seconds", "0"), "must be 0.1..60"),
         (("evaluate", "--model", "absent.json"), "no such file"),
         (("evaluate", "--gains", "absent.toml"), "cannot be read"),
@@ -176,5 +199,11 @@ def test_a_dry_run_shows_the_programme_and_reaches_for_nothing(tmp_path, monkeyp
 def test_a_flight_that_cannot_be_measured_says_where_it_is_recorded():
     recording = str(sorted(RECORDINGS.glob("*.mcap"))[0])
     with pytest.raises(BadInputError, match=r"not measured: .* no whole programme") as refusal:
-        _judge({"recording": recording, "gains": {}, "firmware": "2014"}, Programme(), None, None, False)
+        _judge(
+            {"recording": recording, "gains": {}, "firmware": "2014"},
+            Programme(),
+            None,
+            None,
+            False,
+        )
     assert f"recorded to {recording}" in str(refusal.value)

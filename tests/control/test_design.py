@@ -31,15 +31,22 @@ from groundstation.control.firmware_design import (
     design_cascade,
     robustness,
 )
-from groundstation.control.firmware_loop import CascadeJudge
-from groundstation.control.firmwares import RELEASE_2014
-from groundstation.control.gains_file import gains_text, load_gains
+from groundstation.control.firmware_loop import CascadeJudge, cascade_margins, step_response
+from groundstation.control.firmwares import PLATFORMS, RELEASE_2014
+from groundstation.control.gains_file import (
+    firmware_of_gains,
+    gains_text,
+    load_gains,
+    require_gains_of,
+)
 from groundstation.control.linear_loop import axis_plant, is_stable
+from groundstation.control.metrics import step_metrics
 from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.search import Budget, pareto_front
 from groundstation.control.uncertainty import corners, draws, moved, require_certain
-from groundstation.dynamics.model import THESIS, load_model, save_model
+from groundstation.dynamics.model import THESIS, load_model, save_model, vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
@@ -272,6 +279,9 @@ def test_gains_survive_their_file(tmp_path):
     path.write_text(gains_text(firmware))
     assert load_gains(path) == firmware
     thesis = {"roll": PidGains(1.5e6, 0.0, 10200.0), "yaw": PidGains(1 / 7)}
+    path.write_text(gains_text(firmware, "2.x"))
+    assert load_gains(path) == firmware
+    assert firmware_of_gains(path) == "2.x"
     path.write_text(gains_text(thesis))
     assert load_gains(path) == thesis
 
@@ -305,3 +315,33 @@ def test_designs_are_the_same_for_a_seed():
         first, again = (design_direct([plant], Limits(), 1.0, 4, SMALL)[0] for _ in range(2))
     assert first == again
     assert RELEASE_2014.gain_names("yaw") == ("pid_rate.yaw_kp", "pid_rate.yaw_ki")
+
+
+@pytest.mark.parametrize(
+    ("line", "said", "complaint"),
+    [
+        ("", None, "taken for firmware 2014, for no line says firmware"),
+        ('firmware = "2014"\n', None, "for firmware 2014; the craft flies 2.x"),
+        ('firmware = "2014"\n', "2.x", "--firmware says 2.x"),
+        ('firmware = "betaflight"\n', None, "firmware is 'betaflight', there are 2014, 2.x"),
+    ],
+)
+def test_gains_of_one_firmware_are_not_for_another(tmp_path, line, said, complaint):
+    path = tmp_path / "gains.toml"
+    path.write_text(line + '"pid_rate.roll_kp" = 70.0\n')
+    with pytest.raises(BadInputError, match=complaint) as refusal:
+        require_gains_of(path, "2.x", "the craft", said=said)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_design_for_todays_firmware_keeps_its_limits_on_todays_loops():
+    model = vehicle_model(BUILT_IN["crazyflie21"])
+    (one,) = design_cascade(model, ["roll"], cascade_limits(), budget=SMALL)
+    assert tuple(one.gains) == PLATFORMS["crazyflie21"].gain_names("roll")
+    plant = plant_of_model(model)
+    assert cascade_margins(plant, one.gains, "roll").max_sensitivity < 2.0
+    y = step_response(plant, one.gains, "roll", WINDOW_S)
+    assert (
+        step_metrics(y, 0.002).settling_s
+        < step_metrics(step_response(plant, {}, "roll", WINDOW_S), 0.002).settling_s
+    )

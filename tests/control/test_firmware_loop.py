@@ -18,7 +18,7 @@ from groundstation.control.firmware_loop import (
     run_cascade,
     step_response,
 )
-from groundstation.control.firmwares import RELEASE_2014
+from groundstation.control.firmwares import PLATFORMS, RELEASE_2014
 from groundstation.control.gains_file import load_gains
 from groundstation.control.metrics import step_metrics
 from groundstation.control.plant import plant_of_model
@@ -102,6 +102,54 @@ def test_a_flight_of_the_stand_in_goes_as_predicted():
     assert {one.axis: one.apart for one in late.axes} == {"roll": [], "pitch": [], "yaw": []}
 
 
+@pytest.mark.parametrize("craft", PLATFORMS)
+def test_stock_gains_fly_todays_craft_as_predicted(craft):
+    """Attitude setpoints at today's loops, mixer and battery compensation, written apart."""
+    settings = StandInSettings(
+        craft=craft, plant="reduced", program="wait", altitude_hold=True, seed=1
+    )
+    samples, sent, setpoints, _ = fly_offline(settings, Programme(repeats=2), jitter_s=0.003)
+    plant = plant_of_model(vehicle_model(BUILT_IN[craft]), fusion=False)
+    flown = analyse(samples, sent, setpoints, "x", plant, {}, holds_heading=True)
+    assert {one.axis: one.apart for one in flown.axes} == {"roll": [], "pitch": [], "yaw": []}
+    for one in flown.axes:
+        # 3 ms of the steepest rise: how late a setpoint was
+        np.testing.assert_allclose(one.response, one.predicted_response, atol=0.05)
+    assert flown.found == flown.edges == 12
+    brisk = {"pid_attitude.roll_kp": 9.0, "pid_attitude.yaw_kp": 9.0}
+    other = analyse(samples, sent, setpoints, "x", plant, brisk, holds_heading=True)
+    assert [bool(one.apart) for one in other.axes] == [True, False, True]
+
+
+def test_todays_loop_becomes_unstable_at_its_delay_margin():
+    """Roll's, which is the shortest: a delay is that of all axes."""
+    plant = plant_of_model(late_model(vehicle="crazyflie21"))
+    margin = cascade_margins(plant, {}, "roll").delay_s
+
+    def grows(delay_s):
+        y = step_response(late(plant, delay_s), {}, "roll", 8.0)
+        swings = [np.ptp(part) for part in np.split(y[1000:], 3)]
+        return swings[2] > swings[1]
+
+    assert not grows(0.0033 + 0.85 * margin)
+    assert grows(0.0033 + 1.15 * margin)
+
+
+def test_the_battery_does_not_change_todays_loops_and_changes_those_of_2014():
+    model = late_model(vehicle="crazyflie21")
+    apart = {}
+    for release in ("2014", "2.x"):
+        plant = plant_of_model(model, release=release)
+        full, empty = (step_response(plant, {}, "roll", 1.0, mv) for mv in (4100.0, 3300.0))
+        apart[release] = abs(full - empty).max()
+    assert apart["2.x"] < 0.002 < 0.02 < apart["2014"]
+
+
+def test_a_plus_is_not_flown_by_todays_firmware():
+    with pytest.raises(BadInputError, match="crazyflie1 is a plus"):
+        plant_of_model(late_model(), release="2.x")
+
+
 def test_a_wrong_model_is_told_by_its_flight():
     gains = load_gains(DATA / "gains.toml")
     settings = StandInSettings(program="wait", altitude_hold=True, gains=gains, seed=3)
@@ -167,14 +215,17 @@ def test_quantised_pwm_is_what_512_steps_leave():
 
 
 def test_many_gains_are_judged_as_each_alone():
-    plant = plant_of_model(late_model())
-    for axis, table in (
-        ("roll", [[15.0, 3.0, 1.0, 0.0], [4.0, 3.0, 2.0, 0.3]]),
-        ("yaw", [[50.0, 25.0]]),
-    ):
+    table_of = {
+        ("crazyflie1", "roll"): [[15.0, 3.0, 1.0, 0.0], [4.0, 3.0, 2.0, 0.3]],
+        ("crazyflie1", "yaw"): [[50.0, 25.0]],
+        ("crazyflie21", "roll"): [[250.0, 500.0, 2.5, 6.0, 3.0], [120.0, 50.0, 4.0, 8.0, 1.0]],
+        ("brushless", "yaw"): [[120.0, 16.7, 6.0, 1.0], [200.0, 20.0, 4.0, 0.5]],
+    }
+    for (vehicle, axis), table in table_of.items():
+        plant = plant_of_model(late_model(vehicle=vehicle))
         judged = CascadeJudge([plant], axis, 1.5)(np.array(table))
         for row, values in zip(judged, table, strict=True):
-            gains = dict(zip(RELEASE_2014.gain_names(axis), values, strict=True))
+            gains = dict(zip(plant.firmware.gain_names(axis), values, strict=True))
             alone = step_metrics(step_response(plant, gains, axis), TS)
             assert row[0] == pytest.approx(alone.rms, rel=1e-6)
             assert row[2] == pytest.approx(alone.settling_s)
