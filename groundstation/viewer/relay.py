@@ -33,6 +33,11 @@ PIECE = 1 << 18
 _CONNECTIONS = Path("/proc/self/net/tcp")
 """The kernel's table: ends of each connection, its state, whose it is."""
 _ESTABLISHED = "01"
+PINGS_MOST = 8
+"""Unanswered, one in each round of watching, after which a native viewer has stopped: HTTP/2 holds
+its data back at the server, so that nothing waits here."""
+_PING = b"\0\0\x08\x06\0\0\0\0\0relay up"
+_FRAME_HEAD = 9
 _HTTP2 = b"PRI * HTTP/2.0\r\n"
 _HOSTS = ("127.0.0.1", "localhost", "[::1]")
 
@@ -64,7 +69,9 @@ class Relay:
                 return
             there, beyond = await asyncio.open_connection(*self._upstream)
             beyond.write(head)
-            up = asyncio.create_task(_copy_up(reader, beyond))
+            if head == _HTTP2:
+                self._clients[writer].frames = _Frames()
+            up = asyncio.create_task(self._copy_up(reader, beyond, self._clients[writer]))
             down = asyncio.create_task(self._copy_down(there, writer))
             await asyncio.wait({up, down}, return_when=asyncio.FIRST_COMPLETED)
             for task in (up, down):
@@ -89,6 +96,12 @@ class Relay:
             for client, progress in self._clients.items():
                 if progress.stalled_s(now_s, waiting[client]) > STALL_S:
                     self._drop(client, f"it took nothing for {STALL_S:g} s")
+                elif progress.pings >= PINGS_MOST:
+                    self._drop(client, "it does not answer")
+                elif progress.frames is not None and progress.frames.between:
+                    client.write(_PING)
+                    progress.pings += 1
+                    progress.written += len(_PING)
             if sum(waiting.values()) > WAITING_MOST:
                 self._drop(max(waiting, key=waiting.__getitem__), "it is too slow")
 
@@ -122,8 +135,20 @@ class Relay:
 
     async def _copy_down(self, there: asyncio.StreamReader, client: asyncio.StreamWriter) -> None:
         while data := await there.read(PIECE):
-            self._clients[client].written += len(data)
+            progress = self._clients[client]
+            progress.written += len(data)
+            if progress.frames is not None:
+                progress.frames.feed(data)
             client.write(data)  # never waited for: that would hold up the server
+
+    async def _copy_up(
+        self, reader: asyncio.StreamReader, beyond: asyncio.StreamWriter, progress: _Progress
+    ) -> None:
+        with contextlib.suppress(ConnectionError):
+            while data := await reader.read(PIECE):
+                progress.pings = 0
+                beyond.write(data)
+                await beyond.drain()
 
     def _drop(self, client: asyncio.StreamWriter, why: str) -> None:
         client.transport.abort()
@@ -134,6 +159,30 @@ class Relay:
         if now_s - self._told.get(text, -TELL_S) >= TELL_S:
             self._told = {text: now_s, **dict(list(self._told.items())[:10])}
             print(text, file=sys.stderr, flush=True)
+
+
+class _Frames:
+    """Follows a server's HTTP/2 frames. between: a frame of ours may be put in now."""
+
+    def __init__(self) -> None:
+        self.between = False
+        self._head = bytearray()
+        self._left = 0  # bytes of the present frame still to come
+
+    def feed(self, data: bytes) -> None:
+        at = 0
+        while at < len(data):
+            if self._left:
+                taken = min(self._left, len(data) - at)
+                self._left -= taken
+            else:
+                taken = min(_FRAME_HEAD - len(self._head), len(data) - at)
+                self._head += data[at : at + taken]
+                if len(self._head) == _FRAME_HEAD:
+                    self._left = int.from_bytes(self._head[:3], "big")
+                    self._head.clear()
+            at += taken
+        self.between = not self._left and not self._head
 
 
 def _stranger(writer: asyncio.StreamWriter) -> str | None:
@@ -159,10 +208,13 @@ def _in_table(address: tuple[str, int]) -> str:
 
 
 class _Progress:
-    """written: bytes so far for one client, taken or not."""
+    """written: bytes so far for one client, taken or not. frames: of a native viewer. pings: since
+    anything was heard of it."""
 
     def __init__(self) -> None:
         self.written = 0
+        self.frames: _Frames | None = None
+        self.pings = 0
         self._taken = 0
         self._moved_s = time.monotonic()
 
@@ -171,13 +223,6 @@ class _Progress:
         if not waiting or self.written - waiting != self._taken:
             self._taken, self._moved_s = self.written - waiting, now_s
         return now_s - self._moved_s
-
-
-async def _copy_up(reader: asyncio.StreamReader, beyond: asyncio.StreamWriter) -> None:
-    with contextlib.suppress(ConnectionError):
-        while data := await reader.read(PIECE):
-            beyond.write(data)
-            await beyond.drain()
 
 
 async def relay(live: socket.socket, web: socket.socket, upstream: str, *ports: int) -> None:

@@ -6,6 +6,7 @@ import http.client
 import os
 import socket
 import sys
+import threading
 
 import pytest
 from programs import run_program
@@ -206,6 +207,84 @@ def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
         ]  # fmt: skip
 
     assert asyncio.run(session()) == [200, 200, 403]
+
+
+def native(port):
+    """The beginning of what a native viewer says: HTTP/2, and a request for all messages."""
+
+    def frame(kind, flags, stream, body):
+        head = len(body).to_bytes(3, "big") + bytes([kind, flags]) + stream.to_bytes(4, "big")
+        return head + body
+
+    def field(name, value):
+        return bytes([*name, len(value)]) + value
+
+    path = b"/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
+    head = b"\x83\x86" + field([0x04], path) + field([0x01], b"127.0.0.1")
+    head += field([0x0F, 0x10], b"application/grpc") + field([0x00, 2, *b"te"], b"trailers")
+    peer = socket.create_connection(("127.0.0.1", port), timeout=20)
+    peer.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + frame(4, 0, 0, b""))
+    peer.sendall(frame(1, 4, 1, head) + frame(0, 1, 1, bytes(5)))
+    return peer
+
+
+def exactly(peer, count):
+    data = b""
+    while len(data) < count:
+        if not (part := peer.recv(count - len(data))):
+            raise ConnectionResetError
+        data += part
+    return data
+
+
+def answered(peer, ended):
+    """A viewer that lives: reads frames and answers each ping, until ``ended`` or it is dropped;
+    the kinds of the frames."""
+    kinds = []
+    while not ended.is_set():
+        head = exactly(peer, 9)
+        body = exactly(peer, int.from_bytes(head[:3], "big"))
+        kinds.append(head[3])
+        if head[3] == 6 and not head[4]:
+            peer.sendall(head[:4] + b"\x01" + head[5:] + body)
+    return kinds
+
+
+def test_a_native_viewer_that_has_stopped_is_dropped_and_one_that_lives_is_not():
+    """Through the real server: SIGSTOP, a hung connection, a laptop that was closed."""
+    from groundstation.viewer.viewer import Viewer, ViewerMode, free_port
+
+    told, ended = [], threading.Event()
+
+    async def session():
+        port, web_port = free_port("127.0.0.1"), free_port("127.0.0.1")
+        viewer = Viewer(
+            ViewerMode.SERVE, port=port, web_port=web_port,
+            on_event=lambda kind, text: told.append(text),
+        )  # fmt: skip
+        await viewer.start()
+        try:
+            while viewer.status()["state"] != "serving":
+                await asyncio.sleep(0.02)
+            with native(port) as stopped, native(port) as living:
+                reading = asyncio.create_task(asyncio.to_thread(answered, living, ended))
+                while not any("dropped" in text for text in told):
+                    await asyncio.sleep(0.05)
+                ended.set()
+                kinds = await reading
+                with pytest.raises(ConnectionResetError):
+                    exactly(stopped, 1 << 30)
+            return kinds, viewer.status()["restarts"]
+        finally:
+            await viewer.stop()
+
+    kinds, restarts = asyncio.run(session())
+    assert [text for text in told if "dropped" in text] == [
+        "a viewer was dropped: it does not answer; reload it"
+    ]
+    assert {0, 1, 6} <= set(kinds), "messages, their head, pings"
+    assert 7 not in kinds, "the server never hangs up"
+    assert restarts == 0
 
 
 def test_a_server_that_takes_no_data_is_begun_anew_and_not_only_its_feed(monkeypatch, capsys):
