@@ -40,6 +40,8 @@ WELL_KNOWN, UNKNOWN = 0.10, 0.60
 """Predicted or final standard error over the value from which a parameter is worth a warning,
 and from which a fit is refused."""
 ALIKE = 0.995
+CLEAR = 2.0
+"""Standard errors from which a delay is told from none."""
 ROUNDS = 4
 SETTLED = 1e-3
 """Rounds end when no more than this share of the readings changes sides."""
@@ -160,6 +162,21 @@ def simulate_run(
     model = np.full(len(run.rev_s), np.nan)
     model[np.isfinite(run.rev_s)] = problem.compare(theta)[0][1]
     return model
+
+
+def delay_in_words(estimates: Estimates) -> str:
+    """What the estimated delay of the readings says: readings cannot be ahead of what they show."""
+    value = estimates["delay_s"]
+    error = float(estimates.stderr[estimates.names.index("delay_s")])
+    if value > CLEAR * error:
+        return f"the readings are {1e3 * value:.2g} ms late, beyond their own age"
+    most = f"less than {1e3 * (max(value, 0.0) + CLEAR * error):.2g} ms, if any"
+    if value >= -CLEAR * error:
+        return f"delay_s: no delay of the readings can be told ({most})"
+    return (
+        f"delay_s would put the readings {-1e3 * value:.2g} ms ahead of what they show: stamps or"
+        " voltage are late in the recording, or something else is missing"
+    )
 
 
 def validate_motor(

@@ -27,6 +27,7 @@ from groundstation.identification.fit_record import (
 from groundstation.identification.motor.figures import motor_pictures
 from groundstation.identification.motor.fit import (
     bench_run,
+    delay_in_words,
     fit_motor,
     simulate_run,
     validate_motor,
@@ -129,6 +130,7 @@ def identify_motor(
         "supply": [
             {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
         ],
+        "findings": [delay_in_words(fit.estimates)],
         "warnings": [*judged.lines, *fit.warnings, *([SUPPLY_DOUBT] if supplied else [])],
     }
     model = msgspec.structs.replace(

@@ -12,6 +12,7 @@ from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstant
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.fit import (
     bench_run,
+    delay_in_words,
     fit_motor,
     simulate_run,
     validate_motor,
@@ -296,3 +297,13 @@ def test_a_load_that_seems_to_shrink_with_speed_is_a_motor_of_first_order():
     assert fit.motor.a2 == 0.0
     assert fit.motor.a1 > 0
     assert any("a motor of first order" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [(0, "no delay of the readings can be told (less than"), (2, "ms late"), (-2, "ms ahead of")],
+)
+def test_a_delay_that_cannot_be_is_said_in_words(rows, said):
+    run = made_run(THESIS_MOTOR)
+    moved = replace(run, rev_s=np.roll(run.rev_s, rows))
+    assert said in delay_in_words(fit_motor([moved]).estimates)
