@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
+from groundstation.dynamics.vehicle import load_vehicle
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 FLIGHT = str(RECORDINGS / "nanobench_figure8.mcap")
@@ -47,6 +48,25 @@ def test_rates_of_the_flight_held_out_are_foretold_50_ms_ahead(fitted):
     assert judged["gyro_pitch_fit_percent_50ms"] > 45
     assert judged["gyro_roll_fit_percent_20ms"] > 75
     assert judged["gyro_pitch_fit_percent_20ms"] > 75
+
+
+def test_the_two_flights_agree_within_their_stated_intervals(fitted, tmp_path):
+    """Fitted apart, on other days and paths; the likelihood alone states 2 to 3 %."""
+    other = tmp_path / "trefoil.json"
+    said("fit", "body", HELD.removeprefix("--validate="), f"--validate={FLIGHT}", "-o", str(other))
+    fits = [json.loads(path.read_text())["fit"]["body"]["estimates"] for path in (fitted, other)]
+    for name in ("c0", "c1"):
+        values = [one["values"][one["names"].index(name)] for one in fits]
+        errors = [one["stderr"][one["names"].index(name)] for one in fits]
+        assert abs(values[0] - values[1]) < 1.96 * (errors[0] ** 2 + errors[1] ** 2) ** 0.5
+        assert max(errors) < 0.2 * min(values)
+
+
+def test_a_figure_of_eight_does_not_tell_the_drag_of_the_rotors(fitted):
+    """The craft hardly turns about yaw: c2 is ten times as large by one band as by another."""
+    model = json.loads(fitted.read_text())
+    assert "band of frequencies" in model["fit"]["body"]["not_identified"]["c2"]
+    assert model["body"]["c2"] == load_vehicle("crazyflie21").body_constants[2]
 
 
 @pytest.mark.timeout(300)

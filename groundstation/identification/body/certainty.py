@@ -8,21 +8,22 @@ from numpy.typing import NDArray
 
 from groundstation.identification.body.setup import CONSTANTS, DELAY, Setup
 from groundstation.identification.estimate import inverse
-from groundstation.identification.likelihood.free_spectra import Band, FreeFit, reweighted
-from groundstation.identification.likelihood.residuals import value
+from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
+from groundstation.identification.likelihood.parameters import SENSOR_LAG
 
 Array = NDArray[np.float64]
 
-BANDS: tuple[Band, ...] = ((0.3, 100.0), (1.0, 60.0), (2.0, 30.0))
+BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
 YAW_BANDS = BANDS[:2]
 """Hz. A constant of the craft is the same in all of them. Above 2 Hz yaw answers to the change of
 the rotors' speeds, not to their drag."""
 BLOCK_S, LEAST_BLOCKS, LEAST_FLIGHTS = 5.0, 8, 4
 """Longer than what the spectra remember; scatter over fewer blocks says nothing."""
-LINEAR = (*CONSTANTS, "slow_moment", "rotor_acceleration_torque")
-"""Keys in which the residual is linear: re-estimated in each band."""
-MOST_VARIANCE = 4.0
-"""A band that holds less than a quarter of the information judges nothing."""
+AGAIN = (*CONSTANTS, "slow_moment", "rotor_acceleration_torque", DELAY, SENSOR_LAG)
+"""Keys that are estimated again in each band: the delay and the sensor's lag too, which the fast
+part of a flight tells, and which bend the constants."""
+TELLS = 0.2
+"""Standard error over the value from which a band judges nothing."""
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
 
@@ -30,7 +31,8 @@ BY_CHANCE = 2.5
 def certain(setup: Setup, free: FreeFit) -> tuple[Array, dict[str, float]]:
     """Covariance (p, p), and for c0, c1, c2 the largest move between bands beyond chance.
 
-    A move counts as an error of its own beside the likelihood's.
+    A move counts as an error of its own beside the likelihood's: on real flights it is about as
+    large as what disjoint flights of one craft differ by (docs/real_flights.md).
     """
     covariance = _by_blocks(setup, free, inverse(free.normal))
     moves = _moves(setup, free, covariance)
@@ -78,26 +80,27 @@ def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
 
 
 def _moves(setup: Setup, free: FreeFit, covariance: Array) -> dict[str, float]:
-    """How far c0, c1, c2 move with the band, beyond what chance does; delays stay."""
-    keys = setup.keys
-    held = np.array([key == DELAY or not key.startswith(LINEAR) for key in keys])
-    now = free.values
-    open_ = np.where(held, 0.0, np.inf)
+    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0."""
+    keys, now = setup.keys, free.values
     found = dict.fromkeys((key for key in keys if key in CONSTANTS), 0.0)
+    still = [key for key in keys if not key.startswith(AGAIN)]
     for band in BANDS:
-        low, high = -open_, open_
-        change, normal, _ = reweighted(free.linear, free.powers, low, high, band)
-        moved = free.linear.point
-        at = np.array([value(moved, key) for key in keys]) + change - now
-        inside = inverse(normal)
+        cut = setup.within(band)
+        part = fit_free(cut.linearise, free.point, cut.limits().held(keys, still, now), white=False)
+        inside = inverse(part.normal)
         for key in found:
             if key == "c2" and band not in YAW_BANDS:
                 continue
             place = keys.index(key)
-            if inside[place, place] > MOST_VARIANCE * covariance[place, place]:
+            known, there = covariance[place, place], part.values[place]
+            if inside[place, place] > (TELLS * there) ** 2:
                 continue
-            extra = max(inside[place, place] - covariance[place, place], 0.0)
-            least = 0.2 * covariance[place, place]
-            excess = abs(at[place]) - BY_CHANCE * np.sqrt(max(extra, least))
-            found[key] = max(found[key], float(excess))
-    return found
+            move = abs(there - now[place])
+            chance = BY_CHANCE * np.sqrt(max(inside[place, place] - known, 0.2 * known))
+            if move > chance:
+                found[key] = max(found[key], float(move))
+    # Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
+    # with them bends both alike, and may show in the one that is flown more.
+    alike = [key for key in ("c0", "c1") if key in found]
+    share = max(found[key] / abs(free.point[key]) for key in alike)
+    return found | {key: share * abs(free.point[key]) for key in alike}

@@ -124,6 +124,11 @@ class Setup:
             low[PACE], high[PACE], stride[PACE] = -PACE_LIMIT, PACE_LIMIT, PACE_STRIDE
         return Limits(*(np.array([one[key] for key in self.keys]) for one in (low, high, stride)))
 
+    def within(self, band: tuple[float, float]) -> Setup:
+        """The same where only a band (Hz) counts."""
+        top_hz = 0.5 / self.problem.flights[0].period_s
+        return replace(self, least_hz=band[0], most_share=min(1.0, band[1] / top_hz))
+
     def unfiltered(self) -> Setup:
         """The same for rates that have passed no filter on board."""
         problem = copy(self.problem)

@@ -23,7 +23,6 @@ from groundstation.identification.likelihood.problem import Linear
 from groundstation.identification.likelihood.spectra import Spectrum
 
 Array = NDArray[np.float64]
-Band = tuple[float, float]
 
 HALF_WIDTH_HZ, LEAST_BINS = 0.8, 4
 """Half the width of the moving mean over a periodogram, and its least number of bins to a side: the
@@ -31,7 +30,6 @@ spectrum's shape below 4 Hz is what an estimate hangs on."""
 REWEIGHTINGS, RELINEARISATIONS = 30, 8
 SETTLED = 0.02
 """Both end when nothing moves by more than this share of its standard error."""
-WHOLE: Band = (0.0, np.inf)
 WHITENER_BINS, WHITENER_ROWS = 2048, 400
 WHITENER_HALF_WIDTH_HZ, SLOW_HZ = 3.0, 6.0
 
@@ -109,23 +107,20 @@ def reweighted(
     powers: list[Array] | None,
     low: Array,
     high: Array,
-    band: Band = WHOLE,
 ) -> tuple[Array, Array, list[Array]]:
     """The step from a linearisation at which weights and residuals agree.
 
-    powers: first spectra, None: white. low, high: (p,) limits of the step. band: Hz. Returns the
-    step (p,), its information (p, p) and the spectra.
+    powers: first spectra, None: white. low, high: (p,) limits of the step. Returns the step
+    (p,), its information (p, p) and the spectra.
     """
     count = len(linear.keys)
     change = np.zeros(count)
     normal, free = np.eye(count), np.ones(count, np.bool_)
-    inside = [(s.hz >= band[0]) & (s.hz <= band[1]) for s in linear.spectra]
     powers = powers or [np.ones(len(s.hz) // 2) for s in linear.spectra]
     for _ in range(REWEIGHTINGS):
         normal, gradient = np.zeros((count, count)), np.zeros(count)
-        for s, power, rows in zip(linear.spectra, powers, inside, strict=True):
-            weight = np.where(rows, s.weight / np.tile(power, 2), 0.0)
-            scaled = s.columns * weight
+        for s, power in zip(linear.spectra, powers, strict=True):
+            scaled = s.columns * (s.weight / np.tile(power, 2))
             normal[np.ix_(s.place, s.place)] += scaled @ s.columns.T
             gradient[s.place] += scaled @ s.residual
         for row in linear.verticals:
