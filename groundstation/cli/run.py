@@ -197,7 +197,8 @@ def _require_something(station: Station) -> None:
     """A run that ended by itself and never did what it was asked to has failed."""
     troubles = {event.link: event.text for event in station.events if event.kind in _TROUBLES}
     if station.newest() is None and troubles:
-        texts = "; ".join(f"{link}: {text}" for link, text in troubles.items())
+        # many texts begin with the link's name by themselves
+        texts = "; ".join(f"{link}: {t.removeprefix(f'{link}: ')}" for link, t in troubles.items())
         raise GroundStationError(f"nothing was received: {texts}")
     command = station.config.command
     connected = any(event.link == command and event.kind == "connected" for event in station.events)

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import errno
 import io
+import logging
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -35,6 +36,8 @@ _LOG, _PLATFORM = 5, 13
 _LOG_CONTROL, _VERSION = 1, 1
 _START_V2 = 8
 _FIRMWARE, _DEVICE = 1, 2
+
+_UNHEARD = logging.NullHandler()
 
 OnValues = Callable[[int, int, tuple[float, ...]], None]
 """Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
@@ -70,6 +73,8 @@ class Connection:
             raise BadInputError(f"{uri} needs cflib: {HINT}") from error
         if not cflib.crtp.CLASSES:  # each call would add them again
             cflib.crtp.init_drivers()
+        # its warnings come to us as calls too; without a handler they are printed with tracebacks
+        logging.getLogger("cflib").addHandler(_UNHEARD)
         self.uri = uri
         self.commanded = False
         self.on_lost: list[Callable[[str], None]] = []
@@ -240,8 +245,14 @@ class Connection:
             block.error_cb.add_callback(refused)
             block.data_received_cb.add_callback(received)
             self._blocks.append(block)
-            craft.log.add_config(block)
-            block.start()
+            try:
+                craft.log.add_config(block)
+                block.start()
+            except (AttributeError, KeyError) as error:  # cflib's own limits
+                raise BadInputError(
+                    f"{self.uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
+                    " and 128 variables; ask for fewer with --log"
+                ) from error
             await self._within(started, "did not start a log block")
         await self._set_period(period_ms)
         running.set()

@@ -1,0 +1,82 @@
+"""What goes wrong before the first row of a stock craft: one line that says what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import subprocess
+import sys
+
+import pytest
+from flown_link import free_udp_port
+from programs import run_program
+from served_craft import served
+
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.crazyflie_connection import Connection
+from groundstation.links.crazyflie_log import CrazyflieTelemetry
+
+GYRO = (("gyro.x", "float"),)
+
+
+def opened(link: CrazyflieTelemetry) -> None:
+    async def session() -> None:
+        async with link:
+            pass
+
+    asyncio.run(session())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="libusb of Linux")
+def test_without_a_dongle_one_line_says_so() -> None:
+    """This machine's own bus; a dongle in use looks alike to the library."""
+    with pytest.raises(LinkError, match=r"no Crazyradio is plugged in|no craft") as refusal:
+        opened(CrazyflieTelemetry("radio://0/80/2M/E7E7E7E7E7"))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_craft_that_is_off_or_a_wrong_port_is_one_line_and_nothing_else_is_printed(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    uri = f"udp://127.0.0.1:{free_udp_port()}"
+    with pytest.raises(LinkError, match="refused: nothing serves there") as refusal:
+        opened(CrazyflieTelemetry(uri))
+    assert "\n" not in str(refusal.value)
+    assert logging.getLogger("cflib").handlers, "what it warns of would be printed as a last resort"
+    assert capfd.readouterr().err == ""
+
+
+def test_a_variable_that_the_firmware_does_not_list_is_named_with_its_neighbours() -> None:
+    with (
+        served(craft="crazyflie21", plant="reduced") as craft,
+        pytest.raises(BadInputError, match=r"--log pm\.vbatt: .* near are pm\.vbat"),
+    ):
+        opened(CrazyflieTelemetry(craft.uri, wanted=["pm.vbatt"]))
+
+
+def test_more_than_a_craft_can_log_is_refused_in_one_line() -> None:
+    async def session(uri: str) -> None:
+        connection = Connection(uri)
+        await connection.open()
+        try:
+            with pytest.raises(BadInputError, match=r"16 blocks .* fewer with --log") as refusal:
+                await connection.start_log([GYRO] * 17, 100, lambda *packet: None)
+            assert "\n" not in str(refusal.value)
+        finally:
+            await connection.close()
+
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        asyncio.run(session(craft.uri))
+
+
+def test_without_cflib_the_hint_names_this_program_and_no_strangers_package() -> None:
+    script = (
+        "import sys; sys.modules['cflib'] = None; sys.modules['cflib.crtp'] = None\n"
+        "from groundstation.links.factory import make_link\n"
+        "make_link('udp://127.0.0.1:1', speed=1.0, stand_in={})\n"
+    )
+    done = run_program([sys.executable, "-c", script], timeout=60)
+    assert isinstance(done, subprocess.CompletedProcess)
+    said = done.stderr.splitlines()[-1]
+    assert "needs cflib: install it with pip install -e '.[radio]'" in said
+    assert "groundstation[radio]" not in said
