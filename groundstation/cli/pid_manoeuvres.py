@@ -11,6 +11,7 @@ from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot
 
 if TYPE_CHECKING:
+    from groundstation.control.firmwares import Firmware
     from groundstation.control.programme import Programme
 
 HOLD_HEIGHT = "flightmode.althold"
@@ -32,6 +33,8 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
     from groundstation.control.programme import RATE_HZ, reason_to_abort
 
     table = programme.setpoints()
+    # before the flight, which nothing may hold up
+    firmware = _firmware(pilot) if isinstance(sticks, StandInPilot) else None
     clock = _Clock()
     answer: dict[str, Any] = {}
 
@@ -63,7 +66,7 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
             return reason
         clock.wait()
     pilot.mark("pid fly landing")
-    return _land(pilot, sticks, clock, answer)
+    return _land(pilot, sticks, clock, answer, firmware)
 
 
 def stop_motors(pilot: Pilot) -> str:
@@ -86,14 +89,17 @@ def stop_motors(pilot: Pilot) -> str:
     return "motors were told to stop, no telemetry shows it"
 
 
-def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> str:
+def _land(
+    pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any], firmware: Firmware | None
+) -> str:
     """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
     from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
 
-    if isinstance(sticks, StandInPilot):
+    if firmware is not None:
         if HOLD_HEIGHT in pilot.parameters():
             pilot.write({HOLD_HEIGHT: 0.0})
-        hover = _thrust(pilot, last["telemetry"])
+        said = last["telemetry"]
+        hover = float(firmware.thrust(said["motors"], 1000.0 * said["battery_v"]).mean())
         for _ in range(round(DESCENT_S * RATE_HZ)):
             answer = pilot.setpoint(0.0, 0.0, 0.0, round(DESCENT * hover))
             reason = reason_to_abort(answer, LANDING)
@@ -116,14 +122,13 @@ def _land(pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any]) -> 
         clock.wait()
 
 
-def _thrust(pilot: Pilot, telemetry: dict[str, Any]) -> float:
-    """The 16-bit thrust behind what the motors get: the firmware's own scale."""
+def _firmware(pilot: Pilot) -> Firmware:
+    """That of the craft, which knows what thrust is behind what its motors get."""
     from groundstation.control.firmwares import firmware_of_vehicle
     from groundstation.dynamics.vehicle import load_vehicle
 
     vehicle = load_vehicle(pilot.ask("GET", "/status")["vehicle"])
-    firmware = firmware_of_vehicle(vehicle, pilot.lease["firmware"] or None)
-    return float(firmware.thrust(telemetry["motors"], 1000.0 * telemetry["battery_v"]).mean())
+    return firmware_of_vehicle(vehicle, pilot.lease["firmware"] or None)
 
 
 class _Clock:

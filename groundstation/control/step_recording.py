@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.plant import plant_of_model
 from groundstation.control.step_analysis import Flown, analyse, setpoint_table
 from groundstation.dynamics.model import Model, model_vehicle
@@ -57,5 +56,5 @@ def analyse_recording(
         vehicle.configuration,
         plant,
         gains,
-        firmware_of_vehicle(vehicle, release).is_today,
+        holds_heading=(release or vehicle.firmware) == "2.x",
     )

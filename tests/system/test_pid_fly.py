@@ -102,13 +102,18 @@ class Station:
 
 
 @pytest.fixture
-def station(tmp_path, port):
+def craft():
+    return "crazyflie1"
+
+
+@pytest.fixture
+def station(tmp_path, port, craft):
     settings = tmp_path / "groundstation.toml"
     settings.write_text(
         f'command = "udp://127.0.0.1:{port}"\n'
         '[link]\nname = "stand-in"\n'
         "[stand_in]\n"
-        'program = "wait"\nseed = 3\n'
+        f'craft = "{craft}"\nprogram = "wait"\nseed = 3\n'
         f'[recording]\nfolder = "{tmp_path / "sessions"}"\nlow_space_mb = 0\n'
     )
     with Daemon(tmp_path, "--config", settings) as daemon:
@@ -303,3 +308,25 @@ def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
             roll = report["axes"]["roll"]
             assert roll["measured"]["rms"] == pytest.approx(roll["predicted"]["rms"], rel=0.2)
             assert station.gain() == pytest.approx(DESIGNED, rel=1e-6)
+
+
+@pytest.mark.parametrize("craft", ["crazyflie21"])
+def test_todays_craft_flies_its_own_gains_and_is_never_given_those_of_2014(station, tmp_path):
+    before = station.gain()
+    assert before == 250.0
+    said = require_failure(station.fly("--gains", GAINS, *ONCE))
+    assert "taken for firmware 2014" in said
+    assert "flies 2.x" in said
+    assert "a crazyflie1 flies 2014" in require_failure(station.fly("--model", BODY, *ONCE))
+    assert station.gain() == before
+    gains = tmp_path / "today.toml"
+    gains.write_text('firmware = "2.x"\n"pid_rate.roll_kp" = 200.0\n')
+    flight = station.fly("--gains", gains, "--restore", "--json", *SHORT)
+    if flight.returncode:
+        require_flown(flight.stderr)
+    report = json.loads(flight.stdout)
+    assert report["firmware"] == "2.x"
+    assert report["gains"]["pid_rate.roll_kp"] == 200.0
+    roll = report["axes"]["roll"]["measured"]
+    assert roll["overshoot_pct"] < 20.0
+    assert station.gain() == before
