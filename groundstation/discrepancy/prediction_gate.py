@@ -7,6 +7,7 @@ with which all channels together are, is taken back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -23,15 +24,20 @@ if TYPE_CHECKING:
 RAISES, LOWERS = 0.005, 0.01
 """Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
 again by so much. Noise in a gap of a minute is below 0.2 %."""
+IDLE, UNEXPLAINED = 0.2, 1.5
+"""An effect explains nothing where less than this share of the squared excess over noise goes with
+it in every channel that it touches, and these are left at so many times noise or more: then
+something else is wrong in them, of which it has taken the little that it can imitate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
     """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
-    predicted worse than by the given model."""
+    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent."""
 
     gap: float
     worse: dict[int, float]
+    gaps: tuple[float, ...] = ()
 
     @property
     def badness(self) -> tuple[float, float]:
@@ -68,6 +74,43 @@ def answer_to_predictions(search: Search, judge: Judge) -> bool:
             search.accepted.remove(option)
             search.refused[option.variant.label] = _refusal(now, left)
         search.now, now, changed = fit, left, True
+
+
+def drop_idle(search: Search, judge: Judge) -> bool:
+    """Take back, one by one, effects that explain next to nothing of channels of which much is
+    left; whether any was."""
+    changed = False
+    while True:
+        now = judge(search.now.point)
+        trials: list[tuple[float, Accepted, Fit]] = []
+        for one in search.accepted:
+            channels = [c for c in one.evidence.channels if math.isfinite(now.gaps[c])]
+            if not channels or min(now.gaps[c] for c in channels) < UNEXPLAINED:
+                continue
+            search.progress("asking predictions of held-out rows", 0.95)
+            fit = search.refit(
+                [other for other in search.accepted if other is not one], search.held
+            )
+            left = judge(fit.point)
+            share = max(_share(now.gaps[c], left.gaps[c]) for c in channels)
+            if share < IDLE and not left.worse:
+                trials.append((share, one, fit))
+        if not trials:
+            return changed
+        share, out, search.now = min(trials, key=lambda trial: trial[0])
+        search.accepted.remove(out)
+        names = ", ".join(CHANNELS[c] for c in out.evidence.channels)
+        search.refused[out.variant.label] = Refusal(
+            Reason.DROWNED,
+            f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions of {names};"
+            " something else is",
+        )
+        changed = True
+
+
+def _share(gap: float, without: float) -> float:
+    """Of the squared excess over noise, what goes with an effect."""
+    return 1.0 - (gap**2 - 1.0) / max(without**2 - 1.0, 1e-9)
 
 
 def _refusal(now: Predicted, left: Predicted) -> Refusal:

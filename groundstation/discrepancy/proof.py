@@ -76,7 +76,8 @@ class HeldOut:
     def judge(self, model: Model) -> Predicted:
         """The gap of another model, and the channels on which it is worse than the given one."""
         after = self.of(model)
-        return Predicted(after.beside(self.before), _worse(self.before, after))
+        gaps = tuple((after.rms / self.before.noise_floor).tolist())
+        return Predicted(after.beside(self.before), _worse(self.before, after), gaps)
 
 
 def _numbers(model: Model) -> bytes:

@@ -22,7 +22,7 @@ from groundstation.discrepancy.acceptance import (
 from groundstation.discrepancy.base_constants import groups, not_improved
 from groundstation.discrepancy.evidence import Evidence, by_parts, gather
 from groundstation.discrepancy.findings import Leftover, Reason, Refusal
-from groundstation.discrepancy.prediction_gate import Judge, answer_to_predictions
+from groundstation.discrepancy.prediction_gate import Judge, answer_to_predictions, drop_idle
 from groundstation.discrepancy.screening import (
     PENALTY,
     Scored,
@@ -132,7 +132,8 @@ class Search:
         residual = self.drop_drowned()
         self.hold_base()
         self.name_base_changes()
-        if self.judge is not None and answer_to_predictions(self, self.judge):
+        judge = self.judge
+        if judge and any([answer_to_predictions(self, judge), drop_idle(self, judge)]):
             residual, _ = leftover(self.problem, self.now, self.validation)
         final, accepted = self.now, self.accepted
         return Outcome(

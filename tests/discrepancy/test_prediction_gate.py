@@ -7,7 +7,7 @@ import pytest
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.findings import Reason
-from groundstation.discrepancy.prediction_gate import Predicted, answer_to_predictions
+from groundstation.discrepancy.prediction_gate import Predicted, answer_to_predictions, drop_idle
 
 
 @dataclass
@@ -87,3 +87,45 @@ def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
     assert hunt.now.point == set()
     assert not hunt.accepted
     assert hunt.held == {"c0", "c2"}
+
+
+def left_at(gaps):
+    """A judge: each channel's gap by the set of effects that are there."""
+
+    def judge(point):
+        names = frozenset(point) - {"c0", "c2"}
+        found = [1.0] * 9
+        for channel, by_names in gaps.items():
+            found[channel] = by_names[names]
+        return Predicted(max(found), {}, tuple(found))
+
+    return judge
+
+
+NONE, DRAG, BIAS, BOTH = (frozenset(n) for n in ((), ("drag",), ("bias",), ("drag", "bias")))
+
+
+def test_an_effect_that_leaves_its_channels_as_wrong_as_they_were_is_taken_back(hunt):
+    judge = left_at(
+        {
+            3: {NONE: 9.0, DRAG: 4.0, BIAS: 8.9, BOTH: 3.9},
+            4: {NONE: 5.0, DRAG: 5.0, BIAS: 4.8, BOTH: 4.8},
+        }
+    )
+    assert drop_idle(hunt, judge)
+    assert [one.label for one in hunt.accepted] == ["drag"]
+    assert hunt.refused["bias"].reason is Reason.DROWNED
+    assert "explains 8 % of what is wrong in predictions of accelerometer_x, accelerometer_y" in (
+        hunt.refused["bias"].words
+    )
+
+
+def test_a_small_effect_stays_where_nothing_else_is_wrong(hunt):
+    judge = left_at(
+        {
+            3: {NONE: 1.3, DRAG: 1.05, BIAS: 1.25, BOTH: 1.0},
+            4: {NONE: 1.02, DRAG: 1.02, BIAS: 1.01, BOTH: 1.01},
+        }
+    )
+    assert not drop_idle(hunt, judge)
+    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
