@@ -25,9 +25,9 @@ RAISES, LOWERS = 0.005, 0.01
 """Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
 again by so much. Noise in a gap of a minute is below 0.2 %."""
 IDLE, UNEXPLAINED = 0.2, 1.5
-"""An effect explains nothing where less than this share of the squared excess over noise goes with
-it in every channel that it touches, and these are left at so many times noise or more: then
-something else is wrong in them, of which it has taken the little that it can imitate."""
+"""A sensor's fault explains nothing where less than this share of the squared excess over noise
+goes with it in every channel that it touches, and these are left at so many times noise or more:
+then something else is wrong in them, of which it has taken the little that it can imitate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +77,20 @@ def answer_to_predictions(search: Search, judge: Judge) -> bool:
 
 
 def drop_idle(search: Search, judge: Judge) -> bool:
-    """Take back, one by one, effects that explain next to nothing of channels of which much is
-    left; whether any was."""
+    """Take back, one by one, faults of sensors that explain next to nothing of channels of which
+    much is left; whether any was.
+
+    Only theirs: what a sensor adds is in its channel at any horizon, while what turns a craft at
+    once may be forgotten in 20 ms.
+    """
     changed = False
     while True:
         now = judge(search.now.point)
         trials: list[tuple[float, Accepted, Fit]] = []
         for one in search.accepted:
             channels = [c for c in one.evidence.channels if math.isfinite(now.gaps[c])]
-            if not channels or min(now.gaps[c] for c in channels) < UNEXPLAINED:
+            clear = not channels or min(now.gaps[c] for c in channels) < UNEXPLAINED
+            if clear or one.variant.definition.stage != "sensor":
                 continue
             search.progress("asking predictions of held-out rows", 0.95)
             fit = search.refit(

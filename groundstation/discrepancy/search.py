@@ -37,7 +37,7 @@ from groundstation.discrepancy.screening import (
 from groundstation.discrepancy.whiteness import leftover
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
-from groundstation.identification.likelihood.problem import BASE_KEYS, Fit, Problem
+from groundstation.identification.likelihood.problem import Fit, Problem
 
 Progress = Callable[[str, float], None]
 
@@ -98,7 +98,7 @@ class Search:
         self.judge: Judge | None = None
         self.candidates = list(candidates)
         free = [variant for variant in known if not variant.definition.renames]
-        self.base_keys = (*BASE_KEYS, *(key for variant in free for key in variant.keys))
+        self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
         self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]
         self.held: set[str] = set()

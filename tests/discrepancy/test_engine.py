@@ -1,10 +1,13 @@
 """Hidden effects are found under their names, with their values, and nothing else is."""
 
+import dataclasses
 import functools
 
 import msgspec
 import numpy as np
 import pytest
+from affected_flights import flown
+from scipy.signal import lfilter
 from searched_flights import base_model, flights, samples
 
 from groundstation.discrepancy.engine import find_effects
@@ -134,8 +137,6 @@ def test_lost_rows_change_nothing_but_the_interval():
 
 
 def test_without_attitude_the_names_that_need_it_are_listed_as_lost():
-    import dataclasses
-
     hidden = {"centre_of_gravity_offset": HIDDEN["centre_of_gravity_offset"]}
     runs, held = flights(1, hidden)
     blind = [
@@ -165,8 +166,6 @@ def test_a_model_of_another_craft_is_refused():
 
 
 def test_a_flight_without_gyro_is_refused():
-    import dataclasses
-
     runs, held = flights(1, {})
     blind = [dataclasses.replace(runs[0], gyro=np.full_like(runs[0].gyro, np.nan))]
     with pytest.raises(BadInputError, match="gyro is missing"):
@@ -216,3 +215,25 @@ def test_a_craft_heavier_than_its_model_is_told_as_that_and_nothing_else():
     assert effect.name == "mass_change"
     assert effect.parameters["percent"].value == pytest.approx(100 * (1 / 0.9 - 1), abs=0.5)
     assert findings.model.body.thrust_per_mass == given
+
+
+def test_measured_rotor_speeds_that_lag_leave_the_rotors_inertia_as_it_is():
+    """The sensor follows each speed in 5 ms, first order. A sampled lag is inverted to half a
+    millisecond, and no better: so much may be told as a delay."""
+    true_inertia = 8e-8
+    shown = []
+    for number in range(3):
+        run, truth = flown(60.0, 40 + number, "rotor_acceleration_torque")
+        speeds = truth["rotor_rev_s"].astype(np.float64)
+        rows = run.period_s / 0.005
+        keep = np.exp(-rows)
+        now = 1.0 - (1.0 - keep) / rows
+        lagged = lfilter([now, 1.0 - keep - now], [1.0, -keep], speeds - speeds[0], axis=0)
+        shown.append(dataclasses.replace(run, rotor_rev_s=speeds[0] + lagged))
+    findings = find_effects(shown[:2], base_model(), shown[2:])
+    found = {effect.name: effect.parameters for effect in findings.effects}
+    told = found.pop("rotor_acceleration_torque")["rotor_inertia_kg_m2"].value
+    assert told == pytest.approx(true_inertia, rel=0.02)
+    assert set(found) <= {"dead_time"}
+    for delay in found.values():
+        assert abs(delay["delay_s"].value) < 1e-3

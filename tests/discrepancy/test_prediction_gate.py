@@ -25,6 +25,10 @@ class Effect:
     def evidence(self):
         return self
 
+    @property
+    def definition(self):
+        return SimpleNamespace(stage="sensor" if self.label == "bias" else "body")
+
 
 @dataclass
 class Hunt:
@@ -129,3 +133,9 @@ def test_a_small_effect_stays_where_nothing_else_is_wrong(hunt):
     )
     assert not drop_idle(hunt, judge)
     assert [one.label for one in hunt.accepted] == ["drag", "bias"]
+
+
+def test_a_torque_that_predictions_forget_is_no_fault_of_a_sensor(hunt):
+    same = dict.fromkeys((NONE, DRAG, BIAS, BOTH), 4.0)
+    assert drop_idle(hunt, left_at({3: same, 4: same}))
+    assert [one.label for one in hunt.accepted] == ["drag"]

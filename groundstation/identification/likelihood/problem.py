@@ -17,6 +17,7 @@ from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     KEYS,
     MOTOR_KEYS,
+    SENSOR_LAG,
     TIMING,
     Point,
     Variant,
@@ -61,6 +62,8 @@ each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
 TIMING_BOUNDS = (-1.0, 2.0)
+LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
+"""Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
 RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
 
 
@@ -104,9 +107,15 @@ class Problem:
         self.flights = list(flights)
         self.frame = Frame(model_vehicle(model), model.motors, own=tuple(own))
         effects = self.frame.unknowns.items()
-        self.every_key = (*BASE_KEYS, *(key for key, one in effects if not one.effect.renames))
-        self.start = start
+        measured = any(flight.rotor_measured for flight in flights)
+        self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
+        self.every_key = (*self.base_keys, *(key for key, one in effects if not one.effect.renames))
+        lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
+        self.start = {**lag, **start}
         self.prior, self.known_motor = _prior(model, start)
+        if measured:
+            weight = np.array([[LAG_DOUBT_S**-2]])
+            self.prior.append(((SENSOR_LAG,), lag, weight))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
@@ -321,6 +330,8 @@ def bounded(
             low, high = sorted((0.2 * point[key], 5.0 * point[key]))
         elif key == TIMING:
             low, high = TIMING_BOUNDS
+        elif key == SENSOR_LAG:
+            low, high = LAG_BOUNDS_S
         elif key in unknowns:
             low, high = unknowns[key].bounds
         moved[key] = float(np.clip(value(point, key) + step, low, high))
@@ -354,6 +365,13 @@ def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
 
 
 Prior = tuple[tuple[str, ...], dict[str, float], Array]
+
+
+def _sensor_lag(model: Model) -> float:
+    """Of measured rotor speeds in s, as the motors' fit found it; 0 where it did not."""
+    account = model.fit.get("motor", {}).get("estimates") or {}
+    known = dict(zip(account.get("names", ()), account.get("values", ()), strict=False))
+    return float(np.clip(known.get("sensor_lag_s", 0.0), *LAG_BOUNDS_S))
 
 
 def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:
