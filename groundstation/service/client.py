@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import json
 import os
 import socket
@@ -11,10 +10,13 @@ import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from groundstation.errors import GroundStationError
 from groundstation.service.config import shared_folder
+
+if TYPE_CHECKING:
+    from http.client import HTTPConnection
 
 TIMEOUT_S = 45.0
 """Finishing a recording on a bad disk is given 30 s."""
@@ -22,20 +24,21 @@ IDLE_S = 3.0
 """The daemon closes a connection that has been idle for 5 s: one this old is opened anew."""
 
 
-class _UnixConnection(http.client.HTTPConnection):
-    def __init__(self, path: Path) -> None:
-        super().__init__("localhost", timeout=TIMEOUT_S)
-        self._path = path
+def _connection_to(path: Path) -> HTTPConnection:
+    from http.client import HTTPConnection  # here: every command would wait for its import
 
-    def connect(self) -> None:
-        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.sock.settimeout(TIMEOUT_S)
-        try:
-            self.sock.connect(str(self._path))
-            _require_ours(self.sock, self._path)
-        except (OSError, GroundStationError):
-            self.sock.close()
-            raise
+    class UnixConnection(HTTPConnection):
+        def connect(self) -> None:
+            self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            self.sock.settimeout(TIMEOUT_S)
+            try:
+                self.sock.connect(str(path))
+                _require_ours(self.sock, path)
+            except (OSError, GroundStationError):
+                self.sock.close()
+                raise
+
+    return UnixConnection("localhost", timeout=TIMEOUT_S)
 
 
 def _require_ours(connection: socket.socket, path: Path) -> None:
@@ -60,7 +63,7 @@ class Client:
 
     def __init__(self, path: str | Path) -> None:
         self._path = path = Path(path)
-        self._connection = _UnixConnection(path)
+        self._connection = _connection_to(path)
         self._used_s = 0.0
 
     def ask(self, method: str, route: str, body: dict[str, Any] | None = None) -> Any:
@@ -176,7 +179,7 @@ def live(path: str | Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """What the daemon at ``path`` streams, as (kind, content); kinds are samples, event and
     statistics. Ends with the daemon; raises GroundStationError when there is none."""
     path = Path(path)
-    connection = _UnixConnection(path)
+    connection = _connection_to(path)
     with _explained(path), contextlib.closing(connection):
         connection.request("GET", "/stream")
         with contextlib.closing(connection.getresponse()) as response:
@@ -194,6 +197,8 @@ def live(path: str | Path) -> Iterator[tuple[str, dict[str, Any]]]:
 @contextlib.contextmanager
 def _explained(path: Path) -> Iterator[None]:
     """What can go wrong with the daemon at ``path``, in words."""
+    from http.client import HTTPException
+
     try:
         yield
     except (FileNotFoundError, ConnectionRefusedError) as error:
@@ -206,7 +211,7 @@ def _explained(path: Path) -> Iterator[None]:
             f"the groundstation at {path} has not answered for {TIMEOUT_S:g} s: it is stopped or "
             "stuck; look at its terminal, or end it and start it again"
         ) from error
-    except (OSError, http.client.HTTPException, ValueError) as error:
+    except (OSError, HTTPException, ValueError) as error:
         raise GroundStationError(f"control socket {path}: {error}") from error
 
 
