@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from groundstation.background import in_background
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.log_plan import Variable
 
@@ -26,7 +27,7 @@ HINT = "install it with pip install -e '.[radio]' in the program's folder, or pi
 CONNECT_S = 10.0
 ANSWER_S = 1.0
 """For what a firmware may not know how to answer."""
-BLOCK_S = 5.0
+BLOCK_S = CLOSE_S = 5.0
 STOP_S = 0.05
 """Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
 LEAST_CFLIB_MS = 10
@@ -163,7 +164,10 @@ class Connection:
             resolve(self._complete, False)
             self._complete = None
         if craft is not None:
-            await asyncio.to_thread(self._disconnect, craft)
+            # cflib locks itself up where the craft vanishes while something is being sent
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(CLOSE_S):
+                    await in_background(lambda: self._disconnect(craft))
 
     def _disconnect(self, craft: Any) -> None:
         self._stop_blocks(craft)

@@ -80,3 +80,24 @@ def test_without_cflib_the_hint_names_this_program_and_no_strangers_package() ->
     said = done.stderr.splitlines()[-1]
     assert "needs cflib: install it with pip install -e '.[radio]'" in said
     assert "groundstation[radio]" not in said
+
+
+def test_a_library_that_locks_itself_up_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It keeps its lock while it tells of a craft that vanished under a packet."""
+    monkeypatch.setattr("groundstation.links.crazyflie_connection.CLOSE_S", 0.3)
+
+    async def session(uri: str) -> None:
+        connection = Connection(uri)
+        await connection.open()
+        await connection.start_log([GYRO], 10, lambda *packet: None)
+        lock = connection.craft._send_lock
+        lock.acquire()
+        try:
+            async with asyncio.timeout(20):
+                await connection.close()
+            assert not connection.is_open
+        finally:
+            lock.release()
+
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        asyncio.run(session(craft.uri))
