@@ -114,23 +114,25 @@ class Connection:
         craft = self._craft = self._new_craft()
         self._complete, self._console, self.commanded = complete, "", False
 
+        def call(function: Callable[..., None], *arguments: Any) -> None:
+            with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
+                loop.call_soon_threadsafe(function, *arguments)
+
         def tell(future: asyncio.Future[Any], result: Any = None) -> None:
-            loop.call_soon_threadsafe(resolve, future, result)
+            call(resolve, future, result)
 
         def failed(uri: str, reason: str = "") -> None:
             tell(ready, LinkError(f"{self.uri}: {_explained(reason)}"))
 
         def lost(uri: str, reason: str = "") -> None:
             failed(uri, reason)
-            loop.call_soon_threadsafe(self._lose, craft, _explained(reason))
+            call(self._lose, craft, _explained(reason))
 
         craft.connected.add_callback(lambda uri: tell(ready))
         craft.fully_connected.add_callback(lambda uri: tell(complete, True))
         craft.connection_failed.add_callback(failed)
         craft.connection_lost.add_callback(lost)
-        craft.console.receivedChar.add_callback(
-            lambda text: loop.call_soon_threadsafe(self._hear, text)
-        )
+        craft.console.receivedChar.add_callback(lambda text: call(self._hear, text))
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
