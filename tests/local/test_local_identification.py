@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.validation import validate_body
 from groundstation.identification.motor.flown import rotor_runs
@@ -82,3 +82,17 @@ def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, motors, 
     )
     assert 25 < more.values["velocity_moment.moment"] < 40
     assert after["accelerometer_z_fit_percent"] > 60
+
+
+def test_separate_flights_of_the_brushed_craft_agree_within_their_stated_intervals():
+    vehicle = load_vehicle(str(Path(__file__).parents[2] / "bench" / "real" / "brushed.toml"))
+    fits = []
+    for name in ("jana01", "jana05"):
+        runs = runs_of(open_recording(Path(DATA) / "imrc_brushed" / name).samples, name)
+        fits.append(fit_body(stretches_of(runs, vehicle.motor, measured=True), vehicle))
+    for index, constant in enumerate(("c0", "c1")):
+        one, other = (fit.estimates[constant] for fit in fits)
+        errors = [float(fit.estimates.stderr[index]) for fit in fits]
+        print(f"{constant}: {one:.4g}, {other:.4g}, stated {errors}")
+        assert abs(one - other) < 1.96 * (errors[0] ** 2 + errors[1] ** 2) ** 0.5
+        assert max(errors) < 0.1 * min(one, other)
