@@ -147,6 +147,7 @@ def test_a_body_is_found_where_rows_were_lost(files, tmp_path):
         for line in lossy.fit["body"]["warnings"]
     )
     assert not any("bridged" in line for line in whole.fit["body"]["warnings"])
+    assert not any("rows a second" in line for line in whole.fit["body"]["warnings"])
 
 
 def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):

@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+from subprocess import Popen
 
 import pytest
 from programs import run_program
@@ -96,7 +97,7 @@ def test_an_interrupt_while_a_command_starts_leaves_nothing_running(shell, monke
     def interrupted(number, frame):
         raise KeyboardInterrupt
 
-    class StruckAtBirth(subprocess.Popen):
+    class StruckAtBirth(Popen):
         def __init__(self, *arguments, **options):
             super().__init__(*arguments, **options)
             born.append(self.pid)

@@ -14,6 +14,7 @@ PROJECT = Path(__file__).parents[2]
 HELPERS = Path(__file__).parent
 GUEST = PROJECT / "tests" / "usb_vm" / "guest"
 PATIENCE_S = 3600
+COMPILING_S = 900
 FLIGHT_S = 200
 SOUND_RADIO = "[loss]\ngood_loss = 0.0\n"
 
@@ -51,7 +52,8 @@ def _compile_for_the_guest(out):
     run_program(
         [sys.executable, "-m", "firmware_sim", "--settings", out / "sound_flight.toml",
          "--for", str(FLIGHT_S), "--fast", "-o", out / "sound_flight.npz"],
-        check=True, cwd=PROJECT, env={**os.environ, **generic},
+        # at the lowest priority beside other tests, compiling gets what they leave
+        timeout=COMPILING_S, check=True, cwd=PROJECT, env={**os.environ, **generic},
     )  # fmt: skip
     shutil.copytree(compiled, out / "numba")
 

@@ -298,6 +298,7 @@ def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
         sessions = ("--recordings", "sessions")  # of the daemon's folder, not of pid fly's
         with Daemon(tmp_path, "--link", f"serial:{name}", *command, *sessions) as daemon:
             daemon.status_when(connected, "the command link is connected")
+            daemon.status_when(lambda s: s["link"]["rate_hz"] > 400, "telemetry comes")
             station = Station(daemon, tmp_path)
             flight = station.fly("--gains", GAINS, "--model", BODY, *ONCE, "--json")
             if flight.returncode:

@@ -69,6 +69,13 @@ def test_a_figure_of_eight_does_not_tell_the_drag_of_the_rotors(fitted):
     assert model["body"]["c2"] == load_vehicle("crazyflie21").body_constants[2]
 
 
+def test_a_hundred_rows_a_second_are_called_too_few_for_the_errors_that_are_said(fitted):
+    (warning,) = (
+        w for w in json.loads(fitted.read_text())["fit"]["body"]["warnings"] if "one in" in w
+    )
+    assert warning.startswith("100 rows a second hold one in 5 of the motors' settings")
+
+
 @pytest.mark.timeout(300)
 def test_the_search_on_a_real_flight_leaves_no_held_out_channel_worse(fitted, tmp_path):
     report = tmp_path / "report.json"

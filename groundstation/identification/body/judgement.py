@@ -20,6 +20,8 @@ from groundstation.identification.torque import AXES
 
 Array = NDArray[np.float64]
 
+CONTROL_HZ = 500.0
+"""At which the firmware of 2014 and today's set the motors."""
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""
 HINTS = ("inertia_coupling.fraction", "rotor_gyroscopic_torque.rotor_inertia_kg_m2")
@@ -54,6 +56,17 @@ def require_usable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
                     f"{stretch.run.name}: torque or rate about {name} is constant;"
                     " fly, and move all three axes"
                 )
+
+
+def slow_rows(period_s: float) -> list[str]:
+    """A warning where rows come slower than the controller moves the motors, otherwise nothing."""
+    settings = CONTROL_HZ * period_s
+    if settings < 1.5:
+        return []
+    return [
+        f"{1 / period_s:.0f} rows a second hold one in {settings:.0f} of the motors' settings: the"
+        " constants may be off by more than their errors say; record 500 a second, or rotor speeds"
+    ]
 
 
 def require_told(setup: Setup, free: FreeFit) -> None:
