@@ -39,23 +39,35 @@ def in_state(state):
     return lambda status: status["link"]["state"] == state
 
 
-def test_a_flight_over_a_serial_port_is_recorded_whole(tmp_path, name):
-    settings = tmp_path / "sound.toml"
+def flown_over_a_port(folder):
+    """What a daemon recorded, and what it said."""
+    folder.mkdir()
+    settings, name = folder / "sound.toml", folder / "craft"
     settings.write_text("[loss]\ngood_loss = 0.0\n")
     with (
         Bridge(name, "--settings", str(settings)),
-        Daemon(tmp_path, "--link", f"serial:{name}") as daemon,
+        Daemon(folder, "--link", f"serial:{name}") as daemon,
     ):
         daemon.recording(samples=1000)
         assert daemon.stop() == 0
     recording = open_recording(daemon.only_file(), raw=True)
     assert recover(daemon.only_file()).sound
     assert recording.link == f"serial:{name}"
+    return recording, daemon.stderr
+
+
+def test_a_flight_over_a_serial_port_is_recorded_whole(tmp_path):
+    """A machine that stands still for longer than a port has room loses rows: it is given three
+    chances to keep up, by the times at which packets came."""
+    for number in range(3):
+        recording, said = flown_over_a_port(tmp_path / str(number))
+        if np.diff(recording.raw.host_time_ns).max() < 0.1e9:
+            break
     steps = np.diff(recording.samples.ticks)
     assert steps.max() < 1.5 * np.median(steps)
     assert (recording.samples.copies[1:-2] == 4).all()
     assert len(recording.raw) >= 4 * len(recording.samples) - 6
-    assert "Traceback" not in daemon.stderr
+    assert "Traceback" not in said
 
 
 def test_a_port_that_is_absent_then_there_then_dead_then_back(tmp_path, name):
