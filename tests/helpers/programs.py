@@ -58,16 +58,19 @@ def run_program(command, *, input=None, timeout=PATIENCE_S, check=False, **optio
 
 
 def end_all(token):
-    """SIGKILL to every process whose mark has ``token``, until there is none.
+    """SIGKILL to every process whose mark has ``token``, until there is none in two looks.
 
-    One that hangs in the kernel (a dead mount) is left behind after 10 s.
+    One that begins another program at that very moment shows no environment. One that hangs in the
+    kernel (a dead mount) is left behind after 10 s.
     """
-    deadline = time.monotonic() + 10.0
-    while (marked := _marked(token)) and time.monotonic() < deadline:
+    deadline, looks = time.monotonic() + 10.0, 0
+    while looks < 2 and time.monotonic() < deadline:
+        marked = _marked(token)
+        looks = 0 if marked else looks + 1
         for pid in marked:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        time.sleep(0.001)
+        time.sleep(0.002)
 
 
 def _marked(token):
