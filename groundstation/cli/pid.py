@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import pid_fly
-from groundstation.cli.model_files import AS_JSON, require_new, say_written
+from groundstation.cli.model_files import AS_JSON, HTML, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
-HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
 FIRMWARE = typer.Option(
     None, "--firmware", help="2014 or 2.x: whose loops and gains (default: the vehicle's)."
