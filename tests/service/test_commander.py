@@ -85,9 +85,11 @@ def in_the_loop(station, work):
     return asyncio.run_coroutine_threadsafe(work, station._loop).result(30)
 
 
-def burst(pilot):
+async def burst(commander, token):
+    """From within the daemon: through the socket a slow machine may itself be slower than 100 a
+    second."""
     for _ in range(600):
-        pilot.setpoint(0, 0, 0, 0)
+        commander.setpoint(token, 0, 0, 0, 0)
 
 
 def setpoints(recording):
@@ -309,7 +311,7 @@ def test_parameters_are_written_all_or_none_and_read_back(fly, path):
     assert known["values"]["pid_rate.roll_kp"] == 70
 
 
-def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path):
+def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path, stations):
     took = []
 
     def conversation():
@@ -322,7 +324,7 @@ def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path):
                 due_s += 0.01
                 time.sleep(max(0.0, due_s - time.monotonic()))
             with pytest.raises(GroundStationError, match="faster than 100 a second"):
-                burst(pilot)
+                in_the_loop(stations[0], burst(stations[0].commander, pilot.lease["token"]))
             time.sleep(0.2)
             with pytest.raises(GroundStationError, match="thrust 70000"):
                 pilot.setpoint(0, 0, 0, 70000)
