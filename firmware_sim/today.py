@@ -29,6 +29,7 @@ _LEGACY = ((-0.014831, 0.047245, -0.018474, 0.0059609), 0.12)
 _CURVES = {
     "crazyflie21": _LEGACY,
     "crazyflie21plus": ((-0.024765, 0.065238, -0.026793, 0.0067768), 0.12),
+    "crazyflie21upgrade": ((0.0067281, 0.010116, 0.010263, 0.0028358), 0.18),
     "brushless": ((-0.014059, 0.042653, 0.0018328, 0.0020577), 0.2),
 }
 """Thrust of a motor in N from its voltage (constant, linear, ...), and the most it gives."""

@@ -15,6 +15,7 @@ from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
     HTML,
+    MASS,
     VEHICLE,
     bridged_runs_in,
     effect_names,
@@ -75,6 +76,7 @@ def fit_motor(
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
+    mass: float | None = MASS,
     model: str | None = MODEL,
     effects: str = WITH,
     motor: int = typer.Option(1, min=1, max=4, help="Motor that carries the speed sensor."),
@@ -103,7 +105,7 @@ def fit_motor(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, model, select, segment),
+        *(vehicle, mass, model, select, segment),
         motor_runs_in,
     )
 
@@ -113,6 +115,7 @@ def fit_body(
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
+    mass: float | None = MASS,
     model: str | None = MODEL,
     effects: str = WITH,
     tie: bool = typer.Option(False, "--tie-roll-pitch", help="One constant for both: c1 = c0."),
@@ -144,7 +147,7 @@ def fit_body(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, model, select, segment),
+        *(vehicle, mass, model, select, segment),
         bridged_runs_in,
     )
 
@@ -154,6 +157,7 @@ def fit_arx(
     output: Path = OUTPUT,
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
+    mass: float | None = MASS,
     model: str | None = MODEL,
     criterion: str = typer.Option(
         None, help="What chooses: free_run (default for angles) or prediction (for rates)."
@@ -197,7 +201,7 @@ def fit_arx(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, as_json),
-        *(vehicle, model, select, segment),
+        *(vehicle, mass, model, select, segment),
     )
 
 
@@ -223,12 +227,13 @@ def _carry_out(
     identify: Callable[[_Task, Progress], Identified],
     files: _Files,
     vehicle: str | None,
+    mass_kg: float | None,
     model: str | None,
     select: str,
     segment: list[str] | None,
     read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
 ) -> None:
-    from groundstation.dynamics.model import model_vehicle
+    from groundstation.dynamics.model import load_model, model_vehicle
     from groundstation.identification.segments import parse_selection
 
     require_new(files.output)
@@ -238,7 +243,8 @@ def _carry_out(
     selection = parse_selection(select, tuple(segment or ()))
     with shown("reading") as progress:
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
-        before = model_before(model, vehicle_of([*fit_on, *held], vehicle))
+        given = load_model(model) if model is not None else None
+        before = model_before(given, vehicle_of([*fit_on, *held], vehicle, given), mass_kg)
         task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
         found = identify(task, progress)
         rows = sum(map(len, task.runs))

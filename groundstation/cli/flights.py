@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import open_one
+from groundstation.cli.model_files import open_one, require_family
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -70,6 +70,8 @@ def read_flights(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
         recorded = recording.metadata.get("vehicle", {}).get("profile", model.vehicle)
         if vehicle is None and recorded != model.vehicle:
             raise _other_vehicle(path.name, recorded, model)
+        if vehicle is None:
+            require_family(recording, model.vehicle, model)
         runs = flights_of(recording.samples, path.name)
         found.append(Flights(path.name, runs, recording.events))
     return found

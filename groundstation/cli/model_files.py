@@ -25,6 +25,11 @@ VEHICLE = typer.Option(
     help="Vehicle profile: built in, or a TOML file (default: what the recordings say, else the"
     " model, else crazyflie1).",
 )
+MASS = typer.Option(
+    None, "--mass", metavar="KG", help="What the craft weighed, where not as its profile says."
+)
+MASS_RANGE = 5.0
+"""A craft weighs at most so many times, and at least one over so many, what its profile says."""
 
 
 def open_one(path: Path) -> Recording:
@@ -63,10 +68,15 @@ def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
     return bridged_runs_in(recordings) if flown else runs_in(recordings)
 
 
-def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str | None:
+def vehicle_of(
+    recordings: Sequence[Recording], given: str | None, model: Model | None = None
+) -> str | None:
     """The profile that the user gave, or the one that the recordings name; None where neither does.
 
-    Raises BadInputError where they name several.
+    model: what their craft is taken for where nobody names it.
+
+    Raises BadInputError where they name several, or where one may be of another craft than the
+    model's, than crazyflie1 without a model.
     """
     if given is not None:
         return given
@@ -78,31 +88,75 @@ def vehicle_of(recordings: Sequence[Recording], given: str | None) -> str | None
             f"recordings of several vehicles ({listed}); fit one at a time, or, if a label is"
             " wrong, say --vehicle"
         )
-    return labels.pop() if labels else None
+    label = labels.pop() if labels else None
+    for one in recordings:
+        require_family(one, label or (model.vehicle if model is not None else None), model)
+    return label
+
+
+def require_family(recording: Recording, vehicle: str | None, model: Model | None = None) -> None:
+    """Raises BadInputError where a recording that names no craft cannot be, or need not be, one of
+    ``vehicle`` (None: nobody said which), whose profile ``model`` may hold."""
+    from groundstation.dynamics.model import model_vehicle
+    from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
+
+    said = recording.metadata.get("vehicle", {})
+    if "family" not in said or "profile" in said:
+        return
+    family, why = said["family"], said.get("because", "")
+    listed = ", ".join(
+        name for name, one in BUILT_IN.items() if family == "unknown" or one.firmware == family
+    )
+    if vehicle is None:
+        what = "its craft is not known" if family == "unknown" else f"of a Crazyflie {family}"
+        raise BadInputError(
+            f"{recording.path}: {what} ({why}); say which with --vehicle {listed}, or a TOML"
+            " profile"
+        )
+    profile = model_vehicle(model) if model is not None and model.vehicle == vehicle else None
+    flown = profile or load_vehicle(vehicle)
+    if family != "unknown" and flown.firmware != family:
+        raise BadInputError(
+            f"{recording.path}: of a Crazyflie {family} ({why}), not of {vehicle!r}; say which"
+            f" with --vehicle {listed}, or a TOML profile"
+        )
 
 
 def effect_names(effects: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in effects.split(",") if name.strip())
 
 
-def model_before(model: str | None, vehicle: str | None) -> Model:
+def model_before(model: Model | None, vehicle: str | None, mass_kg: float | None = None) -> Model:
     """What a fit changes: a given model, or the base model of the profile.
 
-    vehicle: the profile; None: the model's own, or crazyflie1 where no model is given.
+    vehicle: the profile; None: the model's own, or crazyflie1 where no model is given. mass_kg:
+    of the craft that flew, where it differs from the profile's.
+
+    Raises BadInputError for a mass that is none, or hardly in kg.
     """
     import msgspec
 
-    from groundstation.dynamics.model import load_model, vehicle_model
+    from groundstation.dynamics.model import model_vehicle, vehicle_model
     from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 
-    if vehicle is None:
-        return load_model(model) if model is not None else vehicle_model(load_vehicle("crazyflie1"))
-    profile = load_vehicle(vehicle)
-    before = load_model(model) if model is not None else vehicle_model(profile)
+    if vehicle is not None:
+        profile = load_vehicle(vehicle)
+    else:
+        profile = load_vehicle("crazyflie1") if model is None else model_vehicle(model)
+    weighed = profile
+    if mass_kg is not None:
+        if not profile.mass_kg / MASS_RANGE <= mass_kg <= profile.mass_kg * MASS_RANGE:
+            raise BadInputError(
+                f"--mass {mass_kg:g}: in kg, and {profile.name} weighs {profile.mass_kg:g} kg"
+            )
+        weighed = msgspec.structs.replace(profile, mass_kg=mass_kg)
+    before = model if model is not None else vehicle_model(weighed)
+    if vehicle is None and mass_kg is None:
+        return before
     return msgspec.structs.replace(
         before,
-        vehicle=profile.name,
-        vehicle_profile=None if vehicle in BUILT_IN else profile,
+        vehicle=weighed.name,
+        vehicle_profile=None if weighed == BUILT_IN.get(weighed.name) else weighed,
     )
 
 

@@ -135,6 +135,7 @@ def _today(
 PLATFORMS: dict[str, Firmware] = {
     "crazyflie21": _today(250.0, 500.0, (-0.014831, 0.047245, -0.018474, 0.0059609), 0.12),
     "crazyflie21plus": _today(250.0, 500.0, (-0.024765, 0.065238, -0.026793, 0.0067768), 0.12),
+    "crazyflie21upgrade": _today(250.0, 500.0, (0.0067281, 0.010116, 0.010263, 0.0028358), 0.18),
     "brushless": _today(200.0, 400.0, (-0.014059, 0.042653, 0.0018328, 0.0020577), 0.2),
 }
 """Today's gains and thrust curves by craft, from the firmware's sources of August 2026."""

@@ -1,8 +1,9 @@
 """Vehicle profiles: what is known about a craft before anything is identified.
 
 Built in are ``crazyflie1`` (the thesis's craft, plus configuration, with the add-on radio),
-``crazyflie21``, ``crazyflie21plus`` and ``brushless``; any other craft is a TOML file with the same
-keys, or with ``base`` and the keys in which it differs from that built-in profile.
+``crazyflie21``, ``crazyflie21plus``, ``crazyflie21upgrade`` and ``brushless``; any other craft is a
+TOML file with the same keys, or with ``base`` and the keys in which it differs from that built-in
+profile.
 """
 
 from __future__ import annotations
@@ -296,6 +297,18 @@ BUILT_IN["crazyflie21plus"] = msgspec.structs.replace(
     mass_kg=0.029,
     motor=MotorConstants(a0=1.36, a1=8.8, a2=0.0070),
     drag_n_m=5.5e-9,
+)
+BUILT_IN["crazyflie21upgrade"] = msgspec.structs.replace(
+    # The thrust upgrade kit on a 2.1: mass, thrust (0.080 N at 1.86 V), torque over thrust of the
+    # firmware. No rotor speed is published: thrust per speed squared goes with the fourth power of
+    # the propeller's diameter (51 mm for 46 mm), the rotor's inertia with the third.
+    BUILT_IN["crazyflie21"],
+    name="crazyflie21upgrade",
+    mass_kg=0.0325,
+    motor=MotorConstants(a0=1.362, a1=8.8, a2=0.0040),
+    thrust_n=1.19e-6,
+    drag_n_m=6.1e-9,
+    rotor_inertia_kg_m2=6.8e-8,
 )
 BUILT_IN["brushless"] = msgspec.structs.replace(
     # Mass, arm, torque over thrust and filters of the firmware; motor and thrust from rotor speeds

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from groundstation.documents import decode_toml, read_document
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.craft_family import family_of
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
 from groundstation.recording.session import Recording, Table
@@ -168,6 +169,8 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
     metadata = {"host_time": dict(SYNTHESISED), "column_map": mapping}
     if column_map.vehicle is not None:
         metadata["vehicle"] = {"profile": column_map.vehicle}
+    else:
+        metadata["vehicle"] = family_of(table.names, samples)
     return Recording(
         path=path,
         kind="csv",

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.craft_family import TODAY
 from groundstation.recording.device_time import SYNTHESISED
 from groundstation.recording.microsd_channels import GyroUnit, samples_from_columns
 from groundstation.recording.microsd_scan import CRC_BYTES, longest_in_order, scan, scan_damaged
@@ -110,6 +111,7 @@ def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
         tables=tables,
         metadata={
             "host_time": dict(SYNTHESISED),
+            "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
             "microsd": {"version": str(layout.version), **notes},
         },
         damage=damage,

@@ -20,6 +20,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import RecordingFile
 from groundstation.recording.session import Recording
 
+RECORDINGS = Path(__file__).parents[2] / "recordings"
 RECORDED = {
     "bench": (40.0, {"program": "motor_bench"}),
     "reduced": (50.0, {"plant": "reduced"}),
@@ -310,6 +311,67 @@ def test_a_model_says_which_vehicle_it_is_where_nothing_else_does(tmp_path):
     path = tmp_path / "motor.json"
     save_model(vehicle_model(load_vehicle("brushless")), path)
     assert vehicle_of([], None) is None
-    assert model_before(str(path), None).vehicle == "brushless"
-    assert model_before(str(path), "crazyflie21").vehicle == "crazyflie21"
+    model = load_model(path)
+    assert model_before(model, None).vehicle == "brushless"
+    assert model_before(model, "crazyflie21").vehicle == "crazyflie21"
     assert model_before(None, None).vehicle == "crazyflie1"
+
+
+def test_a_craft_that_was_weighed_is_fitted_with_its_own_mass(files, tmp_path):
+    model = tmp_path / "motor.json"
+    run("fit", "motor", files["bench"], "-o", model, "--mass", "0.0254")
+    profile = load_model(model).vehicle_profile
+    assert profile.mass_kg == 0.0254
+    assert profile.inertia_kg_m2 == BUILT_IN["crazyflie1"].inertia_kg_m2
+    assert vehicle_model(profile).body.thrust_per_mass == profile.thrust_n / 0.0254
+    for grams in ("25.4", "nan", "-0.02"):
+        with pytest.raises(BadInputError, match=r"crazyflie1 weighs 0\.023 kg"):
+            run("fit", "motor", files["bench"], "-o", tmp_path / "x.json", "--mass", grams)
+
+
+@pytest.mark.parametrize("converted", [False, True])
+def test_a_microsd_log_is_never_taken_for_the_craft_of_the_thesis(tmp_path, converted):
+    log, model = RECORDINGS / "microsd_log16", tmp_path / "model.json"
+    if converted:
+        run("convert", log, tmp_path / "log.mcap")
+        log = tmp_path / "log.mcap"
+    asked = "of a Crazyflie 2.x .no 1.0 carries a microSD deck.*--vehicle crazyflie21, crazyflie21p"
+    with pytest.raises(BadInputError, match=asked):
+        run("fit", "body", log, "-o", model)
+    for command in (("fit", "body", "-o", model), ("compare",), ("discrepancy",)):
+        with pytest.raises(BadInputError, match=r"of a Crazyflie 2\.x .*, not of 'crazyflie1'"):
+            run(*command, log, "--model", "thesis")
+    assert not model.exists()
+    recording = open_recording(log)
+    assert vehicle_of([recording], "brushless") == "brushless"
+    assert vehicle_of([recording], None, vehicle_model(load_vehicle("brushless"))) is None
+
+
+@pytest.mark.parametrize(
+    ("gyro", "force", "because"),
+    [
+        ("gyro.x,stateEstimate.qw", "1", "only a 2.x logs stateEstimate.qw"),
+        ("gyro.x,pm.vbatMV", "1", "only a 2.x logs pm.vbatMV"),
+        ("wx,wy", "20", "20 g are beyond a 1.0's sensor"),
+        ("wx,wy", "1", "its craft is not known .the file does not say"),
+    ],
+)
+def test_a_mapped_file_tells_its_craft_by_names_and_ranges_or_is_asked_for_it(
+    tmp_path, gyro, force, because
+):
+    first = gyro.split(",")[0]
+    rows = "".join(f"{row * 0.002:.3f},{row % 7},0,0,0,{force}\n" for row in range(5000))
+    (tmp_path / "log.csv").write_text(f"t,{gyro},ax,ay,az\n{rows}")
+    (tmp_path / "map.toml").write_text(
+        f"""
+        time = {{ column = "t", unit = "s" }}
+        gyro.x = {{ column = "{first}", unit = "deg/s" }}
+        accelerometer.x = {{ column = "ax", unit = "g" }}
+        accelerometer.y = {{ column = "ay", unit = "g" }}
+        accelerometer.z = {{ column = "az", unit = "g" }}
+        """
+    )
+    flight = tmp_path / "flight.mcap"
+    run("convert", tmp_path / "log.csv", flight, "--columns", tmp_path / "map.toml")
+    with pytest.raises(BadInputError, match=because):
+        run("fit", "body", flight, "-o", tmp_path / "model.json")

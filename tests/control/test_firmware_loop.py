@@ -74,7 +74,7 @@ def test_the_loop_becomes_unstable_at_its_delay_margin(gains):
     assert grows(0.0033 + 1.15 * margin)
 
 
-@pytest.mark.parametrize("vehicle", ["crazyflie1", "crazyflie21", "crazyflie21plus", "brushless"])
+@pytest.mark.parametrize("vehicle", ["crazyflie1", *PLATFORMS])
 @pytest.mark.parametrize("axis", ["roll", "yaw"])
 def test_crossover_and_phase_are_those_the_stand_in_knows(vehicle, axis):
     ours = cascade_margins(plant_of_model(late_model(vehicle=vehicle)), {}, axis)

@@ -113,6 +113,7 @@ def test_a_profile_can_say_only_what_differs_from_a_built_in_one(tmp_path):
     [
         ("crazyflie21", (-0.014831, 0.047245, -0.018474, 0.0059609)),
         ("crazyflie21plus", (-0.024765, 0.065238, -0.026793, 0.0067768)),
+        ("crazyflie21upgrade", (0.0067281, 0.010116, 0.010263, 0.0028358)),
     ],
 )
 def test_a_brushed_craft_hovers_where_its_thrust_curve_says(name, curve):
