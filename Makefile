@@ -8,7 +8,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 .PHONY: run demo test test-usb check-local lint bench bench-real bench-discrepancy soak clean
 
 run: $(VENV)/.ready
-	$(BIN)/groundstation run --link stand-in --viewer serve $(ARGS)
+	$(BIN)/groundstation run --link stand-in --viewer serve --page $(ARGS)
 
 # The whole story on the software craft, and a report: `make demo ARGS="--seed 3"` for another.
 demo: $(VENV)/.ready-dev

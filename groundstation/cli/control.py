@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli import config, recordings
+from groundstation.cli import config, page, recordings
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
@@ -37,6 +37,7 @@ def add_commands(app: typer.Typer) -> None:
     app.command("link")(link)
     app.add_typer(record, name="record")
     recordings.add_commands(app)
+    page.add_commands(app)
     config.add_commands(app)
 
 
@@ -86,6 +87,8 @@ def status_rows(answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield "disk", f"{free / 1e3:.1f} GB free"
     yield "viewer", f"{viewer['state']}, {viewer['dropped']} dropped"
     yield from (("", url) for url in viewer["urls"])
+    page = answer["page"]
+    yield "page", page["state"] + (f"  {page['url']}" if page["url"] else "")
     if command is None:
         yield "command", "off"
     else:

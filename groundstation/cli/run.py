@@ -56,6 +56,10 @@ def run(
     viewer: ViewerMode | None = typer.Option(
         None, help="Live view: off, serve (browser) or spawn (window)."
     ),
+    page: bool | None = typer.Option(
+        None, "--page/--no-page", help="Serve the operator's page to browsers of this machine."
+    ),
+    page_port: int | None = typer.Option(None, min=1, max=65535, help="The page's TCP port."),
     twin: Path | None = typer.Option(
         None, metavar="MODEL", help="Fly this model beside the craft and tell where they disagree."
     ),
@@ -80,6 +84,8 @@ def run(
         "recording.folder": None if recordings is None else str(recordings),
         "recording.enabled": record,
         "viewer.mode": viewer and viewer.value,
+        "page.enabled": page,
+        "page.port": page_port,
         "twin.model": None if twin is None else str(twin),
         "viewer.port": viewer_port,
         "viewer.web_port": web_port,
@@ -161,6 +167,8 @@ def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None
     folder = config.recording.folder if config.recording.enabled else "off"
     lines.append(("recordings", folder))
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
+    if config.page.enabled:
+        lines.append(("page", station.page.address()))
     if config.twin.model:
         lines.append(("twin", config.twin.model))
     lines.append(("control", str(socket)))

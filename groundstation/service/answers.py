@@ -50,6 +50,14 @@ class ViewerStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     urls: list[str]
 
 
+class PageStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The operator's page. url: where browsers that were let in find it."""
+
+    state: Literal["off", "starting", "serving", "restarting"]
+    url: str | None
+    restarts: int
+
+
 class Disagreement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where craft and model part beyond chance. statistic: in standard deviations, limit: from
     which it is told. Times: of the device, s; end_s: None while it lasts."""
@@ -130,6 +138,7 @@ class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     vehicle: str
     recording: RecordingStatus
     viewer: ViewerStatus
+    page: PageStatus
     command: CommandStatus | None
     twin: TwinStatus | None
     stream: StreamStatus

@@ -97,6 +97,13 @@ def operations(station: Station) -> list[Operation]:
     async def write_parameters(body: requests.Parameters) -> Any:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
+    async def page_address(_: None) -> Any:
+        return requests.PageAddress(url=station.page.address())
+
+    async def page_admit(body: requests.PageToken) -> Any:
+        station.page.admit(body.token)
+        return requests.Done()
+
     return [
         Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
         Operation("GET", "/events", "The latest events, oldest first", events,
@@ -109,6 +116,10 @@ def operations(station: Station) -> list[Operation]:
                   answer=list[CatalogueEntry]),
         Operation("POST", "/link", "Receive from another link, recording on", switch,
                   requests.LinkName, Status),
+        Operation("POST", "/page/address", "A new address of the operator's page", page_address,
+                  answer=requests.PageAddress),
+        Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,
+                  requests.PageToken, requests.Done),
         Operation("GET", "/config", "Every key of the configuration in force", configuration),
         Operation("POST", "/config/reload", "Read the configuration again", reload,
                   answer=requests.Reloaded),

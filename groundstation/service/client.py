@@ -8,7 +8,7 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -175,7 +175,7 @@ class Pilot(Client):
         return self.ask("POST", f"/command/{what}", {"token": token, **content})
 
 
-def live(path: str | Path) -> Iterator[tuple[str, dict[str, Any]]]:
+def live(path: str | Path) -> Generator[tuple[str, dict[str, Any]], None, None]:
     """What the daemon at ``path`` streams, as (kind, content); kinds are samples, event and
     statistics. Ends with the daemon; raises GroundStationError when there is none."""
     path = Path(path)

@@ -87,6 +87,13 @@ class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     web_port: Annotated[int, _key("the browser's TCP port, on loopback", ge=1, le=65535)] = 9090
 
 
+class PageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The operator's page."""
+
+    enabled: Annotated[bool, _key("serve the operator's page")] = False
+    port: Annotated[int, _key("the page's TCP port, on loopback", ge=1, le=65535)] = 9080
+
+
 class TwinConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The model that flies beside the craft."""
 
@@ -142,6 +149,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     radio: RadioConfig = RadioConfig()
     recording: RecordingConfig = RecordingConfig()
     viewer: ViewerConfig = ViewerConfig()
+    page: PageConfig = PageConfig()
     twin: TwinConfig = TwinConfig()
     control: ControlConfig = ControlConfig()
     log: LogConfig = LogConfig()

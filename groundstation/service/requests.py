@@ -62,6 +62,18 @@ class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     details: Annotated[dict[str, Any], msgspec.Meta(max_length=64)] = {}
 
 
+class PageToken(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Of an address that the page was opened with."""
+
+    token: Token
+
+
+class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
+    """Lets one browser in."""
+
+    url: str
+
+
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
     """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
     uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where

@@ -29,9 +29,11 @@ from groundstation.service.config import (
     changed_keys,
     link_speed,
     require_sense,
+    socket_path,
     with_reloaded,
 )
 from groundstation.service.health import Health
+from groundstation.service.page import PageService
 from groundstation.service.receiver import Receiver
 from groundstation.service.recording_manager import RecordingManager
 from groundstation.service.requests import Telemetry
@@ -118,6 +120,7 @@ class Station:
             twin=bool(config.twin.model),
             on_event=lambda kind, text: self.note(kind, text, source="viewer"),
         )
+        self.page = PageService(config.page, socket_path(config.control.socket))
         self.twin = TwinService(
             config.twin.model,
             tell=self.take_event,
@@ -178,6 +181,8 @@ class Station:
         async with contextlib.AsyncExitStack() as closing:
             closing.push_async_callback(self.viewer.stop)
             await self.viewer.start()
+            closing.push_async_callback(self.page.close)
+            self.page.open()
             announce()
             closing.push_async_callback(self.recordings.close)
             closing.push_async_callback(self.twin.close)
@@ -192,6 +197,7 @@ class Station:
                 ("recordings", self.recordings.keep),
                 ("health", self.health.watch),
                 ("twin", self.twin.run),
+                ("page", self.page.keep),
             ):
                 self.supervisor.start(name, work)
             receiving = asyncio.create_task(
@@ -275,6 +281,7 @@ class Station:
             "vehicle": self._recorded["vehicle"]["profile"],
             "recording": self.recordings.status(),
             "viewer": self.viewer.status(),
+            "page": self.page.status(),
             "command": self.commander.status(),
             "twin": self.twin.status(),
             "stream": {"clients": len(self.stream), "dropped": self.stream.dropped},
@@ -300,6 +307,8 @@ class Station:
         viewer = self.viewer.status()["state"]
         if viewer in ("restarting", "failed"):
             problems.append(f"viewer: {viewer}")
+        if self.page.status()["state"] == "restarting":
+            problems.append("page: restarting")
         command = self.commander.link
         if command is not None and command.state.value not in ("connected", "connecting"):
             problems.append(f"command link {command.uri}: {command.state.value}")

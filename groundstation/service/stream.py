@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from collections.abc import AsyncIterator
 from dataclasses import asdict
@@ -36,11 +37,13 @@ class Subscriber:
     def __init__(self) -> None:
         self.dropped = 0
         self._batches: deque[SampleBatch] = deque()
+        self._at_s = 0.0
         self._rows = 0
         self._notes: deque[tuple[str, dict[str, Any]]] = deque()
         self._something = asyncio.Event()
 
     def put_samples(self, batch: SampleBatch) -> None:
+        self._at_s = time.monotonic()
         self._batches.append(batch)
         self._rows += len(batch)
         while self._rows > ROWS_MOST and len(self._batches) > 1:
@@ -80,7 +83,8 @@ class Subscriber:
                     more = self._batches.popleft()
                     self._rows -= len(more)
                     batch = SampleBatch.concatenate([batch, more])
-                yield _event("samples", {**columns(batch), "dropped": self.dropped})
+                more_columns = {"at_s": self._at_s, "dropped": self.dropped}
+                yield _event("samples", {**columns(batch), **more_columns})
             await asyncio.sleep(PERIOD_S)
 
     def _forget(self, batch: SampleBatch) -> None:

@@ -113,7 +113,7 @@ class Viewer:
             )
         try:
             for port, name in ((self.port, "viewer"), (self.web_port, "web viewer")):
-                self._listening.append(_listen(port, name))
+                self._listening.append(listen_on(port, name))
         except TakenError:
             self._stop_listening()
             raise
@@ -368,7 +368,8 @@ def _wayland() -> str | None:
     return os.environ.get("WAYLAND_DISPLAY") or os.environ.get("WAYLAND_SOCKET")
 
 
-def _listen(port: int, name: str) -> socket.socket:
+def listen_on(port: int, name: str) -> socket.socket:
+    """A port of 127.0.0.1. Raises TakenError where another program holds it."""
     listening = socket.socket()
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

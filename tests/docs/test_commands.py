@@ -54,6 +54,7 @@ ELSEWHERE = {
     "groundstation compare flight.mcap --model body.json --marked": (
         *("a flight that a twin watched", "tests/discrepancy/test_commands.py", '"--marked"'),
     ),
+    "groundstation page": ("a daemon with a page", "tests/page/test_browser.py", '"page"'),
     "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
@@ -309,6 +310,8 @@ def live(words, folder):
         return watch(words)
     if "serve" in words:
         words += ["--viewer-port", str(free_port()), "--web-port", str(free_port())]
+    if "--page" in words:
+        words += ["--page-port", str(free_port())]
     ends = "--for" in words
     if ends:
         words[words.index("--for") + 1] = "1"
@@ -347,7 +350,7 @@ def watch(words):
 def make_run(folder):
     """``make run`` from the Makefile, as it is; nothing is installed again."""
     environment = os.path.dirname(os.path.dirname(sys.executable))
-    ports = f"--viewer-port {free_port()} --web-port {free_port()}"
+    ports = f"--viewer-port {free_port()} --web-port {free_port()} --page-port {free_port()}"
     done = run_program(
         [
             *("make", f"VENV={environment}", "-o", f"{environment}/.ready", "run"),

@@ -1,0 +1,77 @@
+"""``python -m groundstation.page LISTENING_FD CONTROL_SOCKET``: serves the page until it is ended.
+
+Begun by the daemon (``service/page.py``), which hands over the port and the key of the cookies. An
+empty line on stderr every half second is a sign of life.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+
+from groundstation.page.access import Access
+from groundstation.page.app import page_app
+from groundstation.page.follower import Follower
+
+BEAT_S = 0.5
+CONNECTIONS_MOST = 200
+"""A browser has six at most."""
+
+
+async def serve(listening: socket.socket, control: Path, key: str) -> None:
+    """Serve browsers on ``listening`` for as long as the process lives."""
+    follower = Follower(control)
+    access = Access(bytes.fromhex(key), listening.getsockname()[1])
+    server = _Server(
+        uvicorn.Config(
+            page_app(control, access, follower),
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            http="h11",
+            ws="none",
+            server_header=False,
+            limit_concurrency=CONNECTIONS_MOST,
+            timeout_graceful_shutdown=1,
+        )
+    )
+    beat = asyncio.create_task(_beat())
+    try:
+        await server.serve(sockets=[listening])
+    finally:
+        beat.cancel()
+
+
+class _Server(uvicorn.Server):
+    """Ends with the daemon, and by nobody's Ctrl-C before it."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self.should_exit = True
+
+
+async def _beat() -> None:
+    while True:
+        print(file=sys.stderr, flush=True)
+        await asyncio.sleep(BEAT_S)
+
+
+if __name__ == "__main__":
+    asyncio.run(
+        serve(
+            socket.socket(fileno=int(sys.argv[1])),
+            Path(sys.argv[2]),
+            os.environ.pop("GROUNDSTATION_PAGE_KEY"),
+        )
+    )

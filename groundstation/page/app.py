@@ -1,0 +1,161 @@
+"""The page's routes: what a browser is shown, and the control API's operations that it may ask for.
+
+A page that changes nothing needs the cookie; a request that changes something the page's origin
+and its token as well (``access.py``).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from groundstation.errors import GroundStationError
+from groundstation.page.access import Access
+from groundstation.page.alarms import alarms
+from groundstation.page.follower import Follower
+from groundstation.service.client import ask
+from groundstation.text import printable
+
+STATIC = Path(__file__).with_name("static")
+BODY_MOST = 1 << 16
+ACTIONS = ("/record/start", "/record/stop", "/record/mark", "/link")
+"""Operations of the control API that a page may ask for, with its own ``/do`` before them."""
+
+_HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self';"
+    " img-src 'self' data:; connect-src 'self'; form-action 'self'; base-uri 'none';"
+    " frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
+
+
+def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
+    """The page of the daemon at ``control``."""
+    document = (STATIC / "page.html").read_text()
+
+    async def page(request: Request) -> Response:
+        token = access.change_token(_cookie(request.headers, access))
+        return HTMLResponse(document.replace("CHANGE-TOKEN", token))
+
+    async def now(request: Request) -> Response:
+        found = follower.now(_whole(request, "after"), _whole(request, "status"))
+        return _json({**found, "alarms": alarms(*follower.state())})
+
+    async def do(request: Request) -> Response:
+        body = await request.body()
+        if len(body) > BODY_MOST:
+            return _refusal(413, f"the request is longer than {BODY_MOST} bytes")
+        try:
+            content = msgspec.json.decode(body, type=dict[str, Any]) if body else None
+            path = request.url.path.removeprefix("/do")
+            return _json(await asyncio.to_thread(ask, control, "POST", path, content))
+        except (GroundStationError, msgspec.MsgspecError) as error:
+            return _refusal(400, str(error))
+
+    async def static(request: Request) -> Response:
+        return FileResponse(STATIC / Path(request.url.path).name)
+
+    files = [path.name for path in STATIC.iterdir() if path.name != "page.html"]
+    app = Starlette(
+        routes=[
+            Route("/", page),
+            Route("/now", now),
+            *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
+            *(Route(f"/{name}", static) for name in files),
+        ]
+    )
+    return _Gate(app, access, control)
+
+
+class _Gate:
+    """In front of every route: who asks, from where, and what a browser may do with the answer."""
+
+    def __init__(self, app: ASGIApp, access: Access, control: Path) -> None:
+        self._app, self._access, self._control = app, access, control
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = dict(message["headers"])
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name.encode(), value.encode())
+                message["headers"] = list(headers.items())
+            await send(message)
+
+        refusal = await self._refused(Request(scope, receive))
+        await (refusal or self._app)(scope, receive, with_headers)
+
+    async def _refused(self, request: Request) -> Response | None:
+        access, headers = self._access, request.headers
+        if not access.knows_host(headers.get("host", "")) or len(headers.getlist("host")) != 1:
+            return _refusal(403, "this server is 127.0.0.1")
+        cookie = _cookie(headers, access)
+        token = request.query_params.get("token")
+        if request.url.path == "/" and request.method == "GET" and token is not None:
+            return await self._admitted(token, known=access.is_session(cookie))
+        if not access.is_session(cookie):
+            return _closed("This browser was not let in.", 401)
+        if request.method not in ("GET", "HEAD") and not access.may_change(headers, cookie):
+            return _refusal(403, "this request does not come from the page")
+        return None
+
+    async def _admitted(self, token: str, *, known: bool) -> Response:
+        """The address with a token opens the page and is void from then on."""
+        answer = RedirectResponse("/", status_code=303)
+        if known:
+            return answer
+        try:
+            await asyncio.to_thread(ask, self._control, "POST", "/page/admit", {"token": token})
+        except GroundStationError as error:
+            return _closed(f"{error}.", 403)
+        answer.set_cookie(
+            self._access.cookie, self._access.new_session(), httponly=True, samesite="strict"
+        )
+        return answer
+
+
+def _cookie(headers: Headers, access: Access) -> str:
+    """The value of our cookie, empty where there is none."""
+    try:
+        found = SimpleCookie(headers.get("cookie", "")).get(access.cookie)
+    except CookieError:
+        return ""
+    return "" if found is None else found.value
+
+
+def _whole(request: Request, name: str) -> int:
+    text = request.query_params.get(name, "")
+    return int(text) if text.isdecimal() and len(text) < 16 else 0
+
+
+def _closed(text: str, status: int) -> Response:
+    """For a person whose browser has no cookie."""
+    from html import escape
+
+    return HTMLResponse(
+        '<!doctype html><html lang="en"><meta charset="utf-8"><title>groundstation</title><body>'
+        f"<h1>groundstation</h1><p>{escape(printable(text))}</p><p>Open the address that "
+        "<code>groundstation page</code> prints in a terminal.</p></body></html>",
+        status_code=status,
+    )
+
+
+def _refusal(status: int, text: str) -> Response:
+    return _json({"error": printable(text)}, status)
+
+
+def _json(content: Any, status: int = 200) -> Response:
+    return Response(msgspec.json.encode(content), status, media_type="application/json")

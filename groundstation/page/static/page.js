@@ -1,0 +1,193 @@
+// The operator's page: asks what is new, draws it, and passes on what the operator does.
+// Nothing is ever queued for a browser: one that is slow asks seldom and gets fewer rows.
+
+import { Plot } from "./plot.js";
+
+const ASK_MS = 100; // ten times a second
+const HIDDEN_MS = 1000;
+const PATIENCE_MS = 10000;
+const LIVE_S = 1.0; // what is older is said to be behind
+const token = document.querySelector("meta[name=change-token]").content;
+const at = (id) => document.getElementById(id);
+
+const plots = [
+  new Plot(at("attitude-plot"), at("attitude-legend"), "attitude_deg", ["roll", "pitch", "yaw"]),
+  new Plot(at("gyro-plot"), at("gyro-legend"), "gyro_dps", ["x", "y", "z"]),
+  new Plot(at("motors-plot"), at("motors-legend"), "motors_pct", ["M1", "M2", "M3", "M4"]),
+];
+
+let number = 0;
+let statusNumber = 0;
+let newestMs = null; // on this browser's clock: when the newest row that is shown was measured
+let lastAnswerMs = performance.now();
+let recordingRate = null;
+
+function write(id, text) {
+  const element = at(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+async function ask() {
+  const askedMs = performance.now();
+  try {
+    const answer = await fetch(`now?after=${number}&status=${statusNumber}`,
+      { signal: AbortSignal.timeout(PATIENCE_MS) });
+    if (answer.status === 401) return showAlarms([{ level: "alarm", text:
+      "This browser is no longer let in. Open the address that 'groundstation page' prints." }]);
+    const found = await answer.json();
+    lastAnswerMs = performance.now();
+    take(found, askedMs);
+  } catch {
+    if (performance.now() - lastAnswerMs > 2000) showAlarms([{ level: "alarm", text:
+      "The page gets no answer: the groundstation has ended, or is being begun anew." }]);
+  }
+  const wait = document.hidden ? HIDDEN_MS : ASK_MS - (performance.now() - askedMs);
+  setTimeout(ask, Math.max(10, wait));
+}
+
+function take(found, askedMs) {
+  number = found.number;
+  statusNumber = found.status_number;
+  // counted from the asking, so that the age that is shown is never less than the true one
+  newestMs = found.age_s === null ? null : askedMs - 1000 * found.age_s;
+  showAlarms(found.alarms);
+  if (found.status) showStatus(found.status);
+  if (found.events) showEvents(found.events);
+  write("twin", found.twin_event ? found.twin_event.text : "nothing told");
+  if (found.rows.length) showRow(found.rows[found.rows.length - 1]);
+  for (const plot of plots) plot.add(found.rows, askedMs);
+}
+
+function showAlarms(alarms) {
+  const text = JSON.stringify(alarms);
+  if (at("alarms").dataset.shown === text) return; // or a screen reader says it ten times a second
+  at("alarms").dataset.shown = text;
+  at("alarms").replaceChildren(...alarms.map((one) => {
+    const item = document.createElement("li");
+    item.className = one.level;
+    item.textContent = one.text;
+    return item;
+  }));
+  const urgent = alarms.find((one) => one.level === "alarm");
+  document.title = urgent ? `! ${urgent.text}` : "groundstation";
+}
+
+const fixed = (value, digits, unit) =>
+  value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
+
+function showRow(row) {
+  write("battery", fixed(row.battery_v, 2, "V"));
+  const [roll, pitch, yaw] = row.attitude_deg ?? [null, null, null];
+  write("roll", fixed(roll, 1, "°"));
+  write("pitch", fixed(pitch, 1, "°"));
+  write("yaw", fixed(yaw, 1, "°"));
+  at("horizon").setAttribute("transform",
+    `rotate(${-(roll ?? 0)}) translate(0 ${-Math.max(-60, Math.min(60, pitch ?? 0))})`);
+  const duties = row.motors_pct;
+  write("motors", !duties ? "not told" : duties.some((one) => one > 0)
+    ? `running, ${(duties.reduce((a, b) => a + b) / duties.length).toFixed(0)} %` : "off");
+}
+
+function showStatus(status) {
+  const { link, recording, command, statistics } = status;
+  write("link", `${link.name}: ${link.state}`);
+  at("link").className = `badge ${link.state === "streaming" ? "good" : "bad"}`;
+  write("rate", `${link.rate_hz.toFixed(0)} a second`);
+  write("loss", statistics ? `${statistics.loss_pct.toFixed(2)} % lately, ${link.lost} in all` : "–");
+  write("late", fixed(link.latency_ms, 1, "ms"));
+  write("vehicle", status.vehicle);
+  write("command", !command ? "no command link" : `${command.uri} ${command.state}`
+    + (command.client ? `, ${command.client} commands` : ""));
+  showRecording(recording);
+}
+
+function showRecording(recording) {
+  const records = recording.state === "recording";
+  write("recording", records ? `${(recording.bytes / 1e6).toFixed(1)} MB` : recording.state);
+  write("file", recording.file ?? "no file yet");
+  const nowS = performance.now() / 1000;
+  if (!records) recordingRate = null;
+  else if (recordingRate?.file !== recording.file)
+    recordingRate = { file: recording.file, bytes: recording.bytes, sinceS: nowS };
+  let left = "";
+  if (recordingRate && nowS - recordingRate.sinceS > 5) {
+    const perS = (recording.bytes - recordingRate.bytes) / (nowS - recordingRate.sinceS);
+    if (perS > 0) left = `, enough for ${duration(recording.free_mb * 1e6 / perS)}`;
+  }
+  write("disk", recording.free_mb === null ? "" :
+    `${(recording.free_mb / 1000).toFixed(1)} GB free${left}`);
+  const button = at("record");
+  button.disabled = false;
+  button.dataset.does = recording.wanted ? "stop" : "start";
+  write("record", recording.wanted ? "Stop recording" : "Start recording");
+}
+
+function duration(seconds) {
+  if (seconds > 2 * 86400) return `${(seconds / 86400).toFixed(0)} days`;
+  if (seconds > 2 * 3600) return `${(seconds / 3600).toFixed(0)} hours`;
+  return `${(seconds / 60).toFixed(0)} minutes`;
+}
+
+function showEvents(events) {
+  at("events").replaceChildren(...events.toReversed().map((event) => {
+    const item = document.createElement("li");
+    const time = document.createElement("time");
+    time.textContent = new Date(event.time_ns / 1e6).toLocaleTimeString();
+    item.append(time, `${event.link} ${event.kind}: ${event.text}`);
+    return item;
+  }));
+}
+
+function draw() {
+  const nowMs = performance.now();
+  const ageS = newestMs === null ? null : (nowMs - newestMs) / 1000;
+  const live = ageS !== null && ageS <= LIVE_S;
+  write("live", ageS === null ? "no rows yet" : live ? "live" : `${ageS.toFixed(0)} s behind`);
+  at("live").className = `badge ${live ? "good" : "bad"}`;
+  for (const plot of plots) plot.draw(nowMs);
+  setTimeout(() => requestAnimationFrame(draw), ASK_MS); // hidden pages draw nothing
+}
+
+/** One of the control API's operations; what it answered, or null where it refused. */
+async function change(path, content, done) {
+  write("said", "…");
+  try {
+    const answer = await fetch(`do${path}`, {
+      method: "POST",
+      headers: { "X-Change-Token": token, "Content-Type": "application/json" },
+      body: content === null ? null : JSON.stringify(content),
+    });
+    const found = await answer.json();
+    write("said", answer.ok ? done : found.error);
+    return answer.ok ? found : null;
+  } catch {
+    write("said", "No answer: it is not known whether this was done.");
+    return null;
+  }
+}
+
+at("record").addEventListener("click", () => {
+  const does = at("record").dataset.does;
+  change(`/record/${does}`, null, does === "stop" ? "The recording is finished." : "Recording.");
+});
+at("mark").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const text = at("mark-text").value;
+  if (await change("/record/mark", { text }, `Marked: ${text}`)) event.target.reset();
+});
+at("switch").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const name = at("link-name").value;
+  if (await change("/link", { name }, `Receiving from ${name}.`)) event.target.reset();
+});
+document.addEventListener("keydown", (event) => {
+  if (event.target.closest("input, select, textarea") || event.ctrlKey || event.altKey
+      || event.metaKey) return;
+  if (event.key === "m") {
+    event.preventDefault();
+    at("mark-text").focus();
+  }
+});
+
+ask();
+draw();

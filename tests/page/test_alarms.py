@@ -1,0 +1,59 @@
+from copy import deepcopy
+
+from groundstation.page.alarms import alarms
+
+GOOD = {
+    "link": {"state": "streaming"},
+    "health": {"problems": []},
+    "recording": {"wanted": True, "free_mb": 50_000.0},
+    "statistics": {"loss_pct": 0.1},
+    "twin": None,
+}
+
+
+def changed(**tables):
+    status = deepcopy(GOOD)
+    for name, values in tables.items():
+        status[name] = values if status[name] is None else {**status[name], **values}
+    return status
+
+
+def told(status, fault="", battery_v=3.9):
+    return [(one["level"], one["text"]) for one in alarms(status, fault, battery_v)]
+
+
+def test_when_all_is_well_there_is_nothing_to_say():
+    assert told(GOOD) == []
+    assert told(None) == []  # nothing has been asked yet
+    assert told(GOOD, battery_v=None) == []
+
+
+def test_a_daemon_that_does_not_answer_is_all_there_is_to_say():
+    assert told(GOOD, fault="stuck") == [("alarm", "The groundstation does not answer: stuck")]
+
+
+def test_the_battery_is_told_before_it_is_empty_and_only_of_a_craft_that_is_there():
+    assert told(GOOD, battery_v=3.29) == [("warning", "Battery low: 3.29 V. Land soon")]
+    assert told(GOOD, battery_v=3.05) == [("alarm", "Battery empty: 3.05 V. Land now")]
+    ended = changed(link={"state": "ended"})
+    assert told(ended, battery_v=3.05) == []
+
+
+def test_the_worst_comes_first():
+    status = changed(
+        recording={"wanted": True, "free_mb": 100.0},
+        statistics={"loss_pct": 12.0},
+        health={"problems": ["link usb: lost"]},
+        twin={"state": "watching", "disagreements": [
+            {"channel": "gyro x", "regime": "hover", "why": "a bias"}]},
+    )  # fmt: skip
+    assert told(status) == [
+        ("alarm", "Link usb: lost"),
+        ("warning", "Disk: 100 MB left"),
+        ("warning", "12 % of the rows of the last second are lost"),
+        ("warning", "Craft and model disagree: gyro x, hover. a bias"),
+    ]
+
+
+def test_what_is_not_recorded_on_purpose_is_told_too():
+    assert told(changed(recording={"wanted": False})) == [("warning", "Nothing is being recorded")]

@@ -1,0 +1,171 @@
+"""The page in a real browser, with a real daemon and a craft that flies."""
+
+import json
+import re
+
+import psutil
+import pytest
+from installed import groundstation, until
+
+from groundstation.recording.open_recording import open_recording
+
+
+def expect(locator):
+    from playwright.sync_api import expect as library
+
+    library.set_options(timeout=120_000)
+    return library(locator)
+
+
+def test_the_page_shows_the_flight_as_it_goes(flying, visit):
+    page = visit(flying.address())
+    assert page.url == f"http://127.0.0.1:{flying.port}/"  # the token does not stay in the address
+    expect(page.locator("#link")).to_have_text("stand-in: streaming")
+    expect(page.locator("#live")).to_have_text("live")
+    expect(page.locator("#battery")).to_have_text(re.compile(r"^[34]\.\d\d V$"))
+    expect(page.locator("#roll")).to_have_text(re.compile(r"^-?\d+\.\d °$"))
+    expect(page.locator("#rate")).to_have_text(re.compile(r"^\d+ a second$"))
+    expect(page.locator("#disk")).to_contain_text("GB free")
+    expect(page.locator("#attitude-legend")).to_contain_text(re.compile(r"roll -?\d"))
+    expect(page.locator("#events")).to_contain_text("receiving")
+    drawn = """() => {
+        const canvas = document.getElementById('gyro-plot');
+        const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+        return new Set(new Uint32Array(pixels.buffer)).size;
+    }"""
+    page.wait_for_function(f"({drawn})() > 50")
+
+
+def test_a_moment_is_marked_the_recording_stopped_and_found(flying, visit):
+    page = visit(flying.address())
+    page.get_by_role("button", name="Stop recording").wait_for()
+    page.keyboard.press("m")
+    page.keyboard.type('new <b>"propellers"</b>')
+    page.keyboard.press("Enter")
+    expect(page.locator("#said")).to_have_text('Marked: new <b>"propellers"</b>')
+    expect(page.locator("#events")).to_contain_text('operator mark: new <b>"propellers"</b>')
+    file = flying.status()["recording"]["path"]
+    page.get_by_role("button", name="Stop recording").click()
+    expect(page.locator("#said")).to_have_text("The recording is finished.")
+    expect(page.locator("#alarms")).to_contain_text("Nothing is being recorded")
+    assert 'new <b>"propellers"</b>' in [event["text"] for event in open_recording(file).events]
+    page.get_by_role("button", name="Start recording").click()
+    expect(page.locator("#recording")).to_contain_text("MB")
+    expect(page.locator("#alarms")).not_to_contain_text("Nothing is being recorded")
+    assert flying.recording()["recording"]["path"] != file
+
+
+def test_a_refusal_is_shown_in_the_words_of_the_daemon(flying, visit):
+    page = visit(flying.address())
+    page.get_by_label("Receive from").fill("replay:../../etc/passwd")
+    page.get_by_role("button", name="Switch link").click()
+    expect(page.locator("#said")).to_contain_text("is not in the recordings folder")
+    expect(page.locator("#link")).to_have_text("stand-in: streaming")
+
+
+def test_two_browsers_see_the_same_and_an_address_lets_one_in(flying, visit):
+    address = flying.address()
+    printed = groundstation("page", socket_path=flying.socket).stdout.strip()
+    first, second = visit(address), visit(printed)
+    third = visit(address)
+    expect(third.locator("body")).to_contain_text("has let a browser in already")
+    first.get_by_label("Mark this moment").fill("from the first")
+    first.get_by_role("button", name="Mark", exact=True).click()
+    expect(second.locator("#events")).to_contain_text("from the first")
+
+
+def test_a_killed_page_is_begun_anew_under_an_open_browser(flying, visit):
+    page = visit(flying.address())
+    expect(page.locator("#live")).to_have_text("live")
+    before, old = flying.status(), flying.page_process()
+    old.kill()
+    flying.status_when(
+        lambda status: (
+            status["page"]["restarts"] > before["page"]["restarts"]
+            and status["page"]["state"] == "serving"
+        ),
+        "the page again",
+    )
+    expect(page.locator("#live")).to_have_text("live")
+    page.get_by_label("Mark this moment").fill("after the restart")
+    page.get_by_role("button", name="Mark", exact=True).click()
+    expect(page.locator("#said")).to_have_text("Marked: after the restart")
+    after = flying.status()
+    assert after["recording"]["dropped"] == before["recording"]["dropped"] == 0
+    assert after["link"]["lost"] == before["link"]["lost"]
+    until(lambda: not psutil.pid_exists(old.pid), "the old one is gone")
+
+
+def test_a_daemon_that_is_started_again_is_found_by_the_open_page(page_daemon, visit):
+    first = page_daemon()
+    first.recording()
+    page = visit(first.address())
+    expect(page.locator("#live")).to_have_text("live")
+    assert first.stop() == 0
+    expect(page.locator("#alarms")).to_contain_text("The page gets no answer")
+    expect(page.locator("#live")).to_contain_text("behind")
+    second = page_daemon(port=first.port)
+    expect(page.locator("#link")).to_have_text("stand-in: streaming")
+    expect(page.locator("#live")).to_have_text("live")
+    page.get_by_label("Mark this moment").fill("a new daemon")
+    page.get_by_role("button", name="Mark", exact=True).click()
+    expect(page.locator("#said")).to_have_text("Marked: a new daemon")
+    assert second.stop() == 0
+
+
+def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, visit):
+    daemon = page_daemon()
+    daemon.recording()
+    page = visit(daemon.address())
+    expect(page.locator("#live")).to_have_text("live")
+    daemon.process.send_signal(19)  # SIGSTOP
+    expect(page.locator("#live")).to_have_text(re.compile(r"^\d+ s behind$"))
+    daemon.process.send_signal(18)  # SIGCONT
+    expect(page.locator("#live")).to_have_text("live")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_can_be_read_in_both_themes(flying, visit, theme):
+    """Contrast of at least 4.5:1 between each text and what lies behind it."""
+    page = visit(flying.address(), color_scheme=theme)
+    expect(page.locator("#live")).to_have_text("live")
+    page.get_by_label("Receive from").focus()
+    found = json.loads(page.evaluate(CONTRASTS))
+    assert len(found) > 30
+    poor = [one for one in found if one["ratio"] < 4.5]
+    assert not poor
+
+
+def test_nothing_is_cut_off_on_a_phone(flying, visit):
+    page = visit(flying.address(), viewport={"width": 360, "height": 640})
+    expect(page.locator("#live")).to_have_text("live")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    for button in page.get_by_role("button").all():
+        assert button.bounding_box()["height"] >= 40
+
+
+CONTRASTS = """() => {
+    const light = (color) => {
+        const [r, g, b] = color.match(/[\\d.]+/g).slice(0, 3).map((one) => {
+            const part = one / 255;
+            return part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+        });
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+    };
+    const behind = (element) => {
+        for (let one = element; one; one = one.parentElement) {
+            const color = getComputedStyle(one).backgroundColor;
+            if (!/rgba\\(.*, 0\\)/.test(color)) return color;
+        }
+        return "rgb(255, 255, 255)";
+    };
+    const found = [];
+    for (const one of document.querySelectorAll("body *")) {
+        const own = [...one.childNodes].some((n) => n.nodeType === 3 && n.data.trim());
+        if (!own || !one.checkVisibility()) continue;
+        const [a, b] = [light(getComputedStyle(one).color), light(behind(one))];
+        const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+        found.push({ id: one.id, text: one.textContent.slice(0, 30), ratio });
+    }
+    return JSON.stringify(found);
+}"""
