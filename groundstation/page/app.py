@@ -28,7 +28,10 @@ from groundstation.text import printable
 
 STATIC = Path(__file__).with_name("static")
 BODY_MOST = 1 << 16
-ACTIONS = ("/record/start", "/record/stop", "/record/mark", "/link")
+ACTIONS = (
+    *("/record/start", "/record/stop", "/record/mark", "/link"),
+    *("/command/stop", "/command/level"),
+)
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 
 _HEADERS = {

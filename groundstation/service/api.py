@@ -91,6 +91,14 @@ def operations(station: Station) -> list[Operation]:
             link_state=station.link_state().value,
         )
 
+    async def stop(_: None) -> Any:
+        commander.stop()
+        return requests.Done()
+
+    async def level(body: requests.Level) -> Any:
+        commander.level(body.on)
+        return requests.Done()
+
     async def parameters(_: None) -> Any:
         return requests.Values(values=commander.parameters())
 
@@ -131,6 +139,10 @@ def operations(station: Station) -> list[Operation]:
                   requests.Holder, requests.Done),
         Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
                   requests.Setpoint, requests.Sent, limited=False),
+        Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
+                  answer=requests.Done, limited=False),
+        Operation("POST", "/command/level", "Hold the craft level, or no more", level,
+                  requests.Level, requests.Done, limited=False),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,
                   answer=requests.Values),
         Operation("POST", "/command/parameters", "Write parameters and read them back",

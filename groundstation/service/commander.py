@@ -43,6 +43,7 @@ UNSEEN_S = 2.0
 """Without telemetry for so long nobody knows whether they have stopped."""
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
 DEAD_MAN = "dead man"
+OPERATOR = "operator"
 
 Note = Callable[[str, str], None]
 
@@ -75,6 +76,9 @@ class Lease:
     setpoint_s: float = 0.0
     thrust: int = 0
     levelled: bool = False
+    """By the dead man."""
+    held_level: bool = False
+    """By the operator."""
 
 
 class Commander:
@@ -147,8 +151,35 @@ class Commander:
         """End the lease; motors that still run are stopped."""
         lease = self._require(token)
         if lease.thrust:
-            self._stop_motors(lease)
+            self._stop_motors(lease.client)
         self._end(f"{lease.client} has released the craft")
+
+    def stop(self) -> None:
+        """Stop the motors, whoever commands, and end that lease: the operator's way out.
+
+        Motors that do not stop are asked again, disarmed and stopped by the firmware, as after any
+        stop."""
+        link = self._require_link()
+        if link.state is not CommandState.CONNECTED:
+            raise LinkError(
+                f"{link.uri} is not connected ({link.state.value}): the stop was not sent"
+            )
+        self._stop_motors(OPERATOR)
+        holder = (
+            "nobody commanded" if self._lease is None else f"{self._lease.client} commands no more"
+        )
+        self._end(f"the operator stops the motors; {holder}", kind="stop")
+
+    def level(self, on: bool) -> None:
+        """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
+        kept; until it is switched off or the lease is over. Raises BadInputError where nobody
+        commands."""
+        if self._lease is None:
+            raise BadInputError("nobody commands: there is nothing to hold level")
+        if on is not self._lease.held_level:
+            self._lease.held_level = on
+            what = "holds the craft level" if on else "gives the attitude back"
+            self._note("level", f"the operator {what}; {self._lease.client} commands")
 
     def keep(self, token: str) -> None:
         """Say that the client is alive. It does not keep motors running: setpoints do."""
@@ -166,6 +197,8 @@ class Commander:
         if not self._rate.allows():
             self.refused += 1
             raise BadInputError("setpoints come faster than 100 a second; this one was not sent")
+        if lease.held_level:
+            roll_deg = pitch_deg = yaw_dps = 0.0
         try:
             sent_ns = link.setpoint(roll_deg, pitch_deg, yaw_dps, thrust, client=lease.client)
         except GroundStationError:
@@ -211,6 +244,7 @@ class Commander:
             "state": self.link.state.value,
             "firmware": self.link.firmware,
             "client": self.client,
+            "held_level": self._lease is not None and self._lease.held_level,
             "setpoints": self.setpoints,
             "superseded": self.link.superseded,
             "refused": self.refused,
@@ -261,7 +295,7 @@ class Commander:
         silent_s = now_s - lease.setpoint_s
         if self._is_overdue(lease, now_s):
             self.interventions += 1
-            self._stop_motors(lease, client=DEAD_MAN)
+            self._stop_motors(DEAD_MAN)
             self._end(f"{lease.client} has vanished: its motors are asked to stop", kind="fault")
         elif lease.thrust and silent_s >= self.limits.level_s:
             if not lease.levelled:
@@ -278,7 +312,7 @@ class Commander:
         lease = self._lease
         if lease is not None:
             if lease.thrust:
-                self._stop_motors(lease, client=DEAD_MAN)
+                self._stop_motors(DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
             while (self._stops or self._stop) and self.link.state is CommandState.CONNECTED:
@@ -310,10 +344,11 @@ class Commander:
         lease.heard_s = now_s
         return lease
 
-    def _stop_motors(self, lease: Lease, *, client: str | None = None) -> None:
-        lease.thrust = 0
+    def _stop_motors(self, client: str) -> None:
+        if self._lease is not None:
+            self._lease.thrust = 0
         self._stops = STOPS - 1
-        self._stopped_by = client or lease.client
+        self._stopped_by = client
         self._stop = Stop(time.monotonic())
         cleared = [] if self.link is None else self.link.clear_assists()
         if cleared:

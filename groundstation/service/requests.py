@@ -37,6 +37,12 @@ class Holder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     token: Token
 
 
+class Level(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """on: hold the craft level, whatever attitude its client commands."""
+
+    on: bool
+
+
 class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One setpoint, in the signs of the telemetry: roll left side up, pitch nose down, yaw rate
     counter-clockwise from above. thrust: 0..60000, up to 10000 is none."""

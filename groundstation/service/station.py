@@ -487,6 +487,7 @@ _WARNINGS = frozenset(
         "restart",
         "damage",
         "dead man",
+        "stop",
         "deleted",
         BEGAN,
     }

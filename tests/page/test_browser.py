@@ -2,12 +2,17 @@
 
 import json
 import re
+import threading
+import time
 
 import psutil
 import pytest
+from flown_link import free_udp_port
 from installed import groundstation, until
 
+from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
+from groundstation.service.client import Pilot
 
 
 def expect(locator):
@@ -122,6 +127,42 @@ def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, v
     expect(page.locator("#live")).to_have_text(re.compile(r"^\d+ s behind$"))
     daemon.process.send_signal(18)  # SIGCONT
     expect(page.locator("#live")).to_have_text("live")
+
+
+def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit, tmp_path):
+    (tmp_path / "waiting.toml").write_text(
+        "[stand_in]\nprogram = 'wait'\naltitude_hold = true\n"
+        "[dead_man]\nlevel_s = 0.5\nstop_s = 2.0\n"
+    )
+    command = f"udp://127.0.0.1:{free_udp_port()}"
+    daemon = page_daemon("--command", command, "--config", "waiting.toml")
+    daemon.status_when(lambda status: status["command"]["state"] == "connected", "the command link")
+    page = visit(daemon.address())
+    expect(page.locator("#stop-why")).to_have_text("At once, whoever commands.")
+    ended = []
+
+    def fly():
+        with Pilot(daemon.socket, "a program") as pilot:
+            while not ended:
+                try:
+                    pilot.setpoint(0.0, 0.0, 0.0, 40000)
+                except GroundStationError as error:
+                    ended.append(str(error))
+                time.sleep(0.02)
+
+    flight = threading.Thread(target=fly, daemon=True)
+    flight.start()
+    expect(page.locator("#motors")).to_contain_text("running")
+    page.keyboard.press("l")
+    expect(page.locator("#level")).to_have_attribute("aria-pressed", "true")
+    page.get_by_label("Mark this moment").focus()
+    page.keyboard.press("Escape")
+    expect(page.locator("#said")).to_have_text("Asked to stop the motors.")
+    expect(page.locator("#motors")).to_have_text("off")
+    expect(page.locator("#events")).to_contain_text("a program commands no more")
+    expect(page.locator("#events")).to_contain_text("motors stopped")
+    flight.join(60)
+    assert "no more) in force" in ended[0]
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -21,6 +21,8 @@ from groundstation.service.config import (
 )
 
 HOVER = 40000
+PATIENT = {"level_s": 0.5, "stop_s": 2.0}
+"""The dead man's limits where a loaded machine must not meet them."""
 LATE_S = 0.15
 """What a loaded machine may add to a time limit."""
 
@@ -206,6 +208,49 @@ def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
     recording = fly(conversation)
     last = setpoints(recording)[-1]
     assert (last["thrust"], last["client"]) == (0, "dead man")
+
+
+def test_an_operator_stops_the_motors_of_whoever_commands(fly, path, stations):
+    def conversation():
+        with pytest.raises(GroundStationError, match="nobody commands"):
+            ask(path, "POST", "/command/level", {"on": True})
+        with Pilot(path, "a program") as pilot:
+            steer(pilot, 0.5)
+            ask(path, "POST", "/command/stop")
+            with pytest.raises(GroundStationError, match="not \\(or no more\\) in force"):
+                pilot.setpoint(0.0, 0.0, 0.0, HOVER)
+            until(lambda: stations[0].newest().motors == [0.0] * 4, "the motors stand")
+        ask(path, "POST", "/command/stop")  # also where nobody commands
+
+    recording = fly(conversation, **PATIENT)
+    told = [event["text"] for event in recording.events if event["kind"] == "stop"]
+    assert told == [
+        "the operator stops the motors; a program commands no more",
+        "the operator stops the motors; nobody commanded",
+    ]
+    assert setpoints(recording)[-1]["client"] == "operator"
+
+
+def test_an_operator_holds_the_craft_level_and_leaves_the_thrust_to_the_client(fly, path):
+    def conversation():
+        with Pilot(path, "a program") as pilot:
+            steer(pilot, 0.3, roll=10.0)
+            ask(path, "POST", "/command/level", {"on": True})
+            assert ask(path, "GET", "/status")["command"]["held_level"] is True
+            steer(pilot, 0.3, roll=11.0, yaw=50.0)
+            ask(path, "POST", "/command/level", {"on": False})
+            steer(pilot, 0.3, roll=12.0)
+            ask(path, "POST", "/command/level", {"on": True})
+        assert ask(path, "GET", "/status")["command"]["held_level"] is False
+        with Pilot(path, "another") as pilot:
+            steer(pilot, 0.1, roll=13.0)
+
+    sent = [
+        entry for entry in setpoints(fly(conversation, **PATIENT)) if entry["client"] != "dead man"
+    ]
+    running = [(entry["roll_deg"], entry["yaw_dps"]) for entry in sent if entry["thrust"]]
+    kept = [one for place, one in enumerate(running) if place == 0 or one != running[place - 1]]
+    assert kept == [(10.0, 0.0), (0.0, 0.0), (12.0, 0.0), (13.0, 0.0)]
 
 
 def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, stations):

@@ -98,6 +98,11 @@ function showStatus(status) {
   write("vehicle", status.vehicle);
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
     + (command.client ? `, ${command.client} commands` : ""));
+  write("stop-why", !command ? "No command link: these motors cannot be stopped from here."
+    : command.state === "connected" ? "At once, whoever commands." : `The command link is ${command.state}.`);
+  at("stop").disabled = !command;
+  at("level").disabled = !command?.client;
+  at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
   showRecording(recording);
 }
 
@@ -180,13 +185,25 @@ at("switch").addEventListener("submit", async (event) => {
   const name = at("link-name").value;
   if (await change("/link", { name }, `Receiving from ${name}.`)) event.target.reset();
 });
+const stopMotors = () => change("/command/stop", null, "Asked to stop the motors.");
+const holdLevel = () => {
+  const on = at("level").getAttribute("aria-pressed") !== "true";
+  change("/command/level", { on }, on ? "Held level." : "The attitude is the client's again.");
+};
+at("stop").addEventListener("click", stopMotors);
+at("level").addEventListener("click", holdLevel);
 document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && !event.repeat) { // wherever the cursor is
+    event.preventDefault();
+    stopMotors();
+    return;
+  }
   if (event.target.closest("input, select, textarea") || event.ctrlKey || event.altKey
       || event.metaKey) return;
   if (event.key === "m") {
     event.preventDefault();
     at("mark-text").focus();
-  }
+  } else if (event.key === "l" && !at("level").disabled) holdLevel();
 });
 
 ask();
