@@ -153,6 +153,7 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     flight = threading.Thread(target=fly, daemon=True)
     flight.start()
     expect(page.locator("#motors")).to_contain_text("running")
+    expect(page.locator("#level")).to_be_enabled()
     page.keyboard.press("l")
     expect(page.locator("#level")).to_have_attribute("aria-pressed", "true")
     page.get_by_label("Mark this moment").focus()
