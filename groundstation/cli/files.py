@@ -29,14 +29,14 @@ def _list_columns(asked: bool) -> None:
     from groundstation.recording.column_map import NAMED, load_column_map
 
     for name, path in NAMED.items():
-        show(f"{name:<14}{load_column_map(path).title}")
+        show(f"{name:<16}{load_column_map(path).title}")
     raise typer.Exit
 
 
 COLUMNS = typer.Option(
     None,
     metavar="MAP",
-    help="Columns of any other CSV: a name of 'convert --list-columns', or TOML.",
+    help="Columns of another program's file: a name of 'convert --list-columns', or TOML.",
 )
 
 
@@ -47,7 +47,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def inspect(
-    file: Path = typer.Argument(help="A recording: .mcap, .csv, .rrd or a microSD log."),
+    file: Path = typer.Argument(help="A recording, or another program's log."),
     columns: str | None = COLUMNS,
     as_json: bool = AS_JSON,
 ) -> None:

@@ -1,143 +1,69 @@
-"""Any other CSV through a column map: a TOML file that says column, unit and sign per field.
-
-    [time]
-    column = "t"
-    unit = "ms"
-
-    [gyro.x]
-    column = "wx"
-    unit = "deg/s"
-    sign = -1
-
-``column`` is a name of the header line or a number counted from 1 (the only choice for a file
-without a header). ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
-z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
-battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw;
-rotor.m1..m4; debug. Only time is required. ``[tables]`` names further columns, kept as they stand
-under a name of their own; ``vehicle`` is the profile of the craft that flew, ``title`` says what
-such files are.
-
-The maps in ``maps/`` ship with the program, under the name of their file.
-"""
+"""Any other CSV through a column map: what ``map_document`` describes, applied to numbers."""
 
 from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.documents import decode_toml, read_document
-from groundstation.errors import BadInputError, RecordingError
+from groundstation.dynamics.rotations import attitude_of_quaternion
+from groundstation.errors import BadInputError
 from groundstation.recording.craft_family import family_of
-from groundstation.recording.delimited import Block, TextTable, open_table
+from groundstation.recording.delimited import TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
-from groundstation.recording.session import Recording, Table
-from groundstation.telemetry.packet import (
-    ACCELEROMETER_M_S2,
-    ANGLE_RAD,
-    BATTERY_V,
-    DUTY,
-    GYRO_RAD_S,
-    STANDARD_GRAVITY,
-    TICK_S,
+from groundstation.recording.map_document import (
+    NAMED,
+    UNITS,
+    ZERO,
+    Choice,
+    Column,
+    ColumnMap,
+    Kind,
+    load_column_map,
 )
+from groundstation.recording.session import Recording, Table
+from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ticks": TICK_S},
-    "battery": {"V": 1.0, "mV": BATTERY_V},
-    "duty": {
-        "fraction": 1.0,
-        "%": 0.01,
-        "8-bit": 1 / 255,
-        "12-bit": DUTY,
-        "16-bit": 1 / 65535,
-    },
-    "gyro": {"rad/s": 1.0, "deg/s": math.radians(1), "counts": GYRO_RAD_S},
-    "accelerometer": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "counts": ACCELEROMETER_M_S2},
-    "attitude": {"rad": 1.0, "deg": math.radians(1), "counts": ANGLE_RAD},
-    "rotor": {"rev/s": 1.0, "rpm": 1 / 60, "rad/s": 1 / math.tau},
-}
-"""Unit names per quantity and their size: s, V, duty 0..1, rad/s, m/s^2, rad, rev/s.
-
-``ticks`` and ``counts`` are the telemetry packet's (73/72 us; 1/16.384 deg/s; 1/4096 g;
-0.01 deg); ``12-bit`` is its duty of 1/4096, 8 and 16 bits count to 255 and 65535.
-"""
-
-NAMED = {path.stem: path for path in sorted((Path(__file__).parent / "maps").glob("*.toml"))}
-"""The maps that ship with the program."""
 _TICK_S = 1e-9
 """Tick of a mapped recording whose time is not in the packet's ticks."""
 _LIMITS = {"ticks": (-4e18, 4e18), "debug": (0.0, 2.0**32 - 1)}
 
 
-class Column(msgspec.Struct, forbid_unknown_fields=True):
-    """Where one channel comes from."""
-
-    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
-    unit: str
-    sign: Literal[1, -1] = 1
-
-
-class Clock(msgspec.Struct, forbid_unknown_fields=True):
-    """Where device time comes from."""
-
-    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
-    unit: str
-
-
-class Plain(msgspec.Struct, forbid_unknown_fields=True):
-    """Where the debug word comes from: a whole number as it stands."""
-
-    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
-
-
-class Axes(msgspec.Struct, forbid_unknown_fields=True):
-    x: Column | None = None
-    y: Column | None = None
-    z: Column | None = None
-
-
-class Angles(msgspec.Struct, forbid_unknown_fields=True):
-    roll: Column | None = None
-    pitch: Column | None = None
-    yaw: Column | None = None
-
-
-class Motors(msgspec.Struct, forbid_unknown_fields=True):
-    m1: Column | None = None
-    m2: Column | None = None
-    m3: Column | None = None
-    m4: Column | None = None
-
-
-class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
-    """A column map as its TOML file spells it."""
-
-    time: Clock
-    battery: Column | None = None
-    duty: Motors = msgspec.field(default_factory=Motors)
-    gyro: Axes = msgspec.field(default_factory=Axes)
-    accelerometer: Axes = msgspec.field(default_factory=Axes)
-    attitude: Angles = msgspec.field(default_factory=Angles)
-    rotor: Motors = msgspec.field(default_factory=Motors)
-    debug: Plain | None = None
-    tables: dict[str, list[Annotated[str, msgspec.Meta(min_length=1)]]] = {}
-    vehicle: str | None = None
-    title: str = ""
-
-
 def map_of_header(names: Collection[str]) -> str | None:
-    """The one named map of which every column stands in a header, or None."""
-    fitting = [name for name, path in NAMED.items() if _all_columns(path) <= set(names)]
+    """The one named map of which every column, or the signature, stands in a header, or None."""
+    return _fitting("csv", set(names))
+
+
+def map_of_series(kind: Kind, names: Collection[str]) -> str | None:
+    """The same for a log of many series, of which every column is named ``SERIES.FIELD``."""
+    return _fitting(kind, set(names))
+
+
+def _fitting(kind: Kind, names: set[str]) -> str | None:
+    fitting = []
+    for name, path in NAMED.items():
+        column_map = load_column_map(path)
+        if column_map.kind == kind and _is_known(column_map, path, names):
+            fitting.append(name)
     return fitting[0] if len(fitting) == 1 else None
+
+
+def _is_known(column_map: ColumnMap, path: Path, names: set[str]) -> bool:
+    if not column_map.partial:
+        plan = plan_of(column_map, path)
+        return {str(channel.column) for channel in (*plan.channels, *plan.kept)} <= names
+    if not column_map.signature or not set(column_map.signature) <= names:
+        return False
+    choices = [choice for *_, choice in _columns(column_map)]
+    return any(
+        _first_there(one if isinstance(one, list) else [one], names) is not None for one in choices
+    )
 
 
 def read_mapped_csv(path: Path, source: str | Path) -> Recording:
@@ -151,38 +77,53 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
     """
     map_path = NAMED.get(str(source), Path(source))
     column_map = load_column_map(map_path)
-    channels, tick_s, mapping = _plan(column_map, map_path)
-    kept = [
-        _Channel(f"tables.{name}", column, name, None, 1.0)
-        for name, columns in column_map.tables.items()
-        for column in columns
-    ]
+    if column_map.kind != "csv":
+        raise BadInputError(f"{path}: a CSV file, and {source} is a map of {column_map.kind} files")
     table = open_table(path)
-    places = [_place(table, channel, map_path) for channel in (*channels, *kept)]
-    batches, rest = [], [np.empty((0, len(kept)))]
+    plan = plan_of(column_map, map_path, table.names)
+    places = [_place(table, channel, map_path) for channel in (*plan.channels, *plan.kept)]
+    batches, rest = [], [np.empty((0, len(plan.kept)))]
     for block in table.blocks(places):
-        batches.append(_batch(block, channels, tick_s))
-        rest.append(block.values[:, len(channels) :])
-    samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, tick_s)
+        batches.append(samples_of(plan, block.values, block.error))
+        rest.append(block.values[:, len(plan.channels) :])
+    samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, plan.tick_s)
+    return mapped_recording(
+        path, plan, column_map, samples, np.concatenate(rest), table.names, table.damage
+    )
+
+
+def mapped_recording(
+    path: Path,
+    plan: Plan,
+    column_map: ColumnMap,
+    samples: SampleBatch,
+    kept: NDArray[np.float64],
+    names: Collection[str],
+    damage: list[str],
+) -> Recording:
+    """What a map makes of a file: samples with their clock, tables from the columns that are kept
+    (n, len(plan.kept)), and metadata. names: every column of the file."""
     samples.segment[:] = segments_of(samples.ticks)
-    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, tick_s, samples.segment)
-    metadata = {"host_time": dict(SYNTHESISED), "column_map": mapping}
+    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, plan.tick_s, samples.segment)
+    metadata = {"host_time": dict(SYNTHESISED), "column_map": plan.text}
     if column_map.vehicle is not None:
         metadata["vehicle"] = {"profile": column_map.vehicle}
+    elif column_map.family is not None:
+        metadata["vehicle"] = {"family": column_map.family, "because": column_map.title}
     else:
-        metadata["vehicle"] = family_of(table.names, samples)
+        metadata["vehicle"] = family_of(names, samples)
     return Recording(
         path=path,
-        kind="csv",
+        kind=column_map.kind,
         samples=samples,
-        tables=_tables(kept, np.concatenate(rest), samples.time_s),
+        tables=_tables(plan.kept, kept, samples.time_s),
         metadata=metadata,
-        damage=table.damage,
+        damage=damage,
     )
 
 
 def _tables(
-    kept: list[_Channel], values: NDArray[np.float64], time_s: NDArray[np.float64]
+    kept: Sequence[Channel], values: NDArray[np.float64], time_s: NDArray[np.float64]
 ) -> dict[str, Table]:
     """The columns (n, len(kept)) that are no channel of the samples, by the map's table names."""
     tables: dict[str, Table] = {}
@@ -192,37 +133,28 @@ def _tables(
     return tables
 
 
-def _all_columns(path: Path) -> set[str]:
-    """Names of the columns that a named map asks for."""
-    column_map = load_column_map(path)
-    channels, _, _ = _plan(column_map, path)
-    kept = [column for columns in column_map.tables.values() for column in columns]
-    return {str(channel.column) for channel in channels} | set(kept)
-
-
-def load_column_map(path: Path) -> ColumnMap:
-    """Read and check a column map.
-
-    Raises RecordingError where the file cannot be opened, BadInputError naming the key that is
-    wrong.
-    """
-    try:
-        return decode_toml(read_document(path), ColumnMap)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise BadInputError(f"{path}: not a column map: {error}") from error
-
-
 @dataclass(frozen=True, slots=True)
-class _Channel:
-    """One mapped channel: the sample's value = ``scale`` x the cell."""
+class Channel:
+    """One mapped channel: the sample's value = ``scale`` x (the cell - ``zero``)."""
 
     key: str
     column: str | int
     field: str
     index: int | None
     scale: float
+    zero: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is read: channels with time first, columns for tables, the tick in s, and the map as
+    text for the recording's metadata."""
+
+    channels: tuple[Channel, ...]
+    kept: tuple[Channel, ...]
+    tick_s: float
+    text: dict[str, str]
+    from_north: bool = False
 
 
 _FIELDS = {
@@ -231,26 +163,56 @@ _FIELDS = {
     "accelerometer": "accelerometer",
     "attitude": "attitude",
     "rotor": "rotor_rev_s",
+    "quaternion": "quaternion",
 }
 
 
-def _plan(mapping: ColumnMap, path: Path) -> tuple[list[_Channel], float, dict[str, str]]:
-    """Channels with time first, the tick, and the map as text for the recording's metadata."""
-    tick_s = TICK_S if mapping.time.unit == "ticks" else _TICK_S
-    time_scale = _scale("time", "time", mapping.time.unit, path) / tick_s
-    channels = [_Channel("time", mapping.time.column, "ticks", None, time_scale)]
-    text = {"time": f"{mapping.time.column} {mapping.time.unit}"}
-    for key, quantity, field, index, column in _columns(mapping):
-        scale = _scale(key, quantity, column.unit, path) * column.sign
-        channels.append(_Channel(key, column.column, field, index, scale))
+def plan_of(column_map: ColumnMap, path: Path, names: Collection[str] | None = None) -> Plan:
+    """Which of the columns that a file has (None: not known) the map at ``path`` takes.
+
+    Raises BadInputError for a unit that is none, and where a partial map finds nothing but time.
+    """
+    tick_s = TICK_S if column_map.time.unit == "ticks" else _TICK_S
+    time_scale = _scale("time", "time", column_map.time.unit, path) / tick_s
+    channels = [Channel("time", column_map.time.column, "ticks", None, time_scale)]
+    text = {"time": f"{column_map.time.column} {column_map.time.unit}"}
+    for key, quantity, field, index, choice in _columns(column_map):
+        listed = choice if isinstance(choice, list) else [choice]
+        scales = [_scale(key, quantity, one.unit, path) * one.sign for one in listed]
+        place = _first_there(listed, names)
+        if place is None:
+            if column_map.partial:
+                continue
+            place = 0
+        column = listed[place]
+        zero = ZERO.get(column.unit)
+        channels.append(Channel(key, column.column, field, index, scales[place], zero))
         text[key] = f"{column.column} {'-' if column.sign < 0 else ''}{column.unit}"
-    if mapping.debug is not None:
-        channels.append(_Channel("debug", mapping.debug.column, "debug", None, 1.0))
-        text["debug"] = str(mapping.debug.column)
-    return channels, tick_s, text
+    if column_map.debug is not None:
+        channels.append(Channel("debug", column_map.debug.column, "debug", None, 1.0))
+        text["debug"] = str(column_map.debug.column)
+    if column_map.partial and len(channels) == 1:
+        raise BadInputError(f"{path}: the file has none of the columns that this map knows")
+    kept = tuple(
+        Channel(f"tables.{name}", column, name, None, 1.0)
+        for name, columns in column_map.tables.items()
+        for column in columns
+        if names is None or not column_map.partial or column in names
+    )
+    return Plan(tuple(channels), kept, tick_s, text, column_map.yaw_from == "north")
 
 
-def _columns(mapping: ColumnMap) -> Iterator[tuple[str, str, str, int | None, Column]]:
+def _first_there(listed: Sequence[Column], names: Collection[str] | None) -> int | None:
+    """Place of the first column that the file has."""
+    there = [
+        place
+        for place, one in enumerate(listed)
+        if names is None or isinstance(one.column, int) or one.column in names
+    ]
+    return there[0] if there else None
+
+
+def _columns(mapping: ColumnMap) -> Iterator[tuple[str, str, str, int | None, Choice]]:
     if mapping.battery is not None:
         yield "battery", "battery", "battery_v", None, mapping.battery
     for quantity, field in _FIELDS.items():
@@ -268,7 +230,7 @@ def _scale(key: str, quantity: str, unit: str, path: Path) -> float:
     return units[unit]
 
 
-def _place(table: TextTable, channel: _Channel, map_path: Path) -> int:
+def _place(table: TextTable, channel: Channel, map_path: Path) -> int:
     """Position in a row of the column that a channel names."""
     if isinstance(channel.column, int):
         if channel.column > table.width:
@@ -296,20 +258,43 @@ def _place(table: TextTable, channel: _Channel, map_path: Path) -> int:
     )
 
 
-def _batch(block: Block, channels: list[_Channel], tick_s: float) -> SampleBatch:
-    samples = empty_samples(len(block.values), tick_s)
-    for place, channel in enumerate(channels):
-        values = block.values[:, place]
+def samples_of(
+    plan: Plan,
+    values: NDArray[np.float64],
+    error: Callable[[int, int, str], BadInputError],
+) -> SampleBatch:
+    """Samples from the columns (n, len(plan.channels) or more) that a plan names.
+
+    error: what to raise for the cell at a row and column, and why.
+    """
+    samples = empty_samples(len(values), plan.tick_s)
+    quaternion = np.full((len(values), 4), np.nan)
+    mapped = {channel.field for channel in plan.channels}
+    for place, channel in enumerate(plan.channels):
+        cells = values[:, place]
         if channel.field in _LIMITS:
             low, high = _LIMITS[channel.field]
-            scaled = np.rint(values * channel.scale)
+            scaled = np.rint(cells * channel.scale)
             wrong = np.flatnonzero(~((scaled >= low) & (scaled <= high)))
             if len(wrong):
                 row = int(wrong[0])
-                raise block.error(row, place, f"{values[row]:g} cannot be {channel.key}")
+                raise error(row, place, f"{cells[row]:g} cannot be {channel.key}")
             getattr(samples, channel.field)[:] = scaled
+            continue
+        if channel.zero is not None:
+            cells = np.maximum(cells - channel.zero, 0.0)
+        if channel.field == "quaternion":
+            quaternion[:, channel.index] = cells * channel.scale
         else:
             target = getattr(samples, channel.field)
             target = target if channel.index is None else target[:, channel.index]
-            target[:] = values * channel.scale
+            target[:] = cells * channel.scale
+    if "quaternion" in mapped:
+        size = np.linalg.norm(quaternion, axis=1)
+        known = np.isfinite(size) & (size > 0)
+        unit = quaternion[known] / size[known, None]
+        samples.attitude[known] = attitude_of_quaternion(unit)
+    if plan.from_north:
+        yaw = samples.attitude[:, 2]
+        yaw[:] = np.remainder(yaw + 1.5 * np.pi, math.tau) - np.pi
     return samples

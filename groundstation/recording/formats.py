@@ -13,7 +13,9 @@ from typing import Any
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.mcap_scan import looks_like_mcap
+from groundstation.recording.ros_bag import is_bag
 from groundstation.recording.session import Recording
+from groundstation.recording.ulog_file import MAGIC as ULOG_MAGIC
 
 _RRD_MAGIC = (b"RRF2", b"RRF1", b"RRF0", b"RRIO")
 _MICROSD_MAGIC = tuple(b"\xbc" + bytes([version, 0]) for version in range(1, 10))
@@ -30,21 +32,35 @@ def is_text(head: bytes) -> bool:
 @dataclass(frozen=True, slots=True)
 class Format:
     """has: told by a file's first bytes. reader, writer: ``module.function`` in this package, the
-    writer empty where the format is only read; writers go by the new file's suffix."""
+    writer empty where the format is only read; writers go by the new file's suffix. mapped: reads
+    by a column map, empty where the format takes none."""
 
     has: Callable[[bytes], bool]
     reader: str
     suffix: str = ""
     writer: str = ""
     keeps_raw: bool = False
+    mapped: str = ""
 
 
 FORMATS = (
+    Format(is_bag, "ros_bag.read_bag", mapped="ros_bag.read_bag"),
+    Format(
+        lambda head: head.startswith(ULOG_MAGIC),
+        "ulog_file.read_ulog",
+        mapped="ulog_file.read_ulog",
+    ),
     Format(looks_like_mcap, "mcap_reader.read_mcap", ".mcap", "recording_file.write_mcap", True),
     Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
     Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
     Format(lambda head: head.startswith(_ZIP_MAGIC), "npz_file.read_npz", keeps_raw=True),
-    Format(is_text, "csv_file.read_csv", ".csv", "csv_file.write_csv"),
+    Format(
+        is_text,
+        "csv_file.read_csv",
+        ".csv",
+        "csv_file.write_csv",
+        mapped="column_map.read_mapped_csv",
+    ),
 )
 """In the order in which they are tried: text is what is none of the others."""
 
@@ -60,8 +76,23 @@ def read_as(path: Path, head: bytes, raw: bool) -> Recording:
             recording: Recording = _function(one.reader)(path, **options)
             return recording
     raise RecordingError(
-        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording nor the stand-in's .npz"
+        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording, a ROS 2 bag, a ULog nor the"
+        " stand-in's .npz"
     )
+
+
+def read_mapped(path: Path, head: bytes, source: str | Path) -> Recording:
+    """Read a file of another program by the columns that a map names.
+
+    Raises BadInputError for a format that has no columns to name, and as its reader does.
+    """
+    for one in FORMATS:
+        if one.has(head):
+            if not one.mapped:
+                break
+            recording: Recording = _function(one.mapped)(path, source)
+            return recording
+    raise BadInputError(f"{path}: not a CSV file, ROS 2 bag or ULog, so it takes no column map")
 
 
 def writer_of(path: Path, *, physical: bool = False) -> Callable[[Recording, Path], None]:

@@ -7,7 +7,8 @@ from pathlib import Path
 from groundstation.documents import read_document, seems
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.file_window import FileWindow
-from groundstation.recording.formats import is_text, read_as
+from groundstation.recording.formats import read_as, read_mapped
+from groundstation.recording.ros_bag import is_bag_folder, read_bag
 from groundstation.recording.session import Recording
 
 _HEAD_BYTES = 4096
@@ -16,16 +17,19 @@ _HEAD_BYTES = 4096
 def open_recording(
     path: str | Path, *, raw: bool = False, column_map: str | Path | None = None
 ) -> Recording:
-    """Read an MCAP, CSV, microSD or rerun recording, whatever its name ends with.
+    """Read an MCAP, CSV, microSD or rerun recording, a ROS 2 bag (also its folder) or a ULog,
+    whatever its name ends with.
 
     raw: also the packets as received, where the file has them.
-    column_map: what the columns of a CSV file mean: the name of a map that ships with the program
-        (``column_map.NAMED``), or a TOML file.
+    column_map: what the columns of another program's file mean: the name of a map that ships with
+        the program (``column_map.NAMED``), or a TOML file.
 
     Raises BadInputError or RecordingError, one line each, where the file does not exist,
     cannot be read, or is nothing that is known here.
     """
     path = Path(path)
+    if is_bag_folder(path):
+        return read_bag(path, column_map)
     window = FileWindow(path)
     try:
         head = bytes(window.view(0, min(window.size, _HEAD_BYTES)))
@@ -36,9 +40,5 @@ def open_recording(
     if head.lstrip()[:1] == b"{":
         raise BadInputError(f"{path}: not a recording{seems(read_document(path))}")
     if column_map is not None:
-        if not is_text(head):
-            raise BadInputError(f"{path}: not a CSV file, so it takes no column map")
-        from groundstation.recording.column_map import read_mapped_csv
-
-        return read_mapped_csv(path, column_map)
+        return read_mapped(path, head, column_map)
     return read_as(path, head, raw)

@@ -59,7 +59,7 @@ ELSEWHERE = {
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
     "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
-    "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio]"),
+    "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio"),
     "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo usbip attach": ("root and a kernel of one's own", USB, '"attach"'),

@@ -28,9 +28,15 @@ FIELD_OF = {
 }
 ONE_SI_UNIT_IS = {
     "battery": {"V": 1, "mV": 1000},
-    "duty": {"fraction": 1, "%": 100, "8-bit": 255, "12-bit": 4096, "16-bit": 65535},
+    "duty": {
+        **{"fraction": 1, "%": 100, "8-bit": 255, "12-bit": 4096, "16-bit": 65535},
+        **{"dshot": 2047, "pwm-us": 2000},
+    },
     "gyro": {"rad/s": 1, "deg/s": 57.29578, "counts": 57.29578 * 16.384},
-    "accelerometer": {"m/s^2": 1, "g": 1 / 9.80665, "counts": 4096 / 9.80665},
+    "accelerometer": {
+        **{"m/s^2": 1, "g": 1 / 9.80665, "counts": 4096 / 9.80665},
+        "g/2048": 2048 / 9.80665,
+    },
     "attitude": {"rad": 1, "deg": 57.29578, "counts": 5729.578},
     "rotor": {"rev/s": 1, "rpm": 60, "rad/s": 2 * math.pi},
 }
@@ -91,7 +97,7 @@ def test_every_unit_has_its_size(tmp_path, quantity, unit):
 
 
 def test_no_unit_is_left_untested():
-    assert {q: set(units) for q, units in UNITS.items() if q != "time"} == {
+    assert {q: set(units) for q, units in UNITS.items() if q not in ("time", "quaternion")} == {
         q: set(units) for q, units in ONE_SI_UNIT_IS.items()
     }
 

@@ -1,0 +1,176 @@
+"""Any other CSV through a column map: a TOML file that says column, unit and sign per field.
+
+    [time]
+    column = "t"
+    unit = "ms"
+
+    [gyro.x]
+    column = "wx"
+    unit = "deg/s"
+    sign = -1
+
+``column`` is a name of the header line or a number counted from 1 (the only choice for a file
+without a header). ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
+z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
+battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw or
+quaternion.w..z; rotor.m1..m4; debug. Only time is required. A field may list several columns: the
+first that the file has is taken. ``[tables]`` names further columns, kept as they stand under a
+name of their own. Of the map itself:
+
+- ``title``: what such files are; ``vehicle``: the profile of the craft that flew; ``family``: what
+  is known of a craft that the file does not name.
+- ``partial``: any column but time may be missing; ``signature``: columns by which such a file is
+  recognised (without: all of them).
+- ``yaw_from``: where a yaw of 0 looks.
+- ``kind``, ``rows``: in a log of many series (``"ulog"``, ``"rosbag"``) a column is
+  ``SERIES.FIELD`` and ``rows`` the series that gives the rows: ``series_map`` reads those.
+
+The maps in ``maps/`` ship with the program, under the name of their file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from groundstation.documents import decode_toml, read_document
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.telemetry.packet import (
+    ACCELEROMETER_M_S2,
+    ANGLE_RAD,
+    BATTERY_V,
+    DUTY,
+    GYRO_RAD_S,
+    STANDARD_GRAVITY,
+    TICK_S,
+)
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "ticks": TICK_S},
+    "battery": {"V": 1.0, "mV": BATTERY_V},
+    "duty": {
+        "fraction": 1.0,
+        "%": 0.01,
+        "8-bit": 1 / 255,
+        "12-bit": DUTY,
+        "16-bit": 1 / 65535,
+        "dshot": 1 / 1999,
+        "pwm-us": 1e-3,
+    },
+    "gyro": {"rad/s": 1.0, "deg/s": math.radians(1), "counts": GYRO_RAD_S},
+    "accelerometer": {
+        "m/s^2": 1.0,
+        "g": STANDARD_GRAVITY,
+        "counts": ACCELEROMETER_M_S2,
+        "g/2048": STANDARD_GRAVITY / 2048,
+    },
+    "attitude": {"rad": 1.0, "deg": math.radians(1), "counts": ANGLE_RAD},
+    "quaternion": {"1": 1.0},
+    "rotor": {"rev/s": 1.0, "rpm": 1 / 60, "rad/s": 1 / math.tau},
+}
+"""Unit names per quantity and their size: s, V, duty 0..1, rad/s, m/s^2, rad, rev/s.
+
+``ticks`` and ``counts`` are the telemetry packet's (73/72 us; 1/16.384 deg/s; 1/4096 g;
+0.01 deg); ``12-bit`` is its duty of 1/4096, 8 and 16 bits count to 255 and 65535; ``dshot`` from 48
+to 2047, ``pwm-us`` from 1000 to 2000.
+"""
+ZERO = {"dshot": 48.0, "pwm-us": 1000.0}
+"""What stands for nothing in the units that begin elsewhere; less is nothing as well."""
+
+NAMED = {path.stem: path for path in sorted((Path(__file__).parent / "maps").glob("*.toml"))}
+"""The maps that ship with the program."""
+
+
+class Column(msgspec.Struct, forbid_unknown_fields=True):
+    """Where one channel comes from."""
+
+    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
+    unit: str
+    sign: Literal[1, -1] = 1
+
+
+class Clock(msgspec.Struct, forbid_unknown_fields=True):
+    """Where device time comes from."""
+
+    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
+    unit: str
+
+
+class Plain(msgspec.Struct, forbid_unknown_fields=True):
+    """Where the debug word comes from: a whole number as it stands."""
+
+    column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
+
+
+Choice = Column | list[Column]
+"""One column, or several of which the first that a file has is taken."""
+Kind = Literal["csv", "ulog", "rosbag"]
+
+
+class Axes(msgspec.Struct, forbid_unknown_fields=True):
+    x: Choice | None = None
+    y: Choice | None = None
+    z: Choice | None = None
+
+
+class Angles(msgspec.Struct, forbid_unknown_fields=True):
+    roll: Choice | None = None
+    pitch: Choice | None = None
+    yaw: Choice | None = None
+
+
+class Quaternion(msgspec.Struct, forbid_unknown_fields=True):
+    """Attitude of the body (x forward, y left, z up) in a frame with z up, by its components."""
+
+    w: Choice | None = None
+    x: Choice | None = None
+    y: Choice | None = None
+    z: Choice | None = None
+
+
+class Motors(msgspec.Struct, forbid_unknown_fields=True):
+    m1: Choice | None = None
+    m2: Choice | None = None
+    m3: Choice | None = None
+    m4: Choice | None = None
+
+
+class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
+    """A column map as its TOML file spells it."""
+
+    time: Clock
+    battery: Choice | None = None
+    duty: Motors = msgspec.field(default_factory=Motors)
+    gyro: Axes = msgspec.field(default_factory=Axes)
+    accelerometer: Axes = msgspec.field(default_factory=Axes)
+    attitude: Angles = msgspec.field(default_factory=Angles)
+    quaternion: Quaternion = msgspec.field(default_factory=Quaternion)
+    rotor: Motors = msgspec.field(default_factory=Motors)
+    debug: Plain | None = None
+    tables: dict[str, list[Annotated[str, msgspec.Meta(min_length=1)]]] = {}
+    vehicle: str | None = None
+    family: Literal["2.x", "unknown"] | None = None
+    title: str = ""
+    partial: bool = False
+    signature: list[str] = []
+    kind: Kind = "csv"
+    rows: str = ""
+    yaw_from: Literal["east", "north"] = "east"
+
+
+def load_column_map(path: Path) -> ColumnMap:
+    """Read and check a column map.
+
+    Raises RecordingError where the file cannot be opened, BadInputError naming the key that is
+    wrong.
+    """
+    try:
+        return decode_toml(read_document(path), ColumnMap)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise BadInputError(f"{path}: not a column map: {error}") from error

@@ -1,0 +1,157 @@
+"""ROS 2 bags (.mcap, .db3, or the folder with metadata.yaml), read by rosbags (extra ``logs``).
+
+Every topic is a series: numbers by their path in the message (``angular_velocity.x``), arrays of
+few numbers by place (``values[0]``), and ``time``, seconds since the bag's first stamp. A message
+with a header came when its stamp says, any other when the bag got it. Crazyswarm2's log topics came
+when the craft's own clock says, for one variable's radio is as late as another's.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.mcap_scan import looks_like_mcap
+from groundstation.recording.series_map import Series, read_mapped_series
+from groundstation.recording.session import Recording
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys.store import Typestore
+
+SQLITE_MAGIC = b"SQLite format 3\0"
+_PROFILE = struct.pack("<I", 4) + b"ros2"
+_PROFILE_AT = 17
+"""Behind MCAP's magic, the header's opcode and its length."""
+MOST_NUMBERS = 32
+"""Longer arrays are pictures and scans."""
+LOG_TYPE = "crazyflie_interfaces/msg/LogDataGeneric"
+_LOG_DEFINITION = "std_msgs/Header header\nuint32 timestamp\nfloat32[] values\n"
+"""Its fields; a .db3 of an older ROS does not hold them."""
+MS_NS = 1_000_000
+
+
+def is_bag(head: bytes) -> bool:
+    """True for the first bytes of a ROS 2 bag's file."""
+    is_ros = head[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
+    return head.startswith(SQLITE_MAGIC) or (looks_like_mcap(head) and is_ros)
+
+
+def is_bag_folder(path: Path) -> bool:
+    return (path / "metadata.yaml").is_file()
+
+
+def read_bag(path: Path, source: str | Path | None = None) -> Recording:
+    """Read a bag, a file of one or its folder, by a column map (None: the named one that knows it).
+
+    Raises BadInputError where rosbags is not installed or no map fits, RecordingError where the bag
+    does not read.
+    """
+    try:
+        from rosbags.rosbag2 import Reader, ReaderError
+    except ImportError as error:
+        raise BadInputError(
+            f"{path}: a ROS 2 bag, which rosbags reads: pip install -e '.[logs]'"
+        ) from error
+    from apsw import Error as DatabaseError
+
+    try:
+        with Reader(path) as bag:
+            series = _series(bag)
+    except (
+        *(ReaderError, OSError, ValueError, TypeError, KeyError, IndexError, AssertionError),
+        *(struct.error, DatabaseError, EOFError, MemoryError),
+    ) as error:
+        raise RecordingError(f"{path}: a ROS 2 bag that does not read: {error}") from error
+    return read_mapped_series(path, "rosbag", series, source)
+
+
+@dataclass(slots=True)
+class _Topic:
+    type: str
+    came_ns: list[int] = field(default_factory=list)
+    rows: list[dict[str, float]] = field(default_factory=list)
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """Each number that any message has; NaN where one has it not."""
+        names = dict.fromkeys(name for row in self.rows for name in row)
+        return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in names}
+
+
+def _series(bag: Reader) -> list[Series]:
+    types = _types(bag)
+    topics = {one.topic: _Topic(one.msgtype) for one in bag.connections}
+    for connection, bag_ns, data in bag.messages():
+        if connection.msgtype not in types.fielddefs:
+            continue
+        message = types.deserialize_cdr(data, connection.msgtype)
+        topic = topics[connection.topic]
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        stamp_ns = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
+        topic.came_ns.append(stamp_ns or bag_ns)
+        topic.rows.append(dict(_numbers(message, "")))
+    clocks = {name: np.array(topic.came_ns, np.int64) for name, topic in topics.items()}
+    columns = {name: topic.columns() for name, topic in topics.items()}
+    _set_by_craft(clocks, {n: columns[n] for n, topic in topics.items() if topic.type == LOG_TYPE})
+    first_ns = min((int(clock.min()) for clock in clocks.values() if len(clock)), default=0)
+    series = []
+    for name, topic in topics.items():
+        clock = clocks[name]
+        order = np.argsort(clock, kind="stable")
+        given = {key: values[order] for key, values in columns[name].items()}
+        given["time"] = ((clock[order] - first_ns) * 1e-9).astype(np.float64)
+        series.append(Series(name, clock[order], given, topic.type))
+    return series
+
+
+def _set_by_craft(
+    clocks: dict[str, NDArray[np.int64]], logs: Mapping[str, Mapping[str, NDArray[np.float64]]]
+) -> None:
+    """Give log topics their craft's own time, put where the least late message came."""
+    by_craft: dict[str, list[str]] = {}
+    for name, columns in logs.items():
+        if "timestamp" in columns:
+            by_craft.setdefault(name.rpartition("/")[0], []).append(name)
+    for names in by_craft.values():
+        own = {name: (logs[name]["timestamp"] * MS_NS).astype(np.int64) for name in names}
+        if any((np.diff(stamps) < 0).any() for stamps in own.values()):
+            continue  # it restarted: only the bag's clock goes on
+        offset_ns = min(int((clocks[name] - own[name]).min()) for name in names)
+        for name in names:
+            clocks[name] = own[name] + offset_ns
+
+
+def _numbers(message: Any, prefix: str) -> Iterator[tuple[str, float]]:
+    """Every number of a message by its path."""
+    for item in fields(message):
+        value = getattr(message, item.name)
+        name = prefix + item.name
+        if is_dataclass(value):
+            yield from _numbers(value, f"{name}.")
+        elif isinstance(value, (bool, int, float)):
+            if not item.name.isupper():  # a constant
+                yield name, float(value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
+            numbers = value.ravel() if value.size <= MOST_NUMBERS else ()
+            yield from ((f"{name}[{place}]", float(one)) for place, one in enumerate(numbers))
+
+
+def _types(bag: Reader) -> Typestore:
+    """ROS's own types, those that the bag defines, and crazyswarm2's log."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    defined = get_types_from_msg(_LOG_DEFINITION, LOG_TYPE)
+    for one in bag.connections:
+        if one.msgdef.format == MessageDefinitionFormat.MSG:
+            defined.update(get_types_from_msg(one.msgdef.data, one.msgtype))
+    types.register({name: one for name, one in defined.items() if name not in types.fielddefs})
+    return types

@@ -1,0 +1,138 @@
+"""Logs of many series, each with a clock and columns of its own, through a column map.
+
+The map names the series that gives the rows; of any other, a row has what was last known at its
+time. A column is ``SERIES.FIELD``. A series goes by its own name, by the last part of a name with
+slashes, and by its type, as far as only one series has that name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInputError
+from groundstation.recording.column_map import (
+    NAMED,
+    Plan,
+    load_column_map,
+    map_of_series,
+    mapped_recording,
+    plan_of,
+    samples_of,
+)
+from groundstation.recording.session import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One series of a log.
+
+    time_ns: (n,) when each row came, in order, on a clock that all series of the file share.
+    columns: name -> (n,) numbers.
+    type: of its messages, or empty.
+    """
+
+    name: str
+    time_ns: NDArray[np.int64]
+    columns: Mapping[str, NDArray[np.generic]]
+    type: str = ""
+
+
+_Columns = Mapping[str, tuple[Series, NDArray[np.generic]]]
+SHOWN = 12
+"""Series that an error names."""
+
+
+def read_mapped_series(
+    path: Path,
+    kind: Literal["ulog", "rosbag"],
+    series: Sequence[Series],
+    source: str | Path | None,
+    damage: Sequence[str] = (),
+) -> Recording:
+    """Read a log by a map (None: the named one that knows it).
+
+    Raises BadInputError where no map fits, and as ``read_mapped_csv``.
+    """
+    by_name = _called(series)
+    columns = {
+        f"{name}.{field}": (one, values)
+        for name, one in by_name.items()
+        for field, values in one.columns.items()
+    }
+    listed = ", ".join(f"{one.name} ({one.type})" if one.type else one.name for one in series)
+    if source is None:
+        source = map_of_series(kind, columns)
+        if source is None:
+            raise BadInputError(
+                f"{path}: no known map fits its series ({_cut(listed)}); name one of 'groundstation"
+                " convert --list-columns' with --columns, or describe the columns in a TOML file"
+            )
+    map_path = NAMED.get(str(source), Path(source))
+    column_map = load_column_map(map_path)
+    if column_map.kind != kind:
+        raise BadInputError(f"{path}: a {kind} file, and {source} is a map of {column_map.kind}")
+    rows = by_name.get(column_map.rows)
+    if rows is None:
+        raise BadInputError(
+            f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {_cut(listed)}"
+        )
+    plan = plan_of(column_map, map_path, columns)
+    for channel in (*plan.channels, *plan.kept):
+        if channel.column not in columns:
+            raise BadInputError(
+                f"{path}: no column {channel.column!r} ({channel.key} in {map_path}); a column is"
+                f" SERIES.FIELD, the series are {_cut(listed)}"
+            )
+    values = _on_rows(plan, rows, columns)
+
+    def refuse(row: int, place: int, why: str) -> BadInputError:
+        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
+
+    samples = samples_of(plan, values, refuse)
+    kept = values[:, len(plan.channels) :]
+    names = [name.rpartition(".")[2] for name in columns]
+    return mapped_recording(path, plan, column_map, samples, kept, names, list(damage))
+
+
+def _on_rows(plan: Plan, rows: Series, columns: _Columns) -> NDArray[np.float64]:
+    """The planned columns at the times of ``rows``, shape (n, k): the last value known by then, NaN
+    before the first."""
+    wanted = (*plan.channels, *plan.kept)
+    values = np.full((len(rows.time_ns), len(wanted)), np.nan)
+    places: dict[str, NDArray[np.intp]] = {}
+    for index, channel in enumerate(wanted):
+        series, given = columns[str(channel.column)]
+        if series is rows:
+            values[:, index] = given
+            continue
+        if series.name not in places:
+            found = np.searchsorted(series.time_ns, rows.time_ns, side="right") - 1
+            places[series.name] = found
+        place = places[series.name]
+        known = place >= 0
+        values[known, index] = np.asarray(given, np.float64)[place[known]]
+    return values
+
+
+def _called(series: Sequence[Series]) -> dict[str, Series]:
+    """Each series by every name that it alone has."""
+    names = [
+        (name, one)
+        for one in series
+        for name in {one.name, one.name.rpartition("/")[2], one.type} - {""}
+    ]
+    times = Counter(name for name, _ in names)
+    return {name: one for name, one in names if times[name] == 1 or name == one.name}
+
+
+def _cut(listed: str) -> str:
+    parts = listed.split(", ")
+    more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
+    return ", ".join(parts[:SHOWN]) + more

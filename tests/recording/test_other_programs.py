@@ -1,0 +1,207 @@
+"""One flight as other programs write it, read back as what it was."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_logs import (
+    write_betaflight,
+    write_cfclient,
+    write_crazyswarm2,
+    write_ros2,
+    write_ulog,
+)
+from programs import run_program
+
+from groundstation.errors import BadInputError
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.recording_file import write_mcap
+
+GROUNDSTATION = Path(sys.executable).parent / "groundstation"
+FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """Two seconds in the air, on whole ms as most of these clocks are, with a heading."""
+    samples = open_recording(FLIGHT).samples[4000:5000]
+    samples.ticks[:] = np.arange(len(samples)) * round(0.002 / samples.tick_s)
+    samples.attitude[:, 2] += 2.0
+    return samples
+
+
+ANYTHING = {"gyro": 1e-4, "accelerometer": 1e-3, "attitude": 1e-5, "duty": 1e-5, "battery_v": 1e-4}
+WRITTEN = {
+    "cfclient": (write_cfclient, "log.csv", ANYTHING),
+    "betaflight": (
+        write_betaflight,
+        "log.csv",
+        {"gyro": 0.01, "accelerometer": 0.0025, "duty": 3e-4, "battery_v": 6e-4},
+    ),
+    "px4": (write_ulog, "log.ulg", ANYTHING),
+    "px4 before 1.13": (
+        lambda at, flight: write_ulog(at, flight, "actuator_outputs"),
+        "log.ulg",
+        {**ANYTHING, "duty": 1e-4},
+    ),
+    "mcap": (
+        lambda at, flight: write_ros2(at, flight, "mcap"),
+        "bag",
+        {key: ANYTHING[key] for key in ("gyro", "accelerometer", "attitude", "battery_v")},
+    ),
+    "db3": (
+        lambda at, flight: write_ros2(at, flight, "sqlite3"),
+        "bag",
+        {key: ANYTHING[key] for key in ("gyro", "accelerometer", "attitude", "battery_v")},
+    ),
+    "crazyswarm2": (write_crazyswarm2, "bag", ANYTHING),
+}
+SLOW = {"px4", "px4 before 1.13", "mcap", "db3"}
+"""These write the battery once in 50 rows and more."""
+
+
+def same(angle):
+    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_a_flight_is_recognised_and_read_as_what_it_was(kind, flight, tmp_path):
+    write, name, expected = WRITTEN[kind]
+    write(tmp_path / name, flight)
+    recording = open_recording(tmp_path / name)
+    found = recording.samples
+    assert recording.damage == []
+    assert len(found) == len(flight)
+    np.testing.assert_allclose(np.diff(found.time_s), 0.002, atol=2e-6)
+    for channel in ("gyro", "accelerometer", "attitude", "duty", "battery_v"):
+        values = getattr(found, channel)
+        if channel not in expected:
+            assert np.isnan(values).all()
+            continue
+        apart = values - getattr(flight, channel)
+        if channel == "attitude":
+            apart = same(apart)
+        if channel == "battery_v" and kind in SLOW:
+            apart = values[::500] - flight.battery_v[::500]
+        assert np.abs(apart).max() < expected[channel], channel
+    write_mcap(recording, tmp_path / "kept.mcap")
+    kept = open_recording(tmp_path / "kept.mcap")
+    assert np.array_equal(kept.samples.gyro, found.gyro)
+    assert kept.metadata["vehicle"] == recording.metadata["vehicle"]
+    assert "family" in recording.metadata["vehicle"]
+
+
+def test_a_file_of_a_bag_reads_like_its_folder(flight, tmp_path):
+    for storage in ("mcap", "sqlite3"):
+        write_ros2(tmp_path / storage, flight, storage)
+        (file,) = (one for one in (tmp_path / storage).iterdir() if one.suffix != ".yaml")
+        whole = open_recording(tmp_path / storage)
+        assert np.array_equal(open_recording(file).samples.gyro, whole.samples.gyro)
+
+
+def test_pulses_look_like_dshot_and_are_read_where_they_are_asked_for(flight, tmp_path):
+    write_betaflight(tmp_path / "log.csv", flight, pwm=True)
+    pulses = open_recording(tmp_path / "log.csv", column_map="betaflight_pwm").samples
+    assert np.abs(pulses.duty - flight.duty).max() < 1e-3
+    assert np.abs(open_recording(tmp_path / "log.csv").samples.duty - flight.duty).max() > 0.1
+
+
+def test_one_log_block_alone_is_read_for_what_it_has(flight, tmp_path):
+    write_cfclient(tmp_path / "block.csv", flight, extra=False)
+    recording = open_recording(tmp_path / "block.csv")
+    assert np.isfinite(recording.samples.duty).all()
+    assert np.isnan(recording.samples.attitude).all()
+    assert recording.metadata["vehicle"]["family"] == "unknown"
+    (tmp_path / "other.csv").write_text("Timestamp,a,b\n0,1,2\n2,1,2\n")
+    with pytest.raises(BadInputError, match="convert --list-columns"):
+        open_recording(tmp_path / "other.csv")
+
+
+def test_a_swarms_bag_says_which_craft_there_are_and_takes_a_map_of_ones_own(flight, tmp_path):
+    write_crazyswarm2(tmp_path / "bag", flight, robots=("cf1", "cf2"))
+    with pytest.raises(BadInputError, match=r"no known map fits .*/cf1/imu .*/cf2/imu .*--columns"):
+        open_recording(tmp_path / "bag")
+    (tmp_path / "cf2.toml").write_text(
+        """
+        kind = "rosbag"
+        rows = "/cf2/imu"
+        time = { column = "/cf2/imu.timestamp", unit = "ms" }
+        gyro.z = { column = "/cf2/imu.values[2]", unit = "deg/s" }
+        duty.m1 = { column = "/cf2/motors.values[0]", unit = "16-bit" }
+        """
+    )
+    found = open_recording(tmp_path / "bag", column_map=tmp_path / "cf2.toml").samples
+    assert np.abs(found.gyro[:, 2] - flight.gyro[:, 2]).max() < 1e-4
+    assert np.abs(found.duty[:, 0] - flight.duty[:, 0]).max() < 1e-5
+
+
+def test_what_acts_is_the_last_command_known_at_a_row(flight, tmp_path):
+    """PX4 sets its motors behind the sensors: what stands in a row is what was set before it."""
+    samples = flight[:200]
+    write_ulog(tmp_path / "log.ulg", samples, motors_late_us=1000)
+    found = open_recording(tmp_path / "log.ulg").samples
+    assert np.isnan(found.duty[0]).all()
+    assert np.abs(found.duty[1:] - samples.duty[:-1]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "message"),
+    [
+        ("log.ulg", "cfclient", "a ulog file, and cfclient is a map of csv"),
+        ("log.ulg", "ros2", "a ulog file, and ros2 is a map of rosbag"),
+        ("log.csv", "px4", "a CSV file, and px4 is a map of ulog files"),
+        ("bag", "px4", "a rosbag file, and px4 is a map of ulog"),
+        ("bag", "crazyswarm2", "the file has none of the columns"),
+        ("log.ulg", "none.toml", "no column 'sensor_gyro.x'.*sensor_combined"),
+    ],
+)
+def test_a_map_that_does_not_fit_is_refused_in_one_line(name, columns, message, flight, tmp_path):
+    short = flight[:5]
+    write_ulog(tmp_path / "log.ulg", short)
+    write_cfclient(tmp_path / "log.csv", short)
+    write_ros2(tmp_path / "bag", short, "mcap")
+    (tmp_path / "none.toml").write_text(
+        'kind = "ulog"\nrows = "sensor_combined"\n'
+        'time = { column = "sensor_combined.timestamp", unit = "us" }\n'
+        'gyro.x = { column = "sensor_gyro.x", unit = "rad/s" }\n'
+    )
+    source = tmp_path / columns if columns.endswith("toml") else columns
+    with pytest.raises(BadInputError, match=message) as caught:
+        open_recording(tmp_path / name, column_map=source)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["log.ulg", "bag.mcap", "bag.db3"])
+@pytest.mark.parametrize("cut", [0.02, 0.5, 0.97])
+def test_a_torn_file_is_an_error_or_shorter_never_a_traceback(name, cut, flight, tmp_path):
+    short = flight[:200]
+    write_ulog(tmp_path / "log.ulg", short)
+    for storage, suffix in (("mcap", "mcap"), ("sqlite3", "db3")):
+        write_ros2(tmp_path / storage, short, storage)
+        (file,) = (tmp_path / storage).glob(f"*.{suffix}")
+        file.rename(tmp_path / f"bag.{suffix}")
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: int(cut * len(whole))])
+    done = run_program([GROUNDSTATION, "inspect", tmp_path / name, "--json"])
+    if done.returncode == 0:
+        assert 0 < json.loads(done.stdout)["samples"] <= len(short)
+    else:
+        assert done.returncode == 1
+        assert done.stderr.startswith("groundstation: ")
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("name", "package"), [("log.ulg", "pyulog"), ("bag", "rosbags")])
+def test_without_the_library_the_hint_installs_it_from_here(name, package, flight, tmp_path):
+    write_ulog(tmp_path / "log.ulg", flight[:5])
+    write_ros2(tmp_path / "bag", flight[:5], "mcap")
+    program = (
+        f"import sys; sys.modules[{package!r}] = None; "
+        "from groundstation.cli.main import main; main()"
+    )
+    done = run_program([sys.executable, "-c", program, "inspect", tmp_path / name])
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert f"{package} reads: pip install -e '.[logs]'" in done.stderr
