@@ -70,6 +70,13 @@ def test_a_pitch_of_the_other_sign_is_told_as_that(flight):
     assert "pitch has the other sign in the recording" in said
 
 
+def test_a_pitch_of_the_other_sign_is_told_at_hover():
+    (still,) = flights(1, program="hover", torque_noise=3.0)
+    require_consistent([still], BASE)
+    said = said_of(replace(still, attitude=still.attitude * [1.0, -1.0, 1.0]))
+    assert "pitch -1 times as fast" in said
+
+
 def test_a_gyro_axis_of_the_other_sign_is_told_by_the_rotors(flight):
     said = said_of(replace(flight, gyro=flight.gyro * [1.0, -1.0, 1.0]))
     assert "with M1 and M3 exchanged" in said  # in plus configuration it is the same
