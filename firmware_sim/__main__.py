@@ -55,6 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
         settings = _settings(options)
         craft = StandIn(settings)
         _require_writable(options)
+        if craft.added_by_plant:
+            print(craft.added_by_plant, flush=True)
         with _line(options) as line:
             flight = asyncio.run(_fly(craft, options, line))
         if options.output is not None:
@@ -84,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--settings", type=Path, help="TOML file of settings (docs/stand_in.md)")
-    parser.add_argument("--plant", choices=("reduced", "faithful"))
+    parser.add_argument("--plant", choices=("reduced", "faithful", "model"))
     parser.add_argument("--craft", help="crazyflie1, crazyflie21, thesis, a .toml or a model file")
     parser.add_argument("--program", help="pilot programme, built in or a TOML file")
     parser.add_argument("--seed", type=int)

@@ -71,6 +71,7 @@ class StandIn:
 
     def __init__(self, settings: StandInSettings | None = None) -> None:
         from firmware_sim.bridge import Bridge
+        from firmware_sim.effects.catalogue import added_by_plant
         from firmware_sim.flight import fly
         from firmware_sim.physics import (
             craft_of,
@@ -92,6 +93,8 @@ class StandIn:
         self._unlocked = False
         self.profile = vehicle.name if vehicle.name in BUILT_IN else None
         """The vehicle it is made of, where that has a name."""
+        self.added_by_plant = added_by_plant(self.settings)
+        """What flies beside a fitted model, in a line; empty where nothing does."""
         self.device = DEVICES.get(vehicle.name, "Crazyflie 2.1")
         """What today's craft calls itself."""
         is_today = firmware_of(self.settings, vehicle) == "2.x"

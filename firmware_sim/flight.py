@@ -220,7 +220,7 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
     row.ticks = s.timer_phase + math.floor(elapsed + late + 8.0)
     row.battery = int(fw.battery_filter * 1000.0 + 0.5)
     for i in range(4):
-        row.motors[i] = int(s.duty[i] * FULL_COMPARE) << 3
+        row.motors[i] = min(int(s.duty[i] * FULL_COMPARE + 0.5), 511) << 3
     for i in range(3):
         row.gyro[i] = s.ring_gyro[slot, i]
         row.accelerometer[i] = s.ring_accel[slot, i]

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_sim.effects.catalogue import EFFECTS, draw, present_effects
+from firmware_sim.physics import craft_of
 from firmware_sim.settings import load_settings, parse_settings
 from groundstation.text import printable
 
@@ -66,9 +67,12 @@ def _sealed(settings: Path, seed: int) -> str:
     if plain.effects:
         raise ValueError(f"{settings}: this craft has effects already; start from one without")
     if name in present_effects(plain):
+        _, model = craft_of(plain)
+        modelled = model is not None and any(one.name == name for one in model.effects)
+        remedy = "a model without it" if modelled else 'one with plant = "reduced"'
         raise ValueError(
             f"{settings}: this craft has {name} from the start, and seed {seed} would hide it;"
-            ' start from one with plant = "reduced"'
+            f" start from {remedy}"
         )
     text = settings.read_text(encoding="utf-8")
     table = "stand_in.effects" if "stand_in" in tomllib.loads(text) else "effects"

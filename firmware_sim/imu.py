@@ -42,33 +42,18 @@ YAW_SHAKE = 0.3
 @inner
 def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
     """Slopes of the gyro's and the accelerometer's lags, with the rotors' imbalance in them."""
-    in_plane_x, in_plane_y, axial = 0.0, 0.0, 0.0
-    twist_x, twist_y, twist_z = 0.0, 0.0, 0.0
-    if p.shake[0] != 0.0 or p.shake[1] != 0.0 or p.shake[2] != 0.0:
-        for i in range(4):
-            ratio = y[ROTOR + i] / SHAKE_REV_S
-            size = IMBALANCE[i] * ratio * ratio
-            angle = 2.0 * math.pi * y[PHASE + i]
-            cosine, sine = size * math.cos(angle), size * math.sin(angle)
-            in_plane_x += cosine
-            in_plane_y += p.spin[i] * sine
-            axial += cosine * p.rotor_y[i] + sine * p.rotor_x[i]
-            twist_x += sine
-            twist_y += cosine
-            twist_z += p.spin[i] * cosine
-    reach = math.sqrt(p.rotor_x[0] * p.rotor_x[0] + p.rotor_y[0] * p.rotor_y[0])
-    axial *= p.shake[1] / reach
-    felt_x = s.force[0] + p.shake[0] * in_plane_x
-    felt_y = s.force[1] + p.shake[0] * in_plane_y
-    felt_z = s.force[2] + axial
+    shaken, twisted = vibration(p, y)
+    felt_x = s.force[0] + shaken[0]
+    felt_y = s.force[1] + shaken[1]
+    felt_z = s.force[2] + shaken[2]
     if p.levered != 0:
         lever_x, lever_y, lever_z = lever_arm_acceleration(p, y, dy)
         felt_x += lever_x
         felt_y += lever_y
         felt_z += lever_z
-    rate_x = y[RATE] + p.shake[2] * twist_x
-    rate_y = y[RATE + 1] + p.shake[2] * twist_y
-    rate_z = y[RATE + 2] + YAW_SHAKE * p.shake[2] * twist_z
+    rate_x = y[RATE] + twisted[0]
+    rate_y = y[RATE + 1] + twisted[1]
+    rate_z = y[RATE + 2] + twisted[2]
     if p.lawful != 0:
         force = (s.force[0], s.force[1], s.force[2])
         rate, felt = lawful_reading(
@@ -91,6 +76,31 @@ def filter_slopes(p: Record, s: Record, y: Any, dy: Any) -> None:
 
 
 @inner
+def vibration(p: Record, y: Any) -> Any:
+    """What the rotors' imbalance adds to specific force (m/s^2) and rates (rad/s)."""
+    in_plane_x, in_plane_y, axial = 0.0, 0.0, 0.0
+    twist_x, twist_y, twist_z = 0.0, 0.0, 0.0
+    if p.shake[0] != 0.0 or p.shake[1] != 0.0 or p.shake[2] != 0.0:
+        for i in range(4):
+            ratio = y[ROTOR + i] / SHAKE_REV_S
+            size = IMBALANCE[i] * ratio * ratio
+            angle = 2.0 * math.pi * y[PHASE + i]
+            cosine, sine = size * math.cos(angle), size * math.sin(angle)
+            in_plane_x += cosine
+            in_plane_y += p.spin[i] * sine
+            axial += cosine * p.rotor_y[i] + sine * p.rotor_x[i]
+            twist_x += sine
+            twist_y += cosine
+            twist_z += p.spin[i] * cosine
+    reach = math.sqrt(p.rotor_x[0] * p.rotor_x[0] + p.rotor_y[0] * p.rotor_y[0])
+    axial *= p.shake[1] / reach
+    return (
+        (p.shake[0] * in_plane_x, p.shake[0] * in_plane_y, axial),
+        (p.shake[2] * twist_x, p.shake[2] * twist_y, YAW_SHAKE * p.shake[2] * twist_z),
+    )
+
+
+@inner
 def sample(p: Record, s: Record, time_ns: int) -> None:
     """Take one sample of the state ``s.y`` into the ring; its slopes are in ``s.slope``."""
     y = s.y
@@ -99,10 +109,11 @@ def sample(p: Record, s: Record, time_ns: int) -> None:
         rx, ry, rz = y[GYRO_DLPF], y[GYRO_DLPF + 1], y[GYRO_DLPF + 2]
         fx, fy, fz = y[ACCEL_DLPF], y[ACCEL_DLPF + 1], y[ACCEL_DLPF + 2]
     else:
-        rx, ry, rz = y[RATE], y[RATE + 1], y[RATE + 2]
+        shaken, twisted = vibration(p, y)
+        rx, ry, rz = y[RATE] + twisted[0], y[RATE + 1] + twisted[1], y[RATE + 2] + twisted[2]
         if p.gyro_lag > 0.0:
             rx, ry, rz = y[GYRO_LAG], y[GYRO_LAG + 1], y[GYRO_LAG + 2]
-        fx, fy, fz = s.force[0], s.force[1], s.force[2]
+        fx, fy, fz = s.force[0] + shaken[0], s.force[1] + shaken[1], s.force[2] + shaken[2]
         if p.levered != 0:
             lever_x, lever_y, lever_z = lever_arm_acceleration(p, y, s.slope)
             fx += lever_x

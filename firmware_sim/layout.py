@@ -83,6 +83,7 @@ PARAMETERS = np.dtype(
         ("pipeline_ns", "i8"),  # from sampling to the loop's registers
         ("sensor_phase_ns", "i8"),
         ("sensor_period_ns", "i8"),
+        ("in_step", "i8"),  # 1: sampled so that the loop need not wait for a sample
         ("gyro_offset", "f8", (3,)),  # rad/s
         ("gyro_drift", "f8", (3,)),  # rad/s reached after warming up
         ("warm_up", "f8"),  # s

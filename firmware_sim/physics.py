@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from firmware_sim import today
 from firmware_sim.effects.catalogue import EFFECTS as IMPLEMENTED
-from firmware_sim.effects.catalogue import apply_effects
+from firmware_sim.effects.catalogue import apply_effects, replace_effects
 from firmware_sim.effects.own import apply_laws
 from firmware_sim.layout import (
     ALL_STATES,
@@ -30,6 +30,7 @@ from firmware_sim.layout import (
 )
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
+from groundstation.dynamics.craft import Acting
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
 from groundstation.dynamics.registry import EFFECTS as LISTED
 from groundstation.dynamics.registry import find_effect
@@ -69,6 +70,11 @@ STOCK = {
 def craft_of(settings: StandInSettings) -> tuple[Vehicle, Model | None]:
     """The vehicle that flies and the model it came from, if it came from one."""
     if settings.craft in BUILT_IN or Path(settings.craft).suffix == ".toml":
+        if settings.plant == "model":
+            raise ValueError(
+                f'plant = "model": craft {settings.craft} is a profile and no fitted model; give a'
+                ' model file, or say plant = "reduced"'
+            )
         return load_vehicle(settings.craft), None
     model = load_model(settings.craft)
     vehicle = realize(model)
@@ -120,11 +126,11 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
     p["warm_up"] = sensor.warm_up_s
     p["torque_noise"] = settings.torque_noise * np.array([2.0, 2.0, 0.5])
     p["force_noise"] = settings.torque_noise * 0.1
-    if settings.plant == "reduced":
+    if settings.plant != "faithful":
         p["gyro_noise"] = settings.sensor_noise * math.radians(0.10)
         p["accel_noise"] = settings.sensor_noise * 0.01 * G
         p["angle_noise"] = settings.sensor_noise * math.radians(0.02)
-        p["ideal_attitude"] = 1
+        p["ideal_attitude"] = p["in_step"] = 1
         p["sensor_period_ns"] = PASS_NS
         p["timer_jitter"] = 1.0
     else:
@@ -135,19 +141,13 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
             _sensor_timing(p, sensor, phase, ppm)
     if firmware_of(settings, vehicle) == "2.x":
         _filters_of_today(p, vehicle)
-    chosen = {name: dict(values) for name, values in settings.effects.items()}
-    sources: dict[str, str] = {}
-    for term in model.effects if model is not None else ():
-        chosen.setdefault(term.name, {k: e.value for k, e in term.parameters.items()})
-        sources[term.name] = term.source
     flown_by_law = []
-    for name in [name for name in chosen if name not in IMPLEMENTED]:
-        if name in LISTED or sources.get(name):
-            effect = find_effect(name, sources.get(name, ""))
-            flown_by_law.append((effect, effect.values(chosen.pop(name))))
-    apply_effects(p, chosen)
-    for rotor, motor in enumerate(() if model is None else rotor_motors(model)):
-        p["a0"][rotor], p["a1"][rotor], p["a2"][rotor] = motor.a0, motor.a1, motor.a2
+    if model is not None:
+        flown_by_law += _fly_model(p, model, settings)
+    hidden = {name: dict(values) for name, values in settings.effects.items()}
+    for name in [name for name in hidden if name not in IMPLEMENTED and name in LISTED]:
+        flown_by_law.append((LISTED[name], LISTED[name].values(hidden.pop(name))))
+    apply_effects(p, hidden)
     if flown_by_law:
         apply_laws(p, flown_by_law)
     most_ns = (SENSOR_RING - 2) * (PASS_NS if p["filtered"] == 0 else p["sensor_period_ns"])
@@ -157,6 +157,23 @@ def parameters(settings: StandInSettings) -> NDArray[np.void]:
             f" must be at most {most_ns * 1e-6:g}"
         )
     return record
+
+
+def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
+    """Motors and effects of a model in the place of the plant's; returns those that have no
+    implementation here."""
+    for rotor, motor in enumerate(rotor_motors(model)):
+        p["a0"][rotor], p["a1"][rotor], p["a2"][rotor] = motor.a0, motor.a1, motor.a2
+    terms = {term.name: {k: e.value for k, e in term.parameters.items()} for term in model.effects}
+    if settings.sensor.delay_s is not None and "dead_time" in terms:
+        raise ValueError(
+            "sensor delay_s: the model has dead_time, which is the same delay; leave it out"
+        )
+    replace_effects(p, {name: one for name, one in terms.items() if name in IMPLEMENTED})
+    laws = [
+        find_effect(one.name, one.source) for one in model.effects if one.name not in IMPLEMENTED
+    ]
+    return [(effect, effect.values(terms[effect.name])) for effect in laws]
 
 
 def firmware(settings: StandInSettings) -> NDArray[np.void]:

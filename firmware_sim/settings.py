@@ -101,9 +101,10 @@ class Quirks(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A stand-in, complete. Every field has a default: a faithful Crazyflie 1.0 in flight.
 
-    plant: ``reduced`` (exactly the base model plus white noise) or ``faithful``.
+    plant: ``reduced`` (exactly the base model plus white noise), ``faithful``, or ``model``: a
+        fitted one plus white noise and nothing else.
     craft: vehicle profile (``crazyflie1``, ``crazyflie21``, a TOML file), ``thesis``, or the
-        path of a fitted model, whose effects then act.
+        path of a fitted model, whose effects then act in the place of the plant's.
     program: a pilot programme by name or TOML file, see ``programme``.
     effects: name -> parameter -> value of what is hidden in the craft, see ``effects``.
     gains: controller parameters by full name, over stock and the vehicle's own.
@@ -127,7 +128,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     truth: keep the log of what really happened.
     """
 
-    plant: Literal["reduced", "faithful"] = "faithful"
+    plant: Literal["reduced", "faithful", "model"] = "faithful"
     craft: str = "crazyflie1"
     program: str = "excite"
     seed: int = 0

@@ -12,6 +12,10 @@ def _apply(p: Any, values: Values) -> None:
         p["ideal_attitude"] = 0
 
 
+def _clear(p: Any) -> None:
+    p["ideal_attitude"] = 1
+
+
 def _present(p: Any) -> Values | None:
     return None if p["ideal_attitude"] else {"strength": 1.0}
 
@@ -19,6 +23,7 @@ def _present(p: Any) -> Values | None:
 EFFECT = Effect(
     parameters={"strength": (1.0, "")},
     apply=_apply,
+    clear=_clear,
     present=_present,
     draw=fixed(strength=1.0),
     limits={"strength": (0.0, 1.0)},

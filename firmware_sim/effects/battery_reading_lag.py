@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from firmware_sim.battery import ADC_FILTER, ADC_PASSES
-from firmware_sim.effects.effect import POSITIVE, Effect, Values, one, sets
+from firmware_sim.effects.effect import POSITIVE, Effect, Values, one, sets, zeroes
 from firmware_sim.layout import PASS_NS
 
 ADC_LAG_S = ADC_PASSES * PASS_NS * 1e-9 / ADC_FILTER
@@ -20,6 +20,7 @@ def _present(p: Any) -> Values | None:
 EFFECT = Effect(
     parameters={"time_constant_s": (0.155, "s")},
     apply=sets(reading_lag="time_constant_s"),
+    clear=zeroes("adc_filter"),
     present=_present,
     draw=one("time_constant_s", 0.15, 0.6),
     limits={"time_constant_s": POSITIVE},

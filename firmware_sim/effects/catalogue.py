@@ -11,11 +11,13 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
+import msgspec
 import numpy as np
 
 import firmware_sim.effects
 from firmware_sim.effects.effect import Effect
 from firmware_sim.settings import StandInSettings
+from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS as NAMED
 
 _PACKAGE = firmware_sim.effects
@@ -61,6 +63,14 @@ def apply_effects(p: Any, effects: dict[str, dict[str, float]]) -> None:
         effect.apply(p, values)
 
 
+def replace_effects(p: Any, effects: dict[str, dict[str, float]]) -> None:
+    """Put effects of a fitted model into a PARAMETERS record, in the place of what the plant has of
+    the same."""
+    for name in effects:
+        EFFECTS[name].clear(p)
+    apply_effects(p, effects)
+
+
 def draw(name: str, generator: np.random.Generator) -> dict[str, float]:
     """Parameters of an effect from the ranges that a craft may have: log-uniform size, random sign
     or direction."""
@@ -75,3 +85,26 @@ def present_effects(settings: StandInSettings) -> dict[str, dict[str, float]]:
     p = parameters(settings)[0]
     found = {name: one.present(p) for name, one in EFFECTS.items() if one.listed}
     return {name: values for name, values in found.items() if values is not None}
+
+
+def added_by_plant(settings: StandInSettings) -> str:
+    """In a line, what the plant adds to a fitted model that flies in it; empty for nothing."""
+    from firmware_sim.physics import craft_of, parameters
+
+    _, model = craft_of(settings)
+    if model is None:
+        return ""
+    plain = msgspec.structs.replace(settings, effects={})
+    known = {term.name for term in model.effects}
+    added = [
+        repr(EffectTerm(name, {k: Estimate(v, unit=_unit(name, k)) for k, v in values.items()}))
+        for name, values in present_effects(plain).items()
+        if name not in known
+    ]
+    if parameters(plain)[0]["shake"].any():
+        added.append("vibration")
+    return f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
+
+
+def _unit(name: str, parameter: str) -> str:
+    return EFFECTS[name].parameters[parameter][1]

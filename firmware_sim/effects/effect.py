@@ -23,7 +23,8 @@ Draw = Callable[[np.random.Generator], Values]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
     """parameters: name -> (default, unit). apply: (PARAMETERS record, values) puts it there.
-    present: what a record has of it, None where nothing is or where nobody asks for it. draw: a
+    clear: takes what the plant has of it, or of the same physics, out of a record: a fitted model
+    says it. present: what a record has of it, None where nothing is or where nobody asks. draw: a
     size that a craft may have. limits: parameter -> (least, most) that the plant can fly, any
     finite number without. listed: whether the design names it. hidden: its place among those that
     ``firmware_sim.hide`` hides, None: not there.
@@ -32,6 +33,7 @@ class Effect:
     parameters: Mapping[str, tuple[float, str]]
     apply: Callable[[Any, Values], None]
     draw: Draw
+    clear: Callable[[Any], None] = lambda p: None
     present: Callable[[Any], Values | None] = lambda p: None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     listed: bool = True
@@ -46,6 +48,16 @@ def sets(**fields: str) -> Callable[[Any, Values], None]:
             p[name] = values[parameter]
 
     return apply
+
+
+def zeroes(*fields: str) -> Callable[[Any], None]:
+    """Empties fields of the record."""
+
+    def clear(p: Any) -> None:
+        for name in fields:
+            p[name] = 0
+
+    return clear
 
 
 def reads(**fields: str) -> Callable[[Any], Values | None]:

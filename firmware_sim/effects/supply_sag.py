@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.effect import POSITIVE, Effect, Values, one, reads
+from firmware_sim.effects.effect import POSITIVE, Effect, Values, one, reads, zeroes
 from firmware_sim.layout import Record
 
 
@@ -44,6 +44,7 @@ def _apply(p: Any, values: Values) -> None:
 EFFECT = Effect(
     parameters={"resistance_ohm": (0.15, "ohm")},
     apply=_apply,
+    clear=zeroes("supply_ohm"),
     present=reads(supply_ohm="resistance_ohm"),
     draw=one("resistance_ohm", 0.05, 0.35),
     limits={"resistance_ohm": POSITIVE},

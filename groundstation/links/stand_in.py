@@ -78,6 +78,8 @@ class StandInLink(Link):
         finally:
             announcement.cancel()
         self.vehicle = self._craft.profile
+        if self._craft.added_by_plant:
+            self.emit("plant", self._craft.added_by_plant)
         if self._crtp is not None:
             await self._serve(*self._crtp)
         self._flown_s = 0.0
