@@ -15,11 +15,17 @@ import msgspec
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
+from starlette.responses import (
+    FileResponse,
+    HTMLResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+)
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.page.access import Access
 from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
@@ -31,6 +37,7 @@ BODY_MOST = 1 << 16
 ACTIONS = (
     *("/record/start", "/record/stop", "/record/mark", "/link"),
     *("/command/stop", "/command/level"),
+    *("/jobs/start", "/jobs/cancel"),
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 
@@ -43,6 +50,13 @@ _HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+
+
+_REPORT = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; base-uri 'none';"
+    " frame-ancestors 'none'"
+)
+"""Of a report: it holds its styles and figures, runs nothing, and belongs to no site."""
 
 
 def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
@@ -68,6 +82,21 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
 
+    async def flights(request: Request) -> Response:
+        try:
+            recordings = await asyncio.to_thread(ask, control, "GET", "/recordings")
+            jobs = await asyncio.to_thread(ask, control, "GET", "/jobs")
+        except GroundStationError as error:
+            return _refusal(503, str(error))
+        return _json({"recordings": recordings, "jobs": jobs})
+
+    async def file(request: Request) -> Response:
+        kind, name = request.path_params["kind"], request.path_params["name"]
+        try:
+            return await asyncio.to_thread(_file, control, kind, name)
+        except GroundStationError as error:
+            return _refusal(404, str(error))
+
     async def static(request: Request) -> Response:
         return FileResponse(STATIC / Path(request.url.path).name)
 
@@ -76,6 +105,8 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         routes=[
             Route("/", page),
             Route("/now", now),
+            Route("/flights", flights),
+            Route("/file/{kind}/{name}", file),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),
         ]
@@ -128,6 +159,23 @@ class _Gate:
             self._access.cookie, self._access.new_session(), httponly=True, samesite="strict"
         )
         return answer
+
+
+def _file(control: Path, kind: str, name: str) -> Response:
+    """What the daemon says is there, and nothing else. Raises GroundStationError."""
+    if kind == "recording":
+        if name in [one["file"] for one in ask(control, "GET", "/recordings")]:
+            folder = Path(ask(control, "GET", "/config")["recording.folder"])
+            return FileResponse(folder / name, filename=name)
+    elif kind == "log":
+        text = ask(control, "POST", "/jobs/log", {"id": name})["text"]
+        return PlainTextResponse(text)
+    for job in ask(control, "GET", "/jobs"):
+        if job["id"] == name and kind == "model" and job["model_file"]:
+            return FileResponse(job["model_file"], filename=f"{name}.json")
+        if job["id"] == name and kind == "report" and job["report"]:
+            return FileResponse(job["report"], headers={"content-security-policy": _REPORT})
+    raise BadInputError(f"there is no {kind} of {name}")
 
 
 def _cookie(headers: Headers, access: Access) -> str:

@@ -16,6 +16,7 @@ from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings
+from groundstation.service.jobs import Job
 from groundstation.service.station import Station
 from groundstation.telemetry.framing import port_and_baud
 
@@ -105,6 +106,18 @@ def operations(station: Station) -> list[Operation]:
     async def write_parameters(body: requests.Parameters) -> Any:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
+    async def jobs(_: None) -> Any:
+        return await asyncio.to_thread(station.jobs.entries)
+
+    async def job_start(body: requests.NewJob) -> Any:
+        return station.jobs.add(body.kind, body.recordings, body.validate, body.model)
+
+    async def job_log(body: requests.JobName) -> Any:
+        return requests.JobLog(text=await asyncio.to_thread(station.jobs.log, body.id))
+
+    async def job_cancel(body: requests.JobName) -> Any:
+        return await station.jobs.cancel(body.id)
+
     async def page_address(_: None) -> Any:
         return requests.PageAddress(url=station.page.address())
 
@@ -124,6 +137,13 @@ def operations(station: Station) -> list[Operation]:
                   answer=list[CatalogueEntry]),
         Operation("POST", "/link", "Receive from another link, recording on", switch,
                   requests.LinkName, Status),
+        Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
+        Operation("POST", "/jobs/start", "Begin a job, or let it wait for its turn", job_start,
+                  requests.NewJob, Job),
+        Operation("POST", "/jobs/log", "The end of a job's log", job_log,
+                  requests.JobName, requests.JobLog),
+        Operation("POST", "/jobs/cancel", "End a job that waits or runs", job_cancel,
+                  requests.JobName, Job),
         Operation("POST", "/page/address", "A new address of the operator's page", page_address,
                   answer=requests.PageAddress),
         Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,

@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 import msgspec
 
+from groundstation.service.jobs import Kind
+
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
 Token = Annotated[str, msgspec.Meta(max_length=128)]
 Line = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
@@ -66,6 +68,31 @@ class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     text: Line
     details: Annotated[dict[str, Any], msgspec.Meta(max_length=64)] = {}
+
+
+File = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
+
+
+class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Work on recordings, files of the recordings folder. validate: those that no fit sees. model:
+    the id of a fit that is done, or thesis; empty where none is needed."""
+
+    kind: Kind
+    recordings: Annotated[list[File], msgspec.Meta(min_length=1, max_length=64)]
+    validate: Annotated[list[File], msgspec.Meta(max_length=64)] = []
+    model: Annotated[str, msgspec.Meta(max_length=255)] = ""
+
+
+class JobName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A job, by its id."""
+
+    id: File
+
+
+class JobLog(msgspec.Struct, frozen=True, kw_only=True):
+    """The end of a job's log."""
+
+    text: str
 
 
 class PageToken(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

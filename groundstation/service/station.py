@@ -33,6 +33,7 @@ from groundstation.service.config import (
     with_reloaded,
 )
 from groundstation.service.health import Health
+from groundstation.service.jobs import Jobs
 from groundstation.service.page import PageService
 from groundstation.service.receiver import Receiver
 from groundstation.service.recording_manager import RecordingManager
@@ -121,6 +122,9 @@ class Station:
             on_event=lambda kind, text: self.note(kind, text, source="viewer"),
         )
         self.page = PageService(config.page, socket_path(config.control.socket))
+        self.jobs = Jobs(
+            lambda: self.sessions.folder, lambda kind, text: self.note(kind, text, source="jobs")
+        )
         self.twin = TwinService(
             config.twin.model,
             tell=self.take_event,
@@ -190,6 +194,7 @@ class Station:
             closing.push_async_callback(self.receiver.close)
             closing.push_async_callback(self.commander.close)
             closing.push_async_callback(self.supervisor.close)
+            closing.push_async_callback(self.jobs.close)
             for name, work in (
                 ("command", self.commander.keep_connected),
                 ("dead man", self.commander.watch),
@@ -198,6 +203,7 @@ class Station:
                 ("health", self.health.watch),
                 ("twin", self.twin.run),
                 ("page", self.page.keep),
+                ("jobs", self.jobs.run),
             ):
                 self.supervisor.start(name, work)
             receiving = asyncio.create_task(

@@ -47,7 +47,16 @@ def marking(flying, cookie):
     }
 
 
-ROUTES = ["/", "/now", "/page.js", "/page.css", "/do/record/stop", "/nothing"]
+ROUTES = [
+    "/",
+    "/now",
+    "/flights",
+    "/file/recording/x",
+    "/page.js",
+    "/page.css",
+    "/do/record/stop",
+    "/nothing",
+]
 
 
 @pytest.mark.parametrize("route", ROUTES)
@@ -99,6 +108,20 @@ def test_only_what_the_page_offers_can_be_asked(flying, marking):
     assert refused[0] == 400
     assert request(flying, "POST", "/do/record/mark", marking, "[" * 100)[0] == 400
     assert request(flying, "POST", "/do/record/mark", marking, " " * 70_000)[0] == 413
+
+
+def test_only_files_that_the_daemon_lists_are_given_out(flying, cookie):
+    for route in (
+        "/file/recording/control.page",
+        "/file/recording/..%2Fcontrol.page",
+        "/file/recording/%2Fetc%2Fpasswd",
+        "/file/report/..",
+        "/file/log/..%2F..",
+        "/file/model/nothing",
+        "/file/key/x",
+        "/page.html",
+    ):
+        assert request(flying, "GET", route, {"Cookie": cookie})[0] == 404
 
 
 def test_a_browser_is_told_to_trust_nothing_else(flying, cookie):

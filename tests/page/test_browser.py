@@ -2,17 +2,20 @@
 
 import json
 import re
+import shutil
 import threading
 import time
 
 import psutil
 import pytest
 from flown_link import free_udp_port
-from installed import groundstation, until
+from installed import RECORDINGS, groundstation, until
 
 from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot
+
+FLIGHT = "stand_in_flight.mcap"
 
 
 def expect(locator):
@@ -166,6 +169,50 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     assert "no more) in force" in ended[0]
 
 
+@pytest.mark.timeout(1200)
+def test_a_recording_is_found_inspected_and_fitted_and_the_report_read(flying, visit):
+    shutil.copy(RECORDINGS / FLIGHT, flying.sessions)
+    page = visit(flying.address())
+    page.get_by_role("link", name="Flights").click()
+    row = page.locator("#recordings tr", has_text=FLIGHT)
+    expect(row).to_contain_text("31.0 s")
+    expect(row).to_contain_text("complete")
+    with page.expect_download() as download:
+        row.get_by_role("link", name=f"Download of {FLIGHT}").click()
+    assert download.value.path().read_bytes() == (RECORDINGS / FLIGHT).read_bytes()
+    row.get_by_label(f"What {FLIGHT} is for").select_option("use")
+    for work in ("Inspect", "Fit a model"):
+        page.get_by_role("button", name=work).click()
+        expect(page.locator("#said")).to_contain_text("Begun")
+    inspected = page.locator("#jobs tr", has_text="inspect")
+    expect(inspected).to_contain_text("done")
+    fitted = page.locator("#jobs tr", has=page.get_by_role("cell", name="fit", exact=True))
+    expect(fitted.get_by_role("link", name="Report of")).to_be_visible(timeout=900_000)
+    expect(page.locator("#model")).to_contain_text("_fit")
+    with page.expect_popup() as opened:
+        fitted.get_by_role("link", name="Report of").click()
+    report = opened.value
+    expect(report.locator("svg").first).to_be_visible()
+    expect(report.locator("body")).to_contain_text("thrust_per_mass")
+    with page.expect_popup() as opened:
+        inspected.get_by_role("link", name="Log of").click()
+    expect(opened.value.locator("body")).to_contain_text("verdict")
+
+
+def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled(flying, visit):
+    shutil.copy(RECORDINGS / FLIGHT, flying.sessions / "another.mcap")
+    page = visit(flying.address() + "#flights")
+    page.get_by_role("link", name="Flights").click()
+    page.get_by_role("button", name="Compare").click()
+    expect(page.locator("#said")).to_contain_text("recordings")
+    page.get_by_label("What another.mcap is for").select_option("use")
+    page.get_by_role("button", name="Find the discrepancy").click()
+    job = page.locator("#jobs tr", has_text="another.mcap")
+    expect(job).to_contain_text("running")
+    job.get_by_role("button", name="Cancel").click()
+    expect(job).to_contain_text("cancelled")
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_text_can_be_read_in_both_themes(flying, visit, theme):
     """Contrast of at least 4.5:1 between each text and what lies behind it."""
@@ -182,7 +229,10 @@ def test_nothing_is_cut_off_on_a_phone(flying, visit):
     page = visit(flying.address(), viewport={"width": 360, "height": 640})
     expect(page.locator("#live")).to_have_text("live")
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
-    for button in page.get_by_role("button").all():
+    page.get_by_role("link", name="Flights").click()
+    page.get_by_role("button", name="Inspect").wait_for()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    for button in page.locator("#work button").all():
         assert button.bounding_box()["height"] >= 40
 
 

@@ -1,6 +1,7 @@
 // The operator's page: asks what is new, draws it, and passes on what the operator does.
 // Nothing is ever queued for a browser: one that is slow asks seldom and gets fewer rows.
 
+import { watchFlights } from "./flights.js";
 import { Plot } from "./plot.js";
 
 const ASK_MS = 100; // ten times a second
@@ -206,5 +207,17 @@ document.addEventListener("keydown", (event) => {
   } else if (event.key === "l" && !at("level").disabled) holdLevel();
 });
 
+function showPart() {
+  const part = location.hash === "#flights" ? "flights" : "now";
+  for (const name of ["now", "flights"]) {
+    at(name).hidden = name !== part;
+    if (name === part) at(`to-${name}`).setAttribute("aria-current", "page");
+    else at(`to-${name}`).removeAttribute("aria-current");
+  }
+}
+window.addEventListener("hashchange", showPart);
+
+showPart();
 ask();
 draw();
+watchFlights(change);

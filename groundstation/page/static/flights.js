@@ -1,0 +1,100 @@
+// Recordings and the work on them: a list each, asked for while they are looked at.
+
+const ASK_MS = 2000;
+const at = (id) => document.getElementById(id);
+const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
+
+let shown = "";
+
+/** change: asks for an operation of the control API; what it answered, or null. */
+export function watchFlights(change) {
+  const look = async () => {
+    if (!at("flights").hidden && !document.hidden) {
+      try {
+        const answer = await fetch("flights");
+        if (answer.ok) show(await answer.json(), change);
+      } catch { /* the alarms say so */ }
+    }
+    setTimeout(look, ASK_MS);
+  };
+  for (const button of document.querySelectorAll("#work button[data-kind]")) {
+    button.addEventListener("click", async () => {
+      const chosen = [...document.querySelectorAll("#recordings select")];
+      const files = (use) => chosen.filter((one) => one.value === use).map((one) => one.name);
+      const job = await change("/jobs/start", {
+        kind: button.dataset.kind, recordings: files("use"), validate: files("hold out"),
+        model: ["compare", "discrepancy"].includes(button.dataset.kind) ? at("model").value : "",
+      }, "Begun; its state is in the list of jobs.");
+      if (job) shown = "";
+    });
+  }
+  look();
+}
+
+function show(found, change) {
+  const text = JSON.stringify(found);
+  if (text === shown) return; // what is being chosen or read stays as it is
+  shown = text;
+  const uses = new Map([...document.querySelectorAll("#recordings select")]
+    .map((one) => [one.name, one.value]));
+  // the one that is being written has no time yet
+  const newestFirst = found.recordings.toSorted((a, b) =>
+    (b.start_ns ?? Infinity) - (a.start_ns ?? Infinity) || 0);
+  at("recordings").replaceChildren(...newestFirst.map((one) =>
+    recordingRow(one, uses.get(one.file))));
+  at("jobs").replaceChildren(...found.jobs.toReversed().map((job) => jobRow(job, change)));
+  const models = found.jobs.filter((job) => job.model_file).map((job) => job.id).toReversed();
+  const before = at("model").value;
+  at("model").replaceChildren(...[...models, "thesis"].map((name) => new Option(name)));
+  if ([...models, "thesis"].includes(before)) at("model").value = before;
+}
+
+function recordingRow(one, use) {
+  const select = document.createElement("select");
+  select.name = one.file;
+  select.setAttribute("aria-label", `What ${one.file} is for`);
+  select.append(...["–", "use", "hold out"].map((name) => new Option(name)));
+  select.value = use ?? "–";
+  const when = one.start_ns ? new Date(one.start_ns / 1e6).toLocaleString() : "";
+  return row(select, when, one.file,
+    one.duration_s === null ? "" : `${one.duration_s.toFixed(1)} s`, one.link ?? "",
+    `${(one.bytes / 1e6).toFixed(1)} MB`, WORDS[one.state] ?? one.state,
+    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file));
+}
+
+function jobRow(job, change) {
+  const does = document.createElement("span");
+  does.className = "links";
+  const name = encodeURIComponent(job.id);
+  if (job.report) does.append(link(`file/report/${name}`, "Report", job.id));
+  if (job.model_file) does.append(link(`file/model/${name}`, "Model", job.id));
+  does.append(link(`file/log/${name}`, "Log", job.id));
+  if (job.state === "waiting" || job.state === "running") {
+    const button = document.createElement("button");
+    button.textContent = "Cancel";
+    button.addEventListener("click", () =>
+      change("/jobs/cancel", { id: job.id }, `${job.id} is cancelled.`));
+    does.append(button);
+  }
+  return row(job.kind, job.state, job.recordings.join(", "), job.text, does);
+}
+
+function row(...cells) {
+  const made = document.createElement("tr");
+  for (const content of cells) {
+    const cell = document.createElement("td");
+    cell.append(content);
+    made.append(cell);
+  }
+  return made;
+}
+
+function link(address, text, of) {
+  const made = document.createElement("a");
+  made.href = address;
+  if (["Download", "Model"].includes(text)) made.download = "";
+  else made.target = "_blank";
+  made.textContent = text;
+  made.setAttribute("aria-label", `${text} of ${of}`);
+  return made;
+}

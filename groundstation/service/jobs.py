@@ -1,0 +1,234 @@
+"""Work on recordings in processes of their own, one at a time, kept beside the recordings."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shlex
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from groundstation.documents import read_document
+from groundstation.errors import BadInputError
+from groundstation.text import printable
+
+FOLDER = "jobs"
+"""In the recordings folder; each job has a folder of its own in it."""
+WAITING_MOST = 20
+LOG_MOST = 1 << 16
+"""Bytes of a log that are told: its end."""
+STOP_S = 5.0
+"""A cancelled job is asked to end, and killed after so long."""
+_ENTRY, _LOG, _REPORT, _MODEL = "job.json", "log.txt", "report.html", "model.json"
+
+Kind = Literal["inspect", "fit", "compare", "discrepancy"]
+State = Literal["waiting", "running", "done", "failed", "cancelled"]
+_COMMANDS: dict[str, tuple[str, ...]] = {
+    "inspect": ("inspect",),
+    "fit": ("fit", "body"),
+    "compare": ("compare",),
+    "discrepancy": ("discrepancy",),
+}
+
+
+class Job(msgspec.Struct, kw_only=True):
+    """command: as a person would type it in the recordings folder. report, model: paths of what it
+    wrote, None where it did not. text: the last line of its log."""
+
+    id: str
+    kind: Kind
+    recordings: list[str]
+    validate: list[str] = []
+    model: str = ""
+    state: State = "waiting"
+    command: str = ""
+    began_ns: int = 0
+    ended_ns: int = 0
+    text: str = ""
+    report: str | None = None
+    model_file: str | None = None
+
+
+class Jobs:
+    """The jobs of the recordings folder.
+
+    folder: where recordings are. note: told (kind, text) of what becomes of each.
+    """
+
+    def __init__(self, folder: Callable[[], Path], note: Callable[[str, str], None]) -> None:
+        self._folder, self._note = folder, note
+        self._own: dict[str, Job] = {}
+        self._new = asyncio.Event()
+        self._process: asyncio.subprocess.Process | None = None
+
+    def add(
+        self, kind: Kind, recordings: Sequence[str], validate: Sequence[str], model: str
+    ) -> Job:
+        """Begin a job, or let it wait for its turn.
+
+        model: that of an earlier fit, by the job's id, or a built-in one; empty: the usual one.
+        Raises BadInputError for what is not in the recordings folder.
+        """
+        folder = self._folder().absolute()
+        if sum(job.state == "waiting" for job in self._own.values()) >= WAITING_MOST:
+            raise BadInputError(f"{WAITING_MOST} jobs are waiting already; cancel one of them")
+        names = [*recordings, *validate]
+        for name in names:
+            if Path(name).name != name or not (folder / name).is_file():
+                raise BadInputError(f"{name}: no such recording in {folder}")
+        if kind == "inspect" and (len(names) != 1 or model):
+            raise BadInputError("inspect takes one recording")
+        if kind in ("compare", "discrepancy") and not model:
+            raise BadInputError(f"{kind} needs a model: that of a fit, or thesis")
+        job = Job(
+            id=_free_name(folder / FOLDER, kind),
+            kind=kind,
+            recordings=list(recordings),
+            validate=list(validate),
+            model=model,
+        )
+        job.command = shlex.join(["groundstation", *self._arguments(job, Path())])
+        (folder / FOLDER / job.id).mkdir(parents=True)
+        self._own[job.id] = job
+        self._new.set()
+        return job
+
+    def entries(self) -> list[Job]:
+        """Every job, the oldest first. Reads files: not for the event loop."""
+        found = {job.id: job for job in self._own.values()}
+        for path in sorted((self._folder() / FOLDER).glob(f"*/{_ENTRY}")):
+            if path.parent.name not in found:
+                with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
+                    found[path.parent.name] = msgspec.json.decode(read_document(path), type=Job)
+        return [found[name] for name in sorted(found)]
+
+    def log(self, name: str) -> str:
+        """The end of a job's log."""
+        path = self._job_folder(name) / _LOG
+        with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - LOG_MOST))
+            return file.read().decode(errors="replace")
+        return ""
+
+    async def cancel(self, name: str) -> Job:
+        """End a job that waits or runs. Raises BadInputError for another."""
+        job = self._own.get(name)
+        if job is None or job.state not in ("waiting", "running"):
+            raise BadInputError(f"{name}: no job that waits or runs")
+        was_running, job.state = job.state == "running", "cancelled"
+        if was_running:
+            await self._end()
+        else:
+            self._finished(job)
+        return job
+
+    async def run(self) -> None:
+        """Do what is asked for, one after the other, for as long as the daemon lives."""
+        while True:
+            waiting = [job for job in self._own.values() if job.state == "waiting"]
+            if waiting:
+                await self._carry_out(waiting[0])
+                continue
+            self._new.clear()
+            await self._new.wait()
+
+    async def close(self) -> None:
+        """End what runs; what waits is forgotten. Safe to call twice."""
+        for job in self._own.values():
+            if job.state in ("waiting", "running"):
+                job.state, job.text = "cancelled", "the daemon has ended"
+                self._finished(job)
+        await self._end()
+
+    async def _carry_out(self, job: Job) -> None:
+        folder = self._job_folder(job.id)
+        job.state, job.began_ns = "running", time.time_ns()
+        arguments = self._arguments(job, self._folder().absolute())
+        with (folder / _LOG).open("wb") as log:
+            self._process = process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid())),
+                *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
+                *arguments,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                # more threads than that would take the cores from the recorder
+                env={**os.environ, "NO_COLOR": "1", "OMP_NUM_THREADS": "1",
+                     "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
+            )  # fmt: skip
+        status = await process.wait()
+        self._process = None
+        if job.state == "running":
+            job.state = "failed" if status else "done"
+        lines = self.log(job.id).strip().splitlines()
+        job.text = printable(lines[-1]) if lines else ""
+        job.report = _there(folder / _REPORT)
+        job.model_file = _there(folder / _MODEL)
+        self._finished(job)
+
+    def _finished(self, job: Job) -> None:
+        job.ended_ns = time.time_ns()
+        with contextlib.suppress(OSError):  # the folder may have been deleted
+            (self._job_folder(job.id) / _ENTRY).write_bytes(msgspec.json.encode(job))
+        self._note("job", f"{job.id}: {job.state}" + (f", {job.text}" if job.text else ""))
+
+    async def _end(self) -> None:
+        process = self._process
+        if process is None or process.returncode is not None:
+            return
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, number)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(process.wait(), STOP_S)
+                return
+
+    def _arguments(self, job: Job, folder: Path) -> list[str]:
+        """Of the command, with its files in ``folder``."""
+        into = folder / FOLDER / job.id
+        words = [*_COMMANDS[job.kind], *(str(folder / name) for name in job.recordings)]
+        for name in job.validate:
+            words += ["--validate", str(folder / name)]
+        if job.model:
+            words += ["--model", self._model(job.model, folder)]
+        if job.kind in ("fit", "discrepancy"):
+            words += ["-o", str(into / _MODEL)]
+        if job.kind != "inspect":
+            words += ["--html", str(into / _REPORT)]
+        return words
+
+    def _model(self, name: str, folder: Path) -> str:
+        if name == "thesis":
+            return name
+        if not (self._job_folder(name) / _MODEL).is_file():
+            raise BadInputError(f"{name}: no model; give thesis, or the id of a fit that is done")
+        return str(folder / FOLDER / name / _MODEL)
+
+    def _job_folder(self, name: str) -> Path:
+        """Raises BadInputError for what is no job."""
+        folder = self._folder() / FOLDER / name
+        if Path(name).name != name or name == ".." or not folder.is_dir():
+            raise BadInputError(f"{name}: no such job")
+        return folder
+
+
+def _free_name(folder: Path, kind: str) -> str:
+    time_ms = time.time_ns() // 1_000_000
+    while True:
+        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
+        name = f"{stamp}-{time_ms % 1000:03d}Z_{kind}"
+        if not (folder / name).exists():
+            return name
+        time_ms += 1
+
+
+def _there(path: Path) -> str | None:
+    return str(path.absolute()) if path.is_file() else None

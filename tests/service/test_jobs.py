@@ -1,0 +1,125 @@
+"""Jobs of a real station: the commands that people type, on recordings that are there."""
+
+import json
+import shutil
+
+import psutil
+import pytest
+from installed import RECORDINGS, until
+from served_station import serve
+
+from groundstation.errors import GroundStationError
+from groundstation.service.client import ask
+from groundstation.service.config import Config, RecordingConfig
+
+FLIGHT = "stand_in_flight.mcap"
+ENDED = ("done", "failed", "cancelled")
+
+
+@pytest.fixture
+def talk(tmp_path):
+    """talk(conversation): with a station whose folder holds a flight."""
+    folder = tmp_path / "sessions"
+    folder.mkdir()
+    shutil.copy(RECORDINGS / FLIGHT, folder)
+    (folder / "torn.mcap").write_bytes((RECORDINGS / FLIGHT).read_bytes()[:1000])
+    config = Config(recording=RecordingConfig(folder=str(folder), enabled=False))
+    path = tmp_path / "control.sock"
+
+    def asked(method, route, body=None):
+        return ask(path, method, route, body)
+
+    return lambda conversation: serve(config, path, lambda station: conversation(asked))
+
+
+def start(ask, kind, *recordings, **more):
+    return ask("POST", "/jobs/start", {"kind": kind, "recordings": recordings, **more})["id"]
+
+
+def job(ask, name):
+    (found,) = [one for one in ask("GET", "/jobs") if one["id"] == name]
+    return found
+
+
+def when_ended(ask, name):
+    until(lambda: job(ask, name)["state"] in ENDED, "the job's end", 200, every_s=0.1)
+    return job(ask, name)
+
+
+def test_a_job_does_what_its_command_does_and_keeps_its_log(talk, tmp_path):
+    def conversation(ask):
+        name = start(ask, "inspect", FLIGHT)
+        done = when_ended(ask, name)
+        assert (done["state"], done["report"]) == ("done", None)
+        assert done["command"] == f"groundstation inspect {FLIGHT}"
+        log = ask("POST", "/jobs/log", {"id": name})["text"]
+        assert "verdict" in log
+        assert done["text"] == log.strip().splitlines()[-1]
+        told = [event["text"] for event in ask("GET", "/events") if event["kind"] == "job"]
+        assert any(name in text and "done" in text for text in told)
+        return name
+
+    name = talk(conversation)
+    kept = json.loads((tmp_path / "sessions" / "jobs" / name / "job.json").read_text())
+    assert kept["state"] == "done"
+    talk(lambda ask: job(ask, name))  # a daemon started later knows it
+
+
+def test_a_job_that_fails_says_why(talk):
+    def conversation(ask):
+        failed = when_ended(ask, start(ask, "fit", "torn.mcap"))
+        assert failed["state"] == "failed"
+        assert failed["text"].startswith("groundstation: ")
+        assert failed["model_file"] is None
+
+    talk(conversation)
+
+
+def test_jobs_wait_for_their_turn_and_can_be_cancelled(talk):
+    def conversation(ask):
+        first, second = start(ask, "fit", FLIGHT), start(ask, "fit", FLIGHT)
+        until(lambda: job(ask, first)["state"] == "running", "its turn")
+        assert job(ask, second)["state"] == "waiting"
+        assert ask("POST", "/jobs/cancel", {"id": second})["state"] == "cancelled"
+        working = until(processes_of_jobs, "its process")
+        ask("POST", "/jobs/cancel", {"id": first})
+        assert when_ended(ask, first)["state"] == "cancelled"
+        until(lambda: not any(one.is_running() for one in working), "its process has ended")
+        with pytest.raises(GroundStationError, match="no job that waits or runs"):
+            ask("POST", "/jobs/cancel", {"id": first})
+
+    talk(conversation)
+
+
+def processes_of_jobs():
+    mine = psutil.Process().children(recursive=True)
+    return [one for one in mine if "groundstation.cli.main" in " ".join(one.cmdline())]
+
+
+def test_the_daemon_s_end_is_the_job_s_end(talk):
+    name = talk(lambda ask: start(ask, "fit", FLIGHT))
+    until(lambda: not processes_of_jobs(), "its process has ended")
+    ended = talk(lambda ask: job(ask, name))
+    assert (ended["state"], ended["model_file"]) == ("cancelled", None)
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ({"kind": "fit", "recordings": ["nothing.mcap"]}, "no such recording"),
+        ({"kind": "fit", "recordings": ["../control.sock"]}, "no such recording"),
+        ({"kind": "fit", "recordings": ["--help"]}, "no such recording"),
+        ({"kind": "fit", "recordings": []}, "recordings"),
+        ({"kind": "pid", "recordings": [FLIGHT]}, "kind"),
+        ({"kind": "compare", "recordings": [FLIGHT]}, "needs a model"),
+        ({"kind": "compare", "recordings": [FLIGHT], "model": "/etc/passwd"}, "no such job"),
+        ({"kind": "compare", "recordings": [FLIGHT], "model": ".."}, "no such job|no model"),
+    ],
+)
+def test_what_is_not_in_the_folder_is_refused(talk, body, says):
+    def conversation(ask):
+        with pytest.raises(GroundStationError, match=says):
+            ask("POST", "/jobs/start", body)
+        assert ask("GET", "/jobs") == []
+
+    talk(conversation)
