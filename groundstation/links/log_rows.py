@@ -68,6 +68,7 @@ class LogRows:
     _newest: tuple[int, int] | None = None  # time, host time
     _last_ms: int | None = None  # of the last row of this segment
     _host_ns: int = 0
+    _set: tuple[NDArray[Any], ...] | None = None  # time, segment, motors of the last row
 
     def __post_init__(self) -> None:
         self._waiting = [deque() for _ in self.plan.blocks]
@@ -212,7 +213,22 @@ class LogRows:
         samples, _ = samples_from_columns(columns, ticks, TICK_S, "deg/s")
         samples.host_time_ns[:] = [host_ns for _, host_ns, *_ in rows]
         samples.segment[:] = [segment for _, _, segment, _ in rows]
+        self._as_they_acted(samples)
         return samples
+
+    def _as_they_acted(self, samples: SampleBatch) -> None:
+        """A block holds what the motors were set to after its gyro was read; a row has what acted
+        before: the row before's. The first row, and one behind a loss, keeps its own."""
+        columns: tuple[NDArray[Any], ...] = (samples.ticks, samples.segment, samples.duty.copy())
+        last = self._set if self._set is not None else tuple(one[:1] for one in columns)
+        self._set = tuple(column[-1:] for column in columns)
+        ticks, segment, duty = (
+            np.concatenate([old, new[:-1]]) for old, new in zip(last, columns, strict=True)
+        )
+        step = samples.ticks - ticks
+        follows = (segment == samples.segment) & (step > 0)
+        follows &= step * TICK_S < 1.5e-3 * self.period_ms
+        samples.duty[follows] = duty[follows]
 
 
 def decompressed(codes: NDArray[np.uint32]) -> NDArray[np.float64]:

@@ -21,6 +21,8 @@ class ServedCraft:
         self.loop = asyncio.new_event_loop()
         self.server = CrtpServer(craft, port=0)
         self.each_step: Callable[[], None] = lambda: None
+        self.skip_s = 0.0
+        """Time that passes for the craft at its next step, for nobody else."""
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(target=self.loop.run_forever),
@@ -47,7 +49,8 @@ class ServedCraft:
     def _fly(self) -> None:
         flown_s = self.craft.time_s
         while not self._stop.wait(0.009):
-            flown_s += 0.01
+            flown_s += 0.01 + self.skip_s
+            self.skip_s = 0.0
             self.craft.advance(flown_s)
             self.each_step()
 

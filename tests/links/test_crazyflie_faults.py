@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import subprocess
 import sys
+import traceback
+from pathlib import Path
 
 import pytest
 from flown_link import free_udp_port
 from programs import run_program
 from served_craft import served
+from usb.core import USBError
 
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.crazyflie_connection import Connection
+from groundstation.links.crazyflie_connection import Connection, _explained
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
 
 GYRO = (("gyro.x", "float"),)
@@ -33,6 +37,39 @@ def test_without_a_dongle_one_line_says_so() -> None:
     with pytest.raises(LinkError, match=r"no Crazyradio is plugged in|no craft") as refusal:
         opened(CrazyflieTelemetry("radio://0/80/2M/E7E7E7E7E7"))
     assert "\n" not in str(refusal.value)
+
+
+def as_cflib_says_it(error: Exception) -> str:
+    """Its radio driver gives what libusb raised with the whole traceback."""
+    try:
+        raise error
+    except Exception:
+        return f"Couldn't load link driver: {traceback.format_exc()}"
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (USBError("Access denied (insufficient permissions)", -3, errno.EACCES), "install udev"),
+        (USBError("Resource busy", -6, errno.EBUSY), "the dongle is in use by another program"),
+        (Exception("Cannot find a Crazyradio Dongle"), "no Crazyradio is plugged in, or it is in"),
+    ],
+)
+def test_what_libusb_raises_of_a_dongle_is_one_line_that_says_what_to_do(
+    error: Exception, told: str
+) -> None:
+    """What a second daemon on one dongle, and a user whom udev does not let in, read."""
+    line = _explained(as_cflib_says_it(error))
+    assert told in line
+    assert "\n" not in line
+    assert "Traceback" not in line
+
+
+def test_the_rule_that_is_named_lets_every_dongle_in() -> None:
+    program = Path(sys.executable).with_name("groundstation")
+    rule = run_program([program, "install", "udev", "--print"], timeout=60).stdout
+    for vendor, product in (("1915", "7777"), ("35f0", "bad2"), ("0483", "5740")):
+        assert any(vendor in line and product in line for line in rule.splitlines())
 
 
 def test_a_craft_that_is_off_or_a_wrong_port_is_one_line_and_nothing_else_is_printed(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from firmware_sim.contents import compressed
 from groundstation.links.log_plan import LogPlan
 from groundstation.links.log_rows import LogRows, decompressed
+from groundstation.telemetry.samples import SampleBatch
 
 MS_NS = 1_000_000
 FIRST = tuple((f"gyro.{axis}", "float") for axis in "xyz")
@@ -41,6 +42,28 @@ def test_blocks_of_the_same_moment_make_one_row_in_the_units_of_a_sample():
     assert samples.host_time_ns.tolist() == [(t + 3) * MS_NS for t in range(0, 1000, 10)]
     assert np.isnan(samples.attitude).all()
     assert rows.apart_ms == 0
+
+
+MOTORS = tuple((f"motor.m{m}", "uint16_t") for m in range(1, 5))
+
+
+def test_the_motors_of_a_row_are_those_that_acted_before_it():
+    """The firmware sets them from the gyro that it has just read."""
+    plan = LogPlan((FIRST, MOTORS), {name: name for name, _ in FIRST + MOTORS}, ())
+    rows = LogRows(plan, 4)
+    times = [t for t in range(0, 400, 4) if t != 200]
+
+    def motors(t):
+        return (t, t, t, t)
+
+    stream = in_order(packets(times, 0), packets(times, 1, motors))
+    parts = [rows.add(stream[first : first + 30]) for first in range(0, len(stream), 30)]
+    samples = SampleBatch.concatenate([part for part in parts if len(part)])
+    set_at = np.rint(samples.duty[:, 0] * 65535).astype(int)
+    read_at = np.rint(samples.time_s * 1000).astype(int)
+    late = np.isin(read_at, [0, 204])
+    assert (set_at[late] == read_at[late]).all()
+    assert (set_at[~late] == read_at[~late] - 4).all()
 
 
 def test_stamps_go_on_where_their_24_bits_are_used_up():
