@@ -1,16 +1,21 @@
-"""``python docs/make_pictures.py [viewer] [where] [real --data FOLDER]``: the pictures, made anew.
+"""``python docs/make_pictures.py [viewer] [page] [where] [real --data FOLDER]``: the pictures.
 
 viewer: a stand-in flight in the viewer; needs no display; without a GPU, Debian's
-mesa-vulkan-drivers and libvulkan1 draw it. where: the map of where a model and a craft with hidden
-effects disagree, and how the gap shrinks as the search names them. real: the slow moments of real
-craft, from the flights of ``make bench-real``. Any other name is an error.
+mesa-vulkan-drivers and libvulkan1 draw it. page: the operator's page after half a minute of flight,
+light and dark; needs the tests' library and Debian's chromium. where: the map of where a model and
+a craft with hidden effects disagree, and how the gap shrinks as the search names them. real: the
+slow moments of real craft, from the flights of ``make bench-real``. Any other name is an error.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
+import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -32,6 +37,7 @@ from groundstation.discrepancy.report_figures import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
 from groundstation.report.figure import png
 from groundstation.viewer.screenshot import hidden_viewer
+from groundstation.viewer.viewer import free_port
 
 IMAGES = Path(__file__).parent / "images"
 RECORDING = Path(__file__).parents[1] / "recordings" / "stand_in_flight.mcap"
@@ -46,16 +52,19 @@ FLIGHT_S = 40.0
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "where", "real"])
+    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "page", "where", "real"])
     parser.add_argument("--data", type=Path, help="folder with the real flights")
     options = parser.parse_args()
-    chosen = options.pictures or ["viewer", "where"]
+    chosen = options.pictures or ["viewer", "page", "where"]
     if "real" in chosen:
         if options.data is None:
             parser.error("real needs --data FOLDER")
         save("real_slow.png", slow_picture(options.data))
     if "viewer" in chosen:
         save("viewer.png", viewer_picture(RECORDING, AT_S))
+    if "page" in chosen:
+        for theme, picture in page_pictures(("light", "dark")).items():
+            save(f"page_{theme}.png", picture)
     if "where" in chosen:
         where, gap = search_pictures()
         save("where.png", where)
@@ -65,6 +74,39 @@ def main() -> None:
 def save(name: str, picture: bytes) -> None:
     (IMAGES / name).write_bytes(picture)
     print(IMAGES / name)
+
+
+def page_pictures(themes: Sequence[str]) -> dict[str, bytes]:
+    """The page of a daemon whose stand-in has flown for half a minute, by theme."""
+    from playwright.sync_api import expect, sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        command = [sys.executable, "-c", "from groundstation.cli.main import main; main()"]
+        environment = {**os.environ, "GROUNDSTATION_SOCKET": f"{folder}/control.sock"}
+        port = str(free_port("127.0.0.1"))
+        with subprocess.Popen(
+            [*command, "run", "--page", "--page-port", port],
+            cwd=folder, env=environment, stdout=subprocess.PIPE, text=True,
+        ) as daemon:  # fmt: skip
+            try:
+                assert daemon.stdout is not None
+                said = iter(daemon.stdout)
+                address = next(line.split()[-1] for line in said if "?token=" in line)
+                browser = playwright.chromium.launch(
+                    executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+                )
+                page = browser.new_page(viewport={"width": 1280, "height": 800})
+                page.goto(address)
+                expect(page.locator("#live")).to_have_text("live", timeout=120_000)
+                page.wait_for_timeout(30_000)
+                pictures = {}
+                for theme in themes:
+                    page.emulate_media(color_scheme=theme)
+                    page.wait_for_timeout(1_000)
+                    pictures[theme] = page.screenshot(full_page=True)
+                return pictures
+            finally:
+                daemon.terminate()
 
 
 def slow_picture(data: Path) -> bytes:

@@ -41,7 +41,7 @@ def test_the_page_shows_the_flight_as_it_goes(flying, visit):
         const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
         return new Set(new Uint32Array(pixels.buffer)).size;
     }"""
-    page.wait_for_function(f"({drawn})() > 50")
+    until(lambda: page.evaluate(drawn) > 50, "lines are drawn", 120)
 
 
 def test_a_moment_is_marked_the_recording_stopped_and_found(flying, visit):
@@ -119,6 +119,54 @@ def test_a_daemon_that_is_started_again_is_found_by_the_open_page(page_daemon, v
     page.get_by_role("button", name="Mark", exact=True).click()
     expect(page.locator("#said")).to_have_text("Marked: a new daemon")
     assert second.stop() == 0
+
+
+def test_a_browser_that_stood_still_says_how_old_its_rows_are_and_catches_up(flying, visit):
+    page = visit(flying.address())
+    expect(page.locator("#live")).to_have_text("live")
+    # what it shows is kept, as a screen would; the page's own clock goes on meanwhile
+    behind = page.evaluate("""async () => {
+        const real = window.fetch;
+        window.fetch = () => new Promise((_, give) => setTimeout(() => give(new Error()), 500));
+        const shown = document.getElementById("live");
+        while (!/^([4-9]|\\d\\d+) s behind$/.test(shown.textContent))
+            await new Promise((go) => setTimeout(go, 50));
+        window.fetch = real;
+        return shown.textContent;
+    }""")
+    assert re.match(r"\d+ s behind", behind)
+    expect(page.locator("#live")).to_have_text("live")
+    seconds = page.evaluate("""async () => {
+        const began = performance.now();
+        while (performance.now() - began < 6000) ; // not even its clock
+        return (performance.now() - began) / 1000;
+    }""")
+    assert seconds >= 6.0
+    expect(page.locator("#live")).to_have_text("live")
+
+
+def test_twenty_pages_are_one_reader_of_the_stream(flying, visit):
+    first = visit(flying.address())
+    expect(first.locator("#live")).to_have_text("live")
+    before = flying.status()
+    pages = [first.context.new_page() for _ in range(19)]
+    for page in pages:
+        page.goto(first.url)
+        expect(page.locator("#link")).to_have_text("stand-in: streaming")
+    after = flying.status_when(
+        lambda status: status["recording"]["samples"] > before["recording"]["samples"] + 1000,
+        "the recording goes on",
+    )
+    assert after["stream"]["clients"] == 1
+    assert after["recording"]["dropped"] == before["recording"]["dropped"] == 0
+
+
+def test_without_a_browser_nobody_reads_the_stream(flying, visit):
+    page = visit(flying.address())
+    expect(page.locator("#live")).to_have_text("live")
+    assert flying.status()["stream"]["clients"] == 1
+    page.context.close()
+    flying.status_when(lambda status: status["stream"]["clients"] == 0, "the stream is left")
 
 
 def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, visit):
