@@ -57,7 +57,7 @@ class Follower:
         """What has changed since row ``after`` and status ``known_status``.
 
         age_s: how old the newest row is; None before the first. fault: why the daemon cannot be
-        asked, or empty. rows: thinned, their ages in s.
+        asked, or empty. rows: thinned, their ages in s at ``now_s``, the time of this machine.
         """
         now_s = time.monotonic()
         with self._lock:
@@ -72,6 +72,7 @@ class Follower:
         new = new[::-1][::step][::-1]
         return {
             "number": number,
+            "now_s": now_s,
             "age_s": None if newest_s is None else round(now_s - newest_s, 3),
             "fault": fault,
             "status_number": status_number,

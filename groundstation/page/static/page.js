@@ -19,6 +19,7 @@ const plots = [
 
 let number = 0;
 let statusNumber = 0;
+let beginMs = -Infinity; // of the machine's clock, on this browser's
 let newestMs = null; // on this browser's clock: when the newest row that is shown was measured
 let lastAnswerMs = performance.now();
 let recordingRate = null;
@@ -56,7 +57,11 @@ function take(found, askedMs) {
   if (found.events) showEvents(found.events);
   write("twin", found.twin_event ? found.twin_event.text : "nothing told");
   if (found.rows.length) showRow(found.rows[found.rows.length - 1]);
-  for (const plot of plots) plot.add(found.rows, askedMs);
+  // it is no earlier than each asking says, and the quickest answer says it best
+  const begunMs = askedMs - 1000 * found.now_s;
+  if (Math.abs(begunMs - beginMs) > 60000) beginMs = begunMs; // a slept or another machine
+  beginMs = Math.max(beginMs, begunMs);
+  for (const plot of plots) plot.add(found.rows, beginMs + 1000 * found.now_s);
 }
 
 function showAlarms(alarms) {
