@@ -101,6 +101,8 @@ def added_by_plant(settings: StandInSettings) -> str:
         for name, values in present_effects(plain).items()
         if name not in known
     ]
+    if model.origin.get("body") == "profile":
+        added.insert(0, f"body constants of the profile {model.vehicle}")
     if parameters(plain)[0]["shake"].any():
         added.append("vibration")
     return f"not in the model, added by the plant: {'; '.join(added)}" if added else ""

@@ -259,6 +259,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
 
     from groundstation import __version__
     from groundstation.dynamics.model import save_model
+    from groundstation.dynamics.origin import origin_notes
 
     documented = found.documented(
         recordings=[_fingerprint(path) for path in files.recordings],
@@ -276,6 +277,8 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         show_json(json.loads(files.output.read_bytes()))
     else:
         _print_account(account, files.output)
+        for line in origin_notes(whole):
+            show(f"  in the file: {line}")
         say_written(files.html)
 
 

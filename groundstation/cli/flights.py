@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import open_one, require_family
+from groundstation.cli.model_files import fitted_model, open_one, require_family
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -33,10 +33,9 @@ def model_for(source: str, vehicle: str | None) -> Model:
     """The model, made sure to be one of this vehicle. Raises BadInputError otherwise."""
     import msgspec
 
-    from groundstation.dynamics.model import load_model
     from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 
-    model = load_model(source)
+    model = fitted_model(source)
     if vehicle is None:
         return model
     profile = load_vehicle(vehicle)

@@ -122,6 +122,24 @@ def require_family(recording: Recording, vehicle: str | None, model: Model | Non
         )
 
 
+def fitted_model(source: str, *, attitude: bool = False) -> Model:
+    """A model whose body was fitted; what else in it was not is told on stderr.
+
+    attitude: ARX polynomials of all three angles do as well.
+
+    Raises BadInputError for a body of a profile.
+    """
+    from groundstation.dynamics.model import load_model
+    from groundstation.dynamics.origin import origin_notes, require_fitted_body
+
+    model = load_model(source)
+    if not (attitude and model.arx is not None and {"roll", "pitch", "yaw"} <= set(model.arx)):
+        require_fitted_body(model, source)
+    for line in origin_notes(model):
+        show(f"{source}: {line}", error=True)
+    return model
+
+
 def effect_names(effects: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in effects.split(",") if name.strip())
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import pid_fly
-from groundstation.cli.model_files import AS_JSON, HTML, require_new, say_written
+from groundstation.cli.model_files import AS_JSON, HTML, fitted_model, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
@@ -74,7 +74,6 @@ def evaluate(
         metrics_row,
         table_lines,
     )
-    from groundstation.dynamics.model import load_model
 
     if html is not None:
         require_new(html)
@@ -88,7 +87,7 @@ def evaluate(
     chosen = loop or form
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
-    loaded = load_model(model)
+    loaded = fitted_model(model, attitude=True)
     release = _release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
@@ -194,7 +193,6 @@ def design(
     --html design.html[/bold]
     """
     from groundstation.control.pid import AXES
-    from groundstation.dynamics.model import load_model
 
     for path in (output, html):
         if path is not None:
@@ -209,7 +207,7 @@ def design(
         raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
     if draws < 0:
         raise BadInputError(f"--draws {draws}: must not be negative")
-    loaded = load_model(model)
+    loaded = fitted_model(model, attitude=True)
     gains: dict[str, float] | dict[str, PidGains]
     release: Release | None = None
     if form == "firmware":

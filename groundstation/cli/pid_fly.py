@@ -20,7 +20,7 @@ from groundstation.cli.left_changed import (
     forget_changes,
     note_changes,
 )
-from groundstation.cli.model_files import AS_JSON, require_new, say_written
+from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
 from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
@@ -88,7 +88,6 @@ def fly(
     from groundstation.control.pid import AXES, PidGains
     from groundstation.control.plant import plant_of_model
     from groundstation.control.programme import Programme, require_flyable
-    from groundstation.dynamics.model import load_model
 
     if html is not None:
         require_new(html)
@@ -115,7 +114,7 @@ def fly(
         require_release(firmware)
     if model is not None:
         # what is wrong with it is better known before a flight
-        plant_of_model(load_model(model), release=firmware)
+        plant_of_model(fitted_model(model, attitude=True), release=firmware)
     if dry_run:
         _show(planned, wanted, as_json)
         return

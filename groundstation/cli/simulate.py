@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, require_new, runs_from, say_written, write_table
+from groundstation.cli.model_files import (
+    AS_JSON,
+    fitted_model,
+    require_new,
+    runs_from,
+    say_written,
+    write_table,
+)
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
@@ -66,9 +73,7 @@ def simulate(
     require_new(output)
     if html is not None:
         require_new(html)
-    from groundstation.dynamics.model import load_model
-
-    loaded = load_model(model)
+    loaded = fitted_model(model)
     if recording is not None:
         report = _on_recording(loaded, recording, output, window, html)
     else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -88,6 +88,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     vehicle: name of the profile the model was fitted for.
     vehicle_profile: the profile itself where it is not a built-in one.
     motor, motors: the mean motor, and those of rotors M1..M4 where they were told apart.
+    origin: part (motor, body, arx, or one constant, body.c2) -> fitted, profile or given; empty in
+        files that do not say (``dynamics.origin``).
     fit: how it was fitted (recordings with hashes, samples, method, errors, covariance).
     """
 
@@ -99,6 +101,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     body: BodyConstants | None = None
     arx: dict[str, ArxAxis] | None = None
     effects: tuple[EffectTerm, ...] = ()
+    origin: dict[str, Literal["fitted", "profile", "given"]] = {}
     fit: dict[str, Any] = {}
     created_by: str = ""
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
+from groundstation.dynamics.origin import with_origin
 from groundstation.identification.arx.residual_tests import (
     CorrelationTest,
     cross_correlation_test,
@@ -105,7 +106,7 @@ class Identified:
         """
         account = {**self.account, **provenance}
         fit = {**self.model.fit, account["what"]: account}
-        return msgspec.structs.replace(self.model, fit=fit)
+        return with_origin(msgspec.structs.replace(self.model, fit=fit))
 
 
 def residual_test(

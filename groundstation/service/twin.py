@@ -148,9 +148,11 @@ class TwinService:
     def _load(self, path: str) -> None:
         from groundstation.comparison.refusals import require_body
         from groundstation.dynamics.craft import craft_of_model
+        from groundstation.dynamics.origin import require_fitted_body
 
         model = load_model(path)
         require_body(model)
+        require_fitted_body(model, path)
         craft_of_model(model)
         self._model, self._name, self._warm = model, path, False
 
