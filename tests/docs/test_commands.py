@@ -79,7 +79,7 @@ CLIENTS = (
     *("groundstation link", "groundstation config --reload", "groundstation pid fly"),
 )
 STEPS_OF_A_DOUBLET = 3
-OF_THE_TEST = {"state", "control.sock", "control.lock", "stdout", "stderr"}
+OF_THE_TEST = {"state", "control.sock", "control.lock", "control.page", "stdout", "stderr"}
 STORY = ROOT / "docs" / "getting_started.md"
 
 
