@@ -24,6 +24,11 @@ AGAIN = (*CONSTANTS, "slow_moment", "rotor_acceleration_torque", DELAY, SENSOR_L
 part of a flight tells, and which bend the constants."""
 TELLS = 0.2
 """Standard error over the value from which a band judges nothing."""
+CONTROL_HZ, SLOW = 500.0, 1.5
+"""At which the firmware of 2014 and today's set the motors, and from how many settings a row on a
+recorded one is not what was flown."""
+MOTION_S = 0.05
+"""Means over so long are the craft's motion, not its vibration."""
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
 
@@ -39,6 +44,37 @@ def certain(setup: Setup, free: FreeFit) -> tuple[Array, dict[str, float]]:
     for key, move in moves.items():
         covariance[setup.keys.index(key), setup.keys.index(key)] += move**2
     return covariance, moves
+
+
+def settings_a_row(period_s: float) -> float:
+    """How many settings of the motors each row stands for, 1 where it is all there are."""
+    settings = CONTROL_HZ * period_s
+    return settings if settings >= SLOW else 1.0
+
+
+def between_rows(setup: Setup) -> dict[str, float]:
+    """Relative standard errors of the constants from settings of the motors that no row shows.
+
+    Setpoint, attitude and rate each come to the controller in steps of their own. The torque is the
+    small difference of what it makes of them, so one setting of several, always the same of each
+    turn, is not a sample of their mean: angles seem to come earlier or later than setpoints by up
+    to what lies between rows. The share of the torque that this is: the phase it makes at the
+    frequency at which the craft turns to and fro.
+    """
+    flights = setup.problem.flights
+    period = flights[0].period_s
+    if flights[0].rotor_measured or settings_a_row(period) == 1.0:
+        return {}
+    width = max(round(MOTION_S / period), 1)
+    turned, rate = np.zeros(3), np.zeros(3)
+    for flight in flights:
+        rows = flight.run.gyro[flight.rows]
+        sums = np.vstack([np.zeros(3), np.cumsum(rows - rows.mean(axis=0), axis=0)])
+        means = (sums[width:] - sums[:-width]) / width
+        turned += (((means[width:] - means[:-width]) / (width * period)) ** 2).sum(axis=0)
+        rate += (means**2).sum(axis=0)
+    phase = (period - 1.0 / CONTROL_HZ) * np.sqrt(turned / rate)
+    return {"c0": float(phase[0]), "c1": float(phase[1])}
 
 
 def _by_blocks(setup: Setup, free: FreeFit, plain: Array) -> Array:

@@ -19,12 +19,13 @@ from groundstation.dynamics.model import BodyConstants
 from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import certain
+from groundstation.identification.body.certainty import between_rows, certain
 from groundstation.identification.body.judgement import (
     cross_talk,
     hints,
     require_told,
     require_usable,
+    slow_rows,
     untold,
     warnings_of,
 )
@@ -249,6 +250,9 @@ def _outcome(
     thrust, thrust_error = fit_thrust(setup, point)
     covariance = np.zeros((size + 1, size + 1))
     covariance[:size, :size], moves = certain(setup, free)
+    missed = between_rows(setup)
+    for key in missed.keys() & {*keys}:
+        covariance[keys.index(key), keys.index(key)] += (missed[key] * point[key]) ** 2
     covariance[size, size] = thrust_error**2
     own = np.diag(covariance).copy()
     if motor_covariance is not None and not setup.problem.flights[0].rotor_measured:
@@ -282,7 +286,8 @@ def _outcome(
                 f"{key} is not identified, because {reason}; the model has the profile's"
                 for key, reason in reasons.items()
             ),
-            *warnings_of(estimates, moves),
+            *warnings_of(estimates, moves, missed),
+            *slow_rows(setup.problem.flights[0].period_s, missed),
             *cross_talk(setup, free),
             *hints(setup, free, nuisances),
         ),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
+from groundstation.identification.body.certainty import settings_a_row
 from groundstation.identification.body.setup import CONSTANTS, DELAY, SPIN_UP, Setup
 from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
@@ -20,8 +21,6 @@ from groundstation.identification.torque import AXES
 
 Array = NDArray[np.float64]
 
-CONTROL_HZ = 500.0
-"""At which the firmware of 2014 and today's set the motors."""
 CLEAR = 6.0
 """Standard errors from which an effect that was left out is worth a word."""
 HINTS = ("inertia_coupling.fraction", "rotor_gyroscopic_torque.rotor_inertia_kg_m2")
@@ -58,14 +57,18 @@ def require_usable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
                 )
 
 
-def slow_rows(period_s: float) -> list[str]:
-    """A warning where rows come slower than the controller moves the motors, otherwise nothing."""
-    settings = CONTROL_HZ * period_s
-    if settings < 1.5:
+def slow_rows(period_s: float, shares: Mapping[str, float]) -> list[str]:
+    """A warning where rows come slower than the controller moves the motors, otherwise nothing.
+
+    shares: of ``certainty.between_rows``.
+    """
+    if not shares:
         return []
     return [
-        f"{1 / period_s:.0f} rows a second hold one in {settings:.0f} of the motors' settings: the"
-        " constants may be off by more than their errors say; record 500 a second, or rotor speeds"
+        f"{1 / period_s:.0f} rows a second hold one in {settings_a_row(period_s):.0f} of the"
+        f" motors' settings: c0 and c1 are uncertain by {100 * max(shares.values()):.0f} % for it"
+        " where the motor was fitted (--model), by more where it was not, c2 by more than its"
+        " error says; record 500 a second, or rotor speeds"
     ]
 
 
@@ -122,8 +125,11 @@ def untold(
     return found
 
 
-def warnings_of(estimates: Estimates, moves: Mapping[str, float]) -> list[str]:
-    """What of the estimates is poorly known, implausible, or told only together."""
+def warnings_of(
+    estimates: Estimates, moves: Mapping[str, float], beside: Mapping[str, float]
+) -> list[str]:
+    """What of the estimates is poorly known, implausible, or told only together. beside: relative
+    errors that have a warning of their own."""
     lines = []
     for name, found, error in zip(estimates.names, estimates.values, estimates.stderr, strict=True):
         effect, dot, parameter = name.partition(".")
@@ -135,7 +141,7 @@ def warnings_of(estimates: Estimates, moves: Mapping[str, float]) -> list[str]:
                 f" in the model: {name} is uncertain by {100 * error / abs(found):.0f} %, it moves"
                 " with the band of frequencies it is estimated in"
             )
-        elif name in CONSTANTS and error > WELL_KNOWN * abs(found):
+        elif name in CONSTANTS and error > np.hypot(WELL_KNOWN, beside.get(name, 0.0)) * abs(found):
             lines.append(
                 f"{AXES[CONSTANTS.index(name)]} is hardly excited: {name} is uncertain by"
                 f" {100 * error / abs(found):.0f} %; move that axis more"

@@ -13,7 +13,6 @@ from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_moto
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import BodyFit, fit_body, vertical
-from groundstation.identification.body.judgement import slow_rows
 from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
 from groundstation.identification.body.validation import (
     SHAKEN_S,
@@ -99,8 +98,6 @@ def identify_body(
     traces, residuals = _pictures(validate_on, fit, rows)
     warnings = [*judged.lines, *fit.warnings]
     warnings += [f"{name}: left out, a motor is saturated in most rows" for name in left_out]
-    if not measured:
-        warnings += slow_rows(fit_on[0].run.period_s)
     if fit.pace[0] != 1.0:
         percent, doubt = 100.0 * (fit.pace[0] - 1.0), 100.0 * fit.pace[1]
         warnings.append(
