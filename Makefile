@@ -62,7 +62,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	@echo "once: what tests, demo and radio need besides"
-	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio,logs]'
+	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio,logs,fleet]'
 	touch $@
 
 # A day of telemetry through the real daemon, every file verified: `make soak ARGS="--hours 2"`.

@@ -15,6 +15,7 @@ from groundstation.cli import (
     export,
     files,
     fit,
+    fleet,
     install,
     pid,
     run,
@@ -68,6 +69,7 @@ for module in (
     discrepancy,
     pid,
     attitude,
+    fleet,
     demo,
     install,
 ):

@@ -36,6 +36,7 @@ from groundstation.service.config import UsbConfig
 USB = "tests/usb_vm/guest/test_usbip.py"
 SEALED = "tests/discrepancy/test_sealed.py"
 SEALED_BENCH = "tests/discrepancy/test_sealed_bench.py"
+FLEET = "tests/fleet/test_fleet.py"
 ELSEWHERE = {
     # begins with: (why not here, where, what is to be found there)
     "make test-usb": ("a virtual machine of ten minutes", ".ci/run", "make test-usb"),
@@ -60,6 +61,11 @@ ELSEWHERE = {
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
     "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
     "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio"),
+    "pip install -e '.[fleet]'": ("the test environment has it", "Makefile", ",fleet]"),
+    "groundstation fleet index": ("a fleet is flown once", FLEET, '"index"'),
+    "groundstation fleet fit": ("a fleet is flown once", FLEET, '"fit"'),
+    "groundstation fleet report": ("a fleet is flown once", FLEET, '"report"'),
+    "python -m firmware_sim.fleet": ("a fleet is flown once", FLEET, "firmware_sim.fleet"),
     "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
     "sudo usbip attach": ("root and a kernel of one's own", USB, '"attach"'),

@@ -1,0 +1,123 @@
+"""What one flight says of its craft, each value with a standard error: what a fleet compares.
+
+Motors keep the profile's constants: a weaker one shows in what the others must make up for.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import GroundStationError
+from groundstation.fleet.facts import digest, fetched
+from groundstation.fleet.parts import Row
+
+if TYPE_CHECKING:
+    from groundstation.identification.stretches import Stretch
+
+Array = NDArray[np.float64]
+
+CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
+ROTORS = ("rotor_1", "rotor_2", "rotor_3", "rotor_4")
+QUANTITIES = (*CONSTANTS, *ROTORS, "cell_ohm")
+"""c0..c2, thrust_per_mass: of ``fit body``. rotor_1..4: by how much more the rotor is driven than
+the mean of the four (squared speed, share of the mean) - a weaker one more, those opposite a
+shifted centre of gravity less. cell_ohm: behind the battery's terminals."""
+WORDS = {
+    "c0": "turning about roll",
+    "c1": "turning about pitch",
+    "c2": "turning about yaw",
+    "thrust_per_mass": "thrust per mass",
+    **{name: f"what rotor {name[-1]} is asked for" for name in ROTORS},
+    "cell_ohm": "the battery's resistance",
+}
+RELATIVE = frozenset((*CONSTANTS, "cell_ohm"))
+"""Positive constants, compared by their logarithms: a change is a share."""
+BLOCK_S = 1.0
+
+COLUMNS = {
+    "address": "text",
+    "sha256": "text",
+    "settings": "text",
+    "reason": "text",
+    "seconds": "number",
+    **dict.fromkeys(QUANTITIES, "number"),
+    **{f"{name}_stderr": "number" for name in QUANTITIES},
+}
+"""Of the catalogue's table ``fits``. seconds: of flight; reason: why it told nothing."""
+KEY = "address"
+
+
+def fitting(vehicle: str | None, effects: tuple[str, ...]) -> partial[Row]:
+    """The fit of one recording by its address, for a worker. vehicle: a profile's name or file;
+    None: what the recording names, or else crazyflie1."""
+    return partial(fit_flight, vehicle=vehicle, effects=effects)
+
+
+def settings_of(vehicle: str | None, effects: tuple[str, ...]) -> str:
+    """What a row was computed with: another needs another row."""
+    return " ".join([vehicle or "as recorded", *effects])
+
+
+def fit_flight(address: str, vehicle: str | None, effects: tuple[str, ...]) -> Row:
+    """A row of the table ``fits``. Never raises for what a file holds: that is its ``reason``."""
+    row: Row = dict.fromkeys(COLUMNS)
+    row |= {KEY: address, "settings": settings_of(vehicle, effects)}
+    try:
+        with fetched(address) as path:
+            row["sha256"] = digest(path)
+            values, seconds = _told(str(path), vehicle, effects)
+    except GroundStationError as error:
+        return row | {"reason": str(error)}
+    except Exception as error:  # a fault of ours with one file must not end a thousand others
+        return row | {"reason": f"{type(error).__name__}: {error}"}
+    for name, (value, stderr) in values.items():
+        if math.isfinite(value):
+            row |= {name: value, f"{name}_stderr": stderr}
+    return row | {"seconds": seconds}
+
+
+def _told(
+    path: str, vehicle: str | None, effects: tuple[str, ...]
+) -> tuple[dict[str, tuple[float, float]], float]:
+    from groundstation.dynamics.vehicle import load_vehicle
+    from groundstation.identification.body.fit import fit_body
+    from groundstation.identification.motor.supply import estimate_supply
+    from groundstation.identification.recordings import flights_of, without_gaps
+    from groundstation.identification.stretches import stretches_of
+    from groundstation.recording.open_recording import open_recording
+
+    recording = open_recording(path)
+    said = recording.metadata.get("vehicle", {}).get("profile")
+    profile = load_vehicle(vehicle or said or "crazyflie1")
+    runs = [without_gaps(one) for one in flights_of(recording.samples, recording.path.name)]
+    stretches = stretches_of(runs, profile.motor)
+    found = _trims(stretches)
+    longest = max(runs, key=len)
+    found["cell_ohm"] = (estimate_supply(longest, profile.motor, profile).cell_ohm, 0.0)
+    fit = fit_body(stretches, profile, effects)
+    for name, value, stderr in zip(
+        fit.estimates.names, fit.estimates.values, fit.estimates.stderr, strict=True
+    ):
+        if name in CONSTANTS and name not in fit.not_identified:
+            found[name] = (float(value), float(stderr))
+    return found, sum(len(one) * one.run.period_s for one in stretches)
+
+
+def _trims(stretches: list[Stretch]) -> dict[str, tuple[float, float]]:
+    """Share by which each rotor's squared speed exceeds the mean, from blocks of a second."""
+    blocks: list[Array] = []
+    for one in stretches:
+        square = one.squares.square[one.rows]
+        width = round(BLOCK_S / one.run.period_s)
+        count = len(square) // width
+        means = square[: count * width].reshape(count, width, 4).mean(axis=1)
+        blocks.extend(means / means.mean(axis=1, keepdims=True) - 1.0)
+    shares = np.array(blocks)
+    mean = shares.mean(axis=0)
+    stderr = shares.std(axis=0, ddof=1) / math.sqrt(len(shares))
+    return {name: (float(mean[i]), float(stderr[i])) for i, name in enumerate(ROTORS)}

@@ -1,0 +1,145 @@
+"""A table that grows while results arrive: a folder of Parquet files, each whole or not there.
+
+A run that is killed leaves what it had finished; the next run goes on. For a key that stands in
+several files the newest counts, and ``compact`` writes it once.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import BadInputError, RecordingError, TakenError
+
+Row = dict[str, Any]
+PART_ROWS = 10_000
+"""A file of a compacted table: some MB, read in some hundredths of a second."""
+_SUFFIX = ".parquet"
+
+
+class Parts:
+    """Rows by key in a folder.
+
+    columns: name -> kind (text, number, count, texts); any value may be None. key: the column
+    that tells rows apart.
+    """
+
+    def __init__(self, folder: Path, columns: Mapping[str, str], key: str) -> None:
+        self._folder = folder
+        self._columns = columns
+        self._key = key
+
+    def rows(self) -> dict[str, Row]:
+        """The newest row of each key, by key in alphabetical order.
+
+        Raises RecordingError where a file cannot be read.
+        """
+        found: dict[str, Row] = {}
+        for path in self._files():
+            for row in self._read(path):
+                found[row[self._key]] = row
+        return dict(sorted(found.items()))
+
+    def append(self, rows: Sequence[Row]) -> None:
+        """Adds a file with these rows, or nothing.
+
+        Raises RecordingError where it cannot be written.
+        """
+        if rows:
+            self._write(self._next(), rows)
+
+    def compact(self, keys: Sequence[str] | None = None) -> None:
+        """Each row once, in few files; of ``keys`` alone where given."""
+        old = self._files()
+        rows = self.rows()
+        kept = list(rows.values()) if keys is None else [rows[k] for k in keys if k in rows]
+        if len(old) <= 1 and len(kept) == sum(1 for path in old for _ in self._read(path)):
+            return
+        number = self._next()
+        for first in range(0, len(kept), PART_ROWS):
+            self._write(number, kept[first : first + PART_ROWS])
+            number += 1
+        for path in old:  # the new ones are newer, so that a crash in between changes nothing
+            path.unlink()
+
+    def _files(self) -> list[Path]:
+        if not self._folder.is_dir():
+            return []
+        return sorted(one for one in self._folder.iterdir() if one.suffix == _SUFFIX)
+
+    def _next(self) -> int:
+        files = self._files()
+        return int(files[-1].stem) + 1 if files else 0
+
+    def _schema(self) -> Any:
+        import pyarrow as pa
+
+        kinds = {
+            "text": pa.string(),
+            "number": pa.float64(),
+            "count": pa.int64(),
+            "texts": pa.list_(pa.string()),
+        }
+        return pa.schema([(name, kinds[kind]) for name, kind in self._columns.items()])
+
+    def _read(self, path: Path) -> list[Row]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            table = pq.read_table(path)
+        except (OSError, pa.ArrowException) as error:
+            raise RecordingError(
+                f"{path}: cannot be read ({error}); remove it, what it held is computed again"
+            ) from error
+        found: list[Row] = table.to_pylist()
+        for row in found:
+            for name in self._columns:  # a table of an older version has fewer
+                row.setdefault(name, None)
+        return found
+
+    def _write(self, number: int, rows: Sequence[Row]) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = self._folder / f"{number:08d}{_SUFFIX}"
+        beside = path.with_suffix(".new")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            table = pa.Table.from_pylist(list(rows), schema=self._schema())
+            pq.write_table(table, beside, compression="zstd")
+            os.replace(beside, path)
+        except OSError as error:
+            with suppress(OSError):
+                beside.unlink()
+            raise RecordingError(
+                f"{path}: cannot be written: {error.strerror or error}; what came before is kept,"
+                " run it again when there is space"
+            ) from error
+
+
+@contextmanager
+def held(catalogue: Path) -> Iterator[None]:
+    """Only one run at a time changes a catalogue.
+
+    Raises TakenError where another does, BadInputError where the folder cannot be used.
+    """
+    try:
+        catalogue.mkdir(exist_ok=True)
+        lock = os.open(catalogue / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise BadInputError(f"{catalogue}: cannot be used: {error.strerror}") from error
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise TakenError(
+                f"{catalogue}: another run is working on this catalogue; wait for it to end"
+            ) from error
+        yield
+    finally:
+        os.close(lock)

@@ -1,0 +1,198 @@
+"""Crafts among crafts, flight after flight: how much flights scatter, what changed, who differs.
+
+A value of flight j of craft k is  craft_k(j) + scatter + error, the error with the fit's standard
+error, the scatter (weather, battery, place) alike for all crafts. The scatter comes from the
+differences of neighbouring flights, which no change of a craft can blow up (its median); so do
+the spread of crafts and their middle (DerSimonian and Laird's model, medians in place of moments).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_PART = 3
+"""Flights before and after a change: the middle of three is not one wild flight."""
+LEAST_CRAFTS = 4
+MEDIAN_CHI2 = 0.4549364
+"""Median of a squared standard normal."""
+EFFICIENCY = 0.37
+"""Of a variance by a median: so much of the degrees of freedom count."""
+ALMOST = 0.8
+"""Share of the clearest place's z at which another place of the change is possible."""
+MEDIAN_STDERR = 1.2533
+"""Standard error of a median over that of a mean, of many normal values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """flight: index of the first flight after it. size, stderr: after less before; of a drift, from
+    the first flight to the last. p: how often chance does as much, anywhere in this series."""
+
+    flight: int
+    size: float
+    stderr: float
+    drift: bool
+    p: float
+
+
+def scatter_variance(series: Sequence[tuple[Array, Array]]) -> tuple[float, float]:
+    """(variance from flight to flight beyond the errors, degrees of freedom it is known to).
+
+    series: (values (n,), standard errors (n,)) of each craft, in order of time.
+    """
+    steps = np.concatenate([np.diff(values) for values, _ in series] or [np.zeros(0)])
+    known = [errors[1:] ** 2 + errors[:-1] ** 2 for _, errors in series]
+    noise = np.concatenate(known or [np.zeros(0)])
+    return 0.5 * _excess(steps, noise), max(1.0, EFFICIENCY * len(steps))
+
+
+def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
+    """The likeliest single change of a series (n,), however unlikely; None where it is too short.
+
+    variance: (n,), scatter included. Means and medians before and after must both differ; for a
+    drift the slope must be there and the order of the values (Mann and Kendall's test) as well, so
+    that one wild flight is neither.
+    """
+    from scipy.stats import t
+
+    n = len(values)
+    places = range(LEAST_PART, n - LEAST_PART + 1)
+    if len(places) < 1:
+        return None
+    found = [_step(values, variance, at) for at in places]
+    clearest = max(abs(z) for _, _, z in found)
+    # Medians hardly say where: of the places that they allow, the means choose.
+    best = max(
+        (i for i, one in enumerate(found) if abs(one[2]) >= ALMOST * clearest),
+        key=lambda i: abs(found[i][0]) / found[i][1],
+    )
+    size, stderr, z = found[best]
+    p = min(1.0, len(found) * 2.0 * float(t.sf(abs(z), freedom)))
+    slope, slope_stderr, drift_cost = _trend(values, variance)
+    step_cost = _step_cost(values, variance, places[best])
+    if drift_cost + 2.0 < step_cost + math.log(n):  # a step has its place besides
+        span = float(n - 1)
+        z = min(abs(slope) / slope_stderr, _order(values))
+        p = min(1.0, 2.0 * float(t.sf(z, freedom)))
+        return Change(0, slope * span, slope_stderr * span, True, p)
+    return Change(places[best], size, stderr, False, p)
+
+
+def level(values: Array, variance: Array) -> tuple[float, float]:
+    """Weighted mean and its variance."""
+    weight = 1.0 / variance
+    return float((weight * values).sum() / weight.sum()), float(1.0 / weight.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """middle, its standard error, and spread (standard deviation) of crafts; p (k,): how often a
+    craft of that population is as far out; shrunk, stderr (k,): the crafts' values given it, moved
+    by one standard error of their own at most, for a craft of another kind owes the others nothing
+    (Efron and Morris 1972)."""
+
+    middle: float
+    middle_stderr: float
+    spread: float
+    p: Array
+    shrunk: Array
+    stderr: Array
+
+
+def population(levels: Array, variance: Array) -> Population | None:
+    """Of crafts' levels (k,) with their variances; None for fewer than ``LEAST_CRAFTS``."""
+    from scipy.stats import t
+
+    count = len(levels)
+    if count < LEAST_CRAFTS:
+        return None
+    middle = float(np.median(levels))
+    between = _excess(levels - middle, variance)
+    total = variance + between
+    middle_variance = MEDIAN_STDERR**2 / float((1.0 / total).sum())
+    z = (levels - middle) / np.sqrt(total + middle_variance)
+    p = 2.0 * t.sf(np.abs(z), max(1.0, EFFICIENCY * (count - 1)))
+    share = between / total
+    own = np.sqrt(variance)
+    shrunk = levels + np.clip((share - 1.0) * (levels - middle), -own, own)
+    return Population(
+        middle,
+        math.sqrt(middle_variance),
+        math.sqrt(between),
+        np.asarray(p),
+        np.asarray(shrunk),
+        np.asarray(np.sqrt(share * variance + (1.0 - share) ** 2 * middle_variance)),
+    )
+
+
+def discoveries(p: Array, share: float) -> NDArray[np.bool_]:
+    """Which of the tests (m,) to believe, so that at most ``share`` of those believed are chance
+    (Benjamini and Hochberg 1995; holds for tests that depend on each other positively)."""
+    order = np.argsort(p)
+    below = p[order] <= share * np.arange(1, len(p) + 1) / max(len(p), 1)
+    believed = np.zeros(len(p), np.bool_)
+    if below.any():
+        believed[order[: int(np.flatnonzero(below)[-1]) + 1]] = True
+    return believed
+
+
+def _excess(deviations: Array, noise: Array) -> float:
+    """The variance that must be added to ``noise`` for squared deviations to have the median of
+    normal ones; never negative."""
+    from scipy.optimize import brentq
+
+    if len(deviations) == 0:
+        return 0.0
+    squares = deviations**2
+
+    def beyond(extra: float) -> float:
+        return float(np.median(squares / np.maximum(noise + extra, 1e-300))) - MEDIAN_CHI2
+
+    most = float(squares.max()) / MEDIAN_CHI2
+    if most == 0.0 or beyond(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(beyond, 0.0, most))
+
+
+def _step(values: Array, variance: Array, at: int) -> tuple[float, float, float]:
+    """Size, standard error and the weaker of two z: of means and of medians."""
+    (before, u), (after, v) = level(values[:at], variance[:at]), level(values[at:], variance[at:])
+    size, stderr = after - before, math.sqrt(u + v)
+    middle = float(np.median(values[at:]) - np.median(values[:at]))
+    z = size / stderr
+    robust = middle / (MEDIAN_STDERR * stderr)
+    if z * robust <= 0.0:
+        return size, stderr, 0.0
+    return size, stderr, math.copysign(min(abs(z), abs(robust)), z)
+
+
+def _step_cost(values: Array, variance: Array, at: int) -> float:
+    expected = np.empty(len(values))
+    expected[:at] = level(values[:at], variance[:at])[0]
+    expected[at:] = level(values[at:], variance[at:])[0]
+    return float(((values - expected) ** 2 / variance).sum()) + 2.0
+
+
+def _trend(values: Array, variance: Array) -> tuple[float, float, float]:
+    """Slope per flight, its standard error, and the cost of the straight line."""
+    weight = 1.0 / variance
+    place = np.arange(len(values)) - level(np.arange(len(values), dtype=np.float64), variance)[0]
+    middle = level(values, variance)[0]
+    power = float((weight * place**2).sum())
+    slope = float((weight * place * (values - middle)).sum()) / power
+    cost = float((weight * (values - middle - slope * place) ** 2).sum())
+    return slope, 1.0 / math.sqrt(power), cost
+
+
+def _order(values: Array) -> float:
+    """Mann and Kendall's z: whether later values are mostly larger, or mostly smaller."""
+    n = len(values)
+    score = float(np.sign(values[None, :] - values[:, None])[np.triu_indices(n, 1)].sum())
+    return max(0.0, abs(score) - 1.0) / math.sqrt(n * (n - 1) * (2 * n + 5) / 18.0)

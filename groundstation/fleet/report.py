@@ -1,0 +1,137 @@
+"""A fleet on one page: what to do first, crafts by quantities, and each finding as one sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from groundstation.fleet.findings import FALSE_SHARE, Finding, Fleet, Series, scale, told
+from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
+from groundstation.fleet.parts import Row
+from groundstation.report.figure import BAD, MEASURED, MODELLED, NEUTRAL, figure
+from groundstation.report.page import Page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DRAWN = 12
+"""Findings with a figure of their own, the clearest first."""
+LISTED = 50
+CLEAR_Z = 4.0
+"""Where the colours of the map end."""
+
+
+def report(fleet: Fleet, recordings: Sequence[Row], fits: dict[str, Row], name: str) -> Page:
+    """The page of a catalogue called ``name``."""
+    crafts = sorted({one.craft for one in fleet.series})
+    fitted = sum(1 for one in fits.values() if one["reason"] is None)
+    page = Page(
+        f"Fleet {name}",
+        f"{len(crafts)} crafts, {len(recordings)} recordings, {fitted} flights fitted",
+    )
+    found = fleet.findings
+    if found:
+        ill = len({one.craft for one in found})
+        page.verdict(f"{ill} of {len(crafts)} crafts changed, or differ from the others.", "bad")
+        page.bullets(one.text for one in found)
+    else:
+        page.verdict(f"No craft changed or differs, of {len(crafts)}.", "good")
+    page.text(
+        f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
+        " expected to be chance."
+    )
+    if fleet.populations:
+        page.heading("Crafts among crafts")
+        page.figure(
+            _map(fleet, crafts),
+            "How far each craft is from the middle of the fleet, in standard deviations of crafts"
+            " and of its own uncertainty.",
+        )
+    page.heading("Values")
+    page.table(
+        ("craft", "quantity", "flights", "value", "+-", "with the fleet", "+-"),
+        [
+            (v.craft, v.quantity, v.flights, v.value, v.stderr, v.shrunk, v.shrunk_stderr)
+            for v in fleet.values
+        ],
+        "Present value of each craft, alone, and with what the others say of a craft like them:"
+        " where few flights tell little, the fleet's middle counts. rotor_1..4: share by which a"
+        " rotor is driven more than the mean.",
+    )
+    if found:
+        page.heading("Findings")
+    by_key = {(one.craft, one.quantity): one for one in fleet.series}
+    for one in sorted(found, key=lambda f: f.p)[:DRAWN]:
+        page.figure(_drawn(by_key[one.craft, one.quantity], one, fleet), one.text)
+    _set_aside(page, recordings, fits)
+    return page
+
+
+def _map(fleet: Fleet, crafts: Sequence[str]) -> Figure:
+    names = [one for one in QUANTITIES if one in fleet.populations]
+    z = np.full((len(crafts), len(names)), np.nan)
+    for value in fleet.values:
+        crowd = fleet.populations.get(value.quantity)
+        if crowd is None:
+            continue
+        factor = scale(value.quantity, crowd.middle)
+        spread = np.hypot(crowd.spread * factor, value.stderr)
+        away = value.value - told(value.quantity, crowd.middle)
+        z[crafts.index(value.craft), names.index(value.quantity)] = away / max(spread, 1e-300)
+    made, (axes,) = figure(9.0, 1.2 + 0.26 * len(crafts))
+    image = axes.imshow(z, aspect="auto", cmap="coolwarm", vmin=-CLEAR_Z, vmax=CLEAR_Z)
+    axes.set_xticks(range(len(names)), names, rotation=30, ha="right")
+    axes.set_yticks(range(len(crafts)), crafts)
+    axes.grid(visible=False)
+    made.colorbar(image, ax=axes, label="standard deviations")
+    return made
+
+
+def _drawn(series: Series, finding: Finding, fleet: Fleet) -> Figure:
+    name, count = series.quantity, len(series.values)
+    values = np.array([told(name, one) for one in series.values])
+    scatter = np.hypot(series.errors, fleet.scatter[name])
+    errors = scatter * np.array([scale(name, one) for one in series.values])
+    made, (axes,) = figure(9.0, 2.8)
+    flights = np.arange(1, count + 1)
+    axes.errorbar(
+        flights, values, errors, fmt="o", ms=3.5, lw=0.8, color=MEASURED, label="each flight"
+    )
+    crowd = fleet.populations.get(name)
+    if crowd is not None:
+        low, high = (told(name, crowd.middle + sign * crowd.spread) for sign in (-1.0, 1.0))
+        axes.axhspan(low, high, color=NEUTRAL, alpha=0.2, lw=0, label="two thirds of the crafts")
+    if finding.kind == "change":
+        at = finding.flight - 1
+        axes.axvline(at + 0.5, color=BAD, lw=1.0, ls="--", label="since then")
+        for part in (slice(0, at), slice(at, count)):
+            middle = told(name, float(np.median(series.values[part])))
+            axes.plot(flights[part], np.full(len(flights[part]), middle), color=MODELLED)
+    elif finding.kind == "drift":
+        line = np.polyval(np.polyfit(flights, values, 1), flights)
+        axes.plot(flights, line, color=MODELLED, label="drift")
+    axes.set_title(f"{series.craft}: {WORDS[name]}")
+    axes.set_xlabel("flight, in order of time")
+    axes.set_ylabel(name + (" (share)" if name not in RELATIVE else ""))
+    axes.legend(loc="best")
+    return made
+
+
+def _set_aside(page: Page, recordings: Sequence[Row], fits: dict[str, Row]) -> None:
+    """What did not count, and why."""
+    rows = [
+        (one["address"], one["state"], one["reason"])
+        for one in recordings
+        if one["state"] in ("damaged", "bad")
+    ]
+    rows += [
+        (address, "not fitted", one["reason"])
+        for address, one in sorted(fits.items())
+        if one["reason"] is not None
+    ]
+    if rows:
+        page.heading("Set aside")
+        more = f" The first {LISTED} of {len(rows)}." if len(rows) > LISTED else ""
+        page.table(("recording", "state", "reason"), rows[:LISTED], "What counts nowhere." + more)

@@ -1,0 +1,128 @@
+"""The catalogue follows its files, through whatever interrupts it."""
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from programs import run_program
+
+from groundstation.errors import BadInputError, RecordingError, TakenError
+from groundstation.fleet.index import index, recordings_of
+from groundstation.fleet.parts import PART_ROWS, Parts, held
+
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+COLUMNS = {"name": "text", "value": "number", "words": "texts"}
+
+
+@pytest.fixture
+def table(tmp_path):
+    return Parts(tmp_path / "table", COLUMNS, "name")
+
+
+def row(name, value=1.0):
+    return {"name": name, "value": value, "words": [name, name]}
+
+
+def files(tmp_path):
+    return sorted((tmp_path / "table").iterdir())
+
+
+def test_the_newest_row_of_a_key_counts_also_when_rows_are_put_together(table, tmp_path):
+    table.append([row("b"), row("a")])
+    table.append([row("a", None), row("c")])
+    expected = {"a": row("a", None), "b": row("b"), "c": row("c")}
+    assert table.rows() == expected
+    table.compact()
+    assert table.rows() == expected
+    assert len(files(tmp_path)) == 1
+    table.compact(["c", "a", "not there"])
+    assert list(table.rows()) == ["a", "c"]
+
+
+def test_a_table_of_many_rows_is_several_files(table, tmp_path):
+    table.append([row(f"{i:06d}") for i in range(PART_ROWS)])
+    table.append([row(f"{i:06d}") for i in range(PART_ROWS, PART_ROWS + 5)])
+    table.compact()
+    assert len(files(tmp_path)) == 2
+    assert len(table.rows()) == PART_ROWS + 5
+
+
+def test_what_was_begun_and_not_finished_does_not_count(table, tmp_path):
+    table.append([row("a")])
+    (tmp_path / "table" / "00000001.new").write_bytes(b"half")
+    assert list(table.rows()) == ["a"]
+    table.append([row("b")])
+    assert list(table.rows()) == ["a", "b"]
+
+
+def test_a_damaged_file_is_named(table, tmp_path):
+    table.append([row("a")])
+    files(tmp_path)[0].write_bytes(b"PAR1 but not really")
+    with pytest.raises(RecordingError, match=r"00000000.parquet: cannot be read .* remove it"):
+        table.rows()
+
+
+def test_two_runs_do_not_change_one_catalogue(tmp_path):
+    with (
+        held(tmp_path / "fleet"),
+        pytest.raises(TakenError, match="another run is working"),
+        held(tmp_path / "fleet"),
+    ):
+        pass
+    with held(tmp_path / "fleet"):
+        pass
+
+
+@pytest.fixture
+def flights(tmp_path):
+    folder = tmp_path / "flights" / "cf07"
+    folder.mkdir(parents=True)
+    shutil.copy(RECORDINGS / "stand_in_flight.mcap", folder / "2026-02-01T10-00-00Z_one.mcap")
+    (folder / "torn.mcap").write_bytes(b"\x89MCAP0\r\n and nothing else")
+    return folder
+
+
+def test_every_recording_is_read_once_and_again_when_it_changed(flights, tmp_path):
+    catalogue = tmp_path / "fleet"
+    first = index(catalogue, [str(flights.parent)], workers=1)
+    assert (first.read, first.unchanged, first.damaged, first.gone) == (2, 0, 1, 0)
+    good, torn = recordings_of(catalogue)
+    assert (good["craft"], good["state"], good["begun"][:10]) == ("cf07", "good", "2026-02-01")
+    assert good["airborne_s"] > 4.0
+    assert good["battery_first_v"] > good["battery_last_v"] > 3.0
+    assert "gyro_x" in good["channels"]
+    assert torn["state"] == "damaged"
+    assert torn["reason"]
+    assert index(catalogue, [str(flights)], workers=1).read == 0
+    os.utime(flights / "torn.mcap", ns=(1, 1))
+    assert index(catalogue, [str(flights)], workers=1).read == 1
+    (flights / "torn.mcap").unlink()
+    last = index(catalogue, [str(flights / "*.mcap")], workers=1)
+    assert (last.read, last.unchanged, last.gone) == (0, 1, 1)
+    assert recordings_of(catalogue) == [good]
+
+
+def test_an_address_of_another_file_system_is_read_as_well(flights, tmp_path):
+    pytest.importorskip("fsspec", reason="Dask, which brings fsspec, is not installed")
+    index(tmp_path / "here", [str(flights)], workers=1)
+    index(tmp_path / "there", [f"file://{flights}"], workers=1)
+    here, there = recordings_of(tmp_path / "here"), recordings_of(tmp_path / "there")
+    assert [one["address"] for one in there] == [f"file://{one['address']}" for one in here]
+    for name in ("sha256", "craft", "begun", "airborne_s", "state"):
+        assert [one[name] for one in there] == [one[name] for one in here]
+
+
+def test_a_folder_without_recordings_and_a_catalogue_that_is_none_are_one_line(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadInputError, match="empty: no recordings here"):
+        index(tmp_path / "fleet", [str(tmp_path / "empty")], workers=1)
+    with pytest.raises(BadInputError, match="make one with: groundstation fleet index"):
+        recordings_of(tmp_path / "nothing")
+
+
+def test_nothing_else_loads_dask():
+    modules = "groundstation.cli.app, groundstation.fleet.index, groundstation.fleet.fit"
+    code = f"import sys, {modules}; print('dask' in sys.modules, 'distributed' in sys.modules)"
+    assert run_program([sys.executable, "-c", code], check=True).stdout.split() == ["False"] * 2

@@ -1,0 +1,83 @@
+"""Work on this process, on this machine's cores and on a scheduler of its own; workers that die."""
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from groundstation.errors import BadInputError
+from groundstation.fleet.engine import carried_out
+
+cloudpickle = pytest.importorskip("cloudpickle", reason="Dask is not installed")
+distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+# A worker cannot import a test.
+cloudpickle.register_pickle_by_value(sys.modules[__name__])
+pytestmark = pytest.mark.timeout(600)
+
+
+def doubled(address):
+    return address + address
+
+
+def deadly(address):
+    if address == "bad":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return address
+
+
+def killed_once(address):
+    """Dies the first time that it is asked for the address that is a file's name."""
+    try:
+        Path(address).unlink()
+    except FileNotFoundError:
+        return os.path.basename(address)
+    time.sleep(0.2)
+    os.kill(os.getpid(), signal.SIGKILL)
+    return None
+
+
+def names(count):
+    return [f"r{number}" for number in range(count)]
+
+
+def test_one_process_and_two_workers_do_the_same_work_once_each():
+    alone = dict(carried_out(doubled, names(200), workers=1))
+    assert alone == {one: one + one for one in names(200)}
+    both = list(carried_out(doubled, names(200), workers=2))
+    assert len(both) == 200
+    assert dict(both) == alone
+
+
+def test_a_recording_that_workers_die_of_is_set_aside_and_all_others_are_done():
+    addresses = [*names(30), "bad", *(f"s{number}" for number in range(30))]
+    done = list(carried_out(deadly, addresses, workers=2))
+    assert sorted(address for address, _ in done) == sorted(addresses)
+    assert [address for address, result in done if result is None] == ["bad"]
+
+
+def test_a_worker_that_is_killed_costs_only_time(tmp_path):
+    addresses = []
+    for number in range(20):
+        path = tmp_path / f"r{number}"
+        addresses.append(str(path))
+        if number in (3, 11):
+            path.touch()
+    done = dict(carried_out(killed_once, addresses, workers=2))
+    assert done == {one: os.path.basename(one) for one in addresses}
+
+
+def test_a_scheduler_that_runs_already_is_used_and_left_running():
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        for _ in range(2):
+            done = carried_out(doubled, names(40), workers=1, scheduler=cluster.scheduler_address)
+            assert dict(done) == {one: one + one for one in names(40)}
+
+
+def test_a_scheduler_that_does_not_answer_is_one_line():
+    with pytest.raises(BadInputError, match=r"--scheduler tcp://127.0.0.1:9: does not answer"):
+        list(carried_out(doubled, names(4), workers=1, scheduler="tcp://127.0.0.1:9"))
