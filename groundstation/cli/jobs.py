@@ -58,12 +58,16 @@ def start(
 
 
 @jobs.command("log")
-def log(name: str = NAME) -> None:
+def log(name: str = NAME, as_json: bool = AS_JSON) -> None:
     """The end of a job's log.
 
     Example: [bold]groundstation jobs log 2026-11-22T20-00-00-000Z_fit[/bold]
     """
-    for line in ask(socket_path(), "POST", "/jobs/log", {"id": name})["text"].splitlines():
+    answer = ask(socket_path(), "POST", "/jobs/log", {"id": name})
+    if as_json:
+        show_json(answer)
+        return
+    for line in answer["text"].splitlines():
         show(line)
 
 

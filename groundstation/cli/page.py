@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from groundstation.cli.terminal import show
+from groundstation.cli.model_files import AS_JSON
+from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
 
@@ -13,9 +14,13 @@ def add_commands(app: typer.Typer) -> None:
     app.command("page")(page)
 
 
-def page() -> None:
+def page(as_json: bool = AS_JSON) -> None:
     """A new address of the operator's page: it lets one browser in.
 
     Example: [bold]groundstation page[/bold]
     """
-    show(ask(socket_path(), "POST", "/page/address")["url"])
+    answer = ask(socket_path(), "POST", "/page/address")
+    if as_json:
+        show_json(answer)
+    else:
+        show(answer["url"])
