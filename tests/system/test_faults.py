@@ -232,6 +232,7 @@ def test_many_clients_at_once_for_a_while_leave_the_daemon_as_it_was(tmp_path):
 def test_a_view_that_is_killed_is_back_soon_and_costs_nothing(tmp_path, victim):
     ports = ("--viewer-port", free_port(), "--web-port", free_port())
     with Daemon(tmp_path, "--viewer", "serve", *ports) as daemon:
+        daemon.recording(samples=100)  # or there is nothing that could be lost
         daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view")
         for child in daemon.children():
             words = child.cmdline()
