@@ -1,7 +1,10 @@
-"""Names of files that a user gives for something new."""
+"""Files by name and by content: names for something new, and whether two hold the same."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import time
 from itertools import count
 from pathlib import Path
 
@@ -11,3 +14,21 @@ def taken(path: Path) -> str:
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     free = next(name for name in names if not name.exists())
     return f"{path} exists already; nothing is ever overwritten: {free.name} is free"
+
+
+def dated(folder: Path, end: str, time_ns: int) -> Path:
+    """A free path in ``folder``: Unix time as UTC to the millisecond, or the next one that is not
+    taken, and ``end``."""
+    time_ms = time_ns // 1_000_000
+    while True:
+        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
+        path = folder / f"{stamp}-{time_ms % 1000:03d}Z_{end}"
+        if not os.path.exists(path):  # also where nobody may look: creating it says so
+            return path
+        time_ms += 1
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file's content. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,11 +24,11 @@ from groundstation.cli.model_files import (
     require_new,
     runs_in,
     say_written,
-    vehicle_of,
 )
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
+from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
@@ -235,6 +234,7 @@ def _carry_out(
 ) -> None:
     from groundstation.dynamics.model import load_model, model_vehicle
     from groundstation.identification.segments import parse_selection
+    from groundstation.recording.craft_family import vehicle_of
 
     require_new(files.output)
     if files.html is not None:
@@ -290,7 +290,7 @@ def _unit_of(name: str) -> str:
 
 
 def _fingerprint(path: Path) -> dict[str, str]:
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, "sha256": digest(path)}
 
 
 def _print_account(account: dict[str, Any], output: Path) -> None:

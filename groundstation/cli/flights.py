@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import fitted_model, open_one, require_family
+from groundstation.cli.model_files import fitted_model, open_one
 from groundstation.errors import BadInputError
+from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation.comparison.stretches import Marked
@@ -62,6 +63,7 @@ def read_flights(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s.
     """
     from groundstation.identification.recordings import flights_of
+    from groundstation.recording.craft_family import require_family
 
     found = []
     for path in paths:
@@ -126,15 +128,12 @@ def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:
 
     Fitted twice it would count as two that agree; held out as well it would prove nothing.
     """
-    import hashlib
-
     seen: dict[str, Path] = {}
     for path in (*recordings, *validate):
         if not path.is_file():
             continue  # whoever opens it says why it cannot be read
         try:
-            with path.open("rb") as file:
-                content = hashlib.file_digest(file, "sha256").hexdigest()
+            content = digest(path)
         except OSError:
             continue
         if content in seen:

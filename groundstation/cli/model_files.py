@@ -49,15 +49,10 @@ def runs_in(recordings: Sequence[Recording]) -> list[Run]:
 
 
 def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
-    """The same with short gaps bridged on straight lines, for what a radio's losses would cut to
-    pieces."""
-    from groundstation.identification.recordings import flights_of, without_gaps
+    """The same with short gaps bridged, for what a radio's losses would cut to pieces."""
+    from groundstation.identification.recordings import bridged
 
-    return [
-        without_gaps(run)
-        for one in recordings
-        for run in flights_of(one.samples, one.path.name, least_s=1.0)
-    ]
+    return [run for one in recordings for run in bridged(one.samples, one.path.name, least_s=1.0)]
 
 
 def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
@@ -66,60 +61,6 @@ def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
 
     flown = any(np.isfinite(one.samples.rotor_rev_s).any() for one in recordings)
     return bridged_runs_in(recordings) if flown else runs_in(recordings)
-
-
-def vehicle_of(
-    recordings: Sequence[Recording], given: str | None, model: Model | None = None
-) -> str | None:
-    """The profile that the user gave, or the one that the recordings name; None where neither does.
-
-    model: what their craft is taken for where nobody names it.
-
-    Raises BadInputError where they name several, or where one may be of another craft than the
-    model's, than crazyflie1 without a model.
-    """
-    if given is not None:
-        return given
-    said = {one.path.name: one.metadata.get("vehicle", {}).get("profile") for one in recordings}
-    labels = {label for label in said.values() if label is not None}
-    if len(labels) > 1:
-        listed = ", ".join(f"{name} of {label!r}" for name, label in said.items() if label)
-        raise BadInputError(
-            f"recordings of several vehicles ({listed}); fit one at a time, or, if a label is"
-            " wrong, say --vehicle"
-        )
-    label = labels.pop() if labels else None
-    for one in recordings:
-        require_family(one, label or (model.vehicle if model is not None else None), model)
-    return label
-
-
-def require_family(recording: Recording, vehicle: str | None, model: Model | None = None) -> None:
-    """Raises BadInputError where a recording that names no craft cannot be, or need not be, one of
-    ``vehicle`` (None: nobody said which), whose profile ``model`` may hold."""
-    from groundstation.dynamics.model import model_vehicle
-    from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
-
-    said = recording.metadata.get("vehicle", {})
-    if "family" not in said or "profile" in said:
-        return
-    family, why = said["family"], said.get("because", "")
-    listed = ", ".join(
-        name for name, one in BUILT_IN.items() if family == "unknown" or one.firmware == family
-    )
-    if vehicle is None:
-        what = "its craft is not known" if family == "unknown" else f"of a Crazyflie {family}"
-        raise BadInputError(
-            f"{recording.path}: {what} ({why}); say which with --vehicle {listed}, or a TOML"
-            " profile"
-        )
-    profile = model_vehicle(model) if model is not None and model.vehicle == vehicle else None
-    flown = profile or load_vehicle(vehicle)
-    if family != "unknown" and flown.firmware != family:
-        raise BadInputError(
-            f"{recording.path}: of a Crazyflie {family} ({why}), not of {vehicle!r}; say which"
-            f" with --vehicle {listed}, or a TOML profile"
-        )
 
 
 def fitted_model(source: str, *, attitude: bool = False) -> Model:

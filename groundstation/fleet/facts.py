@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import shutil
@@ -11,12 +10,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.fleet.parts import Row
+from groundstation.paths import digest
+
+if TYPE_CHECKING:
+    from groundstation.recording.session import Recording
 
 COLUMNS = {
     "address": "text",
@@ -79,12 +82,6 @@ def stamp_of(address: str) -> str:
 
     system, path = fsspec.core.url_to_fs(address)
     return str(system.ukey(path))
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
@@ -152,7 +149,7 @@ def _craft(metadata: dict[str, dict[str, str]], address: str) -> str:
     return PurePosixPath(address).parent.name or "unnamed"
 
 
-def _begun(recording: Any, address: str, path: Path) -> str:
+def _begun(recording: Recording, address: str, path: Path) -> str:
     """UTC from the file's name, or from its first sample, or from the file itself."""
     named = DATED.search(PurePosixPath(address).name)
     if named:
@@ -168,13 +165,13 @@ def _begun(recording: Any, address: str, path: Path) -> str:
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
 
 
-def _airborne_s(recording: Any) -> float:
+def _airborne_s(recording: Recording) -> float:
     """Seconds in the air, of stretches that are long enough for a fit."""
     from groundstation.identification.airborne import airborne
-    from groundstation.identification.recordings import flights_of, without_gaps
+    from groundstation.identification.recordings import bridged
 
     try:
-        runs = flights_of(recording.samples, recording.path.name, least_s=LEAST_AIR_S)
+        runs = bridged(recording.samples, recording.path.name, LEAST_AIR_S)
     except BadInputError:
         return 0.0
-    return float(sum(airborne(without_gaps(run)).sum() * run.period_s for run in runs))
+    return float(sum(airborne(run).sum() * run.period_s for run in runs))

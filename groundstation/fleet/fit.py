@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from groundstation.fleet.engine import carried_out
 from groundstation.fleet.flight_fit import COLUMNS, KEY, fitting, settings_of
-from groundstation.fleet.index import Told, recordings_of
+from groundstation.fleet.gather import gathered
+from groundstation.fleet.index import recordings_of
 from groundstation.fleet.parts import Parts, Row
+from groundstation.identification.fit_record import Progress, silent
 
 KEPT_AT = 20
-"""Results that make a file of their own: what a run that is killed loses at most."""
+"""Rows that make a file of their own."""
 LEAST_AIR_S = 8.0
 """A shorter flight tells next to nothing of a body."""
 
@@ -37,7 +38,7 @@ def fit_all(
     effects: tuple[str, ...],
     workers: int,
     scheduler: str | None = None,
-    progress: Told = lambda _share, _what: None,
+    progress: Progress = silent,
 ) -> Fitted:
     """Fit what the catalogue holds and no earlier run has fitted with the same settings.
 
@@ -53,18 +54,16 @@ def fit_all(
         if address not in known
         or (known[address]["sha256"], known[address]["settings"]) != (row["sha256"], settings)
     ]
-    fresh: list[Row] = []
-    refused = 0
-    for count, (address, row) in enumerate(
-        carried_out(fitting(vehicle, effects), to_fit, workers=workers, scheduler=scheduler), 1
-    ):
-        fresh.append(row or _deadly(address, long[address], settings))
-        refused += fresh[-1]["reason"] is not None
-        if len(fresh) >= KEPT_AT:
-            table.append(fresh)
-            fresh = []
-        progress(count / len(to_fit), f"fitting {count} of {len(to_fit)}")
-    table.append(fresh)
+    fitted = gathered(
+        *(table, fitting(vehicle, effects), to_fit),
+        lambda address: _deadly(address, long[address], settings),
+        at_once=KEPT_AT,
+        doing="fitting",
+        workers=workers,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    refused = sum(row["reason"] is not None for row in fitted)
     table.compact(list(long))
     return Fitted(len(to_fit), refused, len(long) - len(to_fit), len(rows) - len(long))
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError
-from groundstation.fleet.facts import digest, fetched
+from groundstation.fleet.facts import fetched
 from groundstation.fleet.parts import Row
+from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation.identification.stretches import Stretch
@@ -87,14 +88,14 @@ def _told(
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.body.fit import fit_body
     from groundstation.identification.motor.supply import estimate_supply
-    from groundstation.identification.recordings import flights_of, without_gaps
+    from groundstation.identification.recordings import bridged
     from groundstation.identification.stretches import stretches_of
+    from groundstation.recording.craft_family import vehicle_of
     from groundstation.recording.open_recording import open_recording
 
     recording = open_recording(path)
-    said = recording.metadata.get("vehicle", {}).get("profile")
-    profile = load_vehicle(vehicle or said or "crazyflie1")
-    runs = [without_gaps(one) for one in flights_of(recording.samples, recording.path.name)]
+    profile = load_vehicle(vehicle_of([recording], vehicle) or "crazyflie1")
+    runs = bridged(recording.samples, recording.path.name)
     stretches = stretches_of(runs, profile.motor)
     found = _trims(stretches)
     longest = max(runs, key=len)

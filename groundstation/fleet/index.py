@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from groundstation.errors import BadInputError
-from groundstation.fleet.engine import carried_out
 from groundstation.fleet.facts import COLUMNS, KEY, facts_of, stamp_of
+from groundstation.fleet.gather import gathered
 from groundstation.fleet.parts import Parts, Row
+from groundstation.identification.fit_record import Progress, silent
 
 SUFFIXES = (".mcap", ".csv", ".npz", ".rrd", ".db3", ".ulg")
 """Of recordings; a microSD log has no suffix of its own and is named itself."""
 KEPT_AT = 200
-"""Results that make a file of their own: what a run that is killed loses at most."""
-Told = Callable[[float, str], None]
+"""Rows that make a file of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def index(
     *,
     workers: int,
     scheduler: str | None = None,
-    progress: Told = lambda _share, _what: None,
+    progress: Progress = silent,
 ) -> Indexed:
     """Bring the catalogue up to date with what the sources hold.
 
@@ -111,22 +111,18 @@ def index(
     known = table.rows()
     addresses = addresses_of(sources)
     changed = [one for one in addresses if one not in known or _changed(known[one])]
-    fresh: list[Row] = []
-    damaged = 0
-    for count, (address, row) in enumerate(
-        carried_out(facts_of, changed, workers=workers, scheduler=scheduler), 1
-    ):
-        fresh.append(row or _deadly(address))
-        damaged += fresh[-1]["state"] == "damaged"
-        if len(fresh) >= KEPT_AT:
-            table.append(fresh)
-            fresh = []
-        progress(count / len(changed), f"reading {count} of {len(changed)}")
-    table.append(fresh)
-    here = [one for one in table.rows() if one in set(addresses) or _there(one)]
-    gone = len(known.keys() | set(addresses)) - len(here)
-    table.compact(here)
-    return Indexed(len(changed), len(addresses) - len(changed), damaged, gone)
+    rows = gathered(
+        *(table, facts_of, changed, _deadly),
+        at_once=KEPT_AT,
+        doing="reading",
+        workers=workers,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    damaged = sum(row["state"] == "damaged" for row in rows)
+    gone = {one for one in known.keys() - set(addresses) if not _there(one)}
+    table.compact(sorted((known.keys() | set(addresses)) - gone))
+    return Indexed(len(changed), len(addresses) - len(changed), damaged, len(gone))
 
 
 def _changed(row: Row) -> bool:

@@ -57,7 +57,7 @@ class Parts:
         old = self._files()
         rows = self.rows()
         kept = list(rows.values()) if keys is None else [rows[k] for k in keys if k in rows]
-        if len(old) <= 1 and len(kept) == sum(1 for path in old for _ in self._read(path)):
+        if len(old) <= 1 and len(kept) == len(rows):
             return
         number = self._next()
         for first in range(0, len(kept), PART_ROWS):

@@ -91,6 +91,12 @@ def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return out.reshape(values.shape)
 
 
+def bridged(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
+    """The same with short gaps bridged on straight lines, for what a radio's losses would cut to
+    pieces."""
+    return [without_gaps(run) for run in flights_of(samples, name, least_s)]
+
+
 def without_gaps(run: Run) -> Run:
     """The run with its missing rows filled in, for what needs every row."""
     parts: dict[str, Any] = {name: filled(getattr(run, name)) for name in CHANNELS}

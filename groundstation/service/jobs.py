@@ -17,6 +17,7 @@ import msgspec
 
 from groundstation.documents import read_document
 from groundstation.errors import BadInputError
+from groundstation.paths import dated
 from groundstation.text import printable
 
 FOLDER = "jobs"
@@ -88,7 +89,7 @@ class Jobs:
         if kind in ("compare", "discrepancy") and not model:
             raise BadInputError(f"{kind} needs a model: that of a fit, or thesis")
         job = Job(
-            id=_free_name(folder / FOLDER, kind),
+            id=dated(folder / FOLDER, kind, time.time_ns()).name,
             kind=kind,
             recordings=list(recordings),
             validate=list(validate),
@@ -218,16 +219,6 @@ class Jobs:
         if Path(name).name != name or name == ".." or not folder.is_dir():
             raise BadInputError(f"{name}: no such job")
         return folder
-
-
-def _free_name(folder: Path, kind: str) -> str:
-    time_ms = time.time_ns() // 1_000_000
-    while True:
-        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
-        name = f"{stamp}-{time_ms % 1000:03d}Z_{kind}"
-        if not (folder / name).exists():
-            return name
-        time_ms += 1
 
 
 def _there(path: Path) -> str | None:

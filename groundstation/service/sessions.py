@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import time
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
@@ -14,6 +12,7 @@ from typing import Any
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError
 from groundstation.links.base import LinkEvent
+from groundstation.paths import dated
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -63,7 +62,7 @@ class Sessions:
 
     def create(self, link: str, *, continues: bool = False) -> McapRecorder:
         """A recorder for a new file: of a new session, or the next part of the present one."""
-        path = self._free_name(link)
+        path = dated(self.folder, f"{link.split(':', 1)[0]}.mcap", self._clock())
         session, part = (self._session, self._part + 1) if continues else (path.stem, 1)
         recorder = McapRecorder(
             path,
@@ -181,13 +180,3 @@ class Sessions:
     def _fault(self, path: Path, text: str) -> None:
         self.faults[path] = text
         self._on_fault(text)
-
-    def _free_name(self, link: str) -> Path:
-        kind = link.split(":", 1)[0]
-        time_ms = self._clock() // 1_000_000
-        while True:
-            stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.gmtime(time_ms / 1000))
-            path = self.folder / f"{stamp}-{time_ms % 1000:03d}Z_{kind}.mcap"
-            if not os.path.exists(path):  # also where nobody may look: creating it says so
-                return path
-            time_ms += 1

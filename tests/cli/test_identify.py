@@ -11,10 +11,11 @@ from stand_in_flights import recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
-from groundstation.cli.model_files import model_before, vehicle_of
+from groundstation.cli.model_files import model_before
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, load_vehicle
 from groundstation.errors import BadInputError
+from groundstation.recording.craft_family import vehicle_of
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import RecordingFile

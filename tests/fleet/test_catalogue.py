@@ -9,6 +9,7 @@ import pytest
 from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
+from groundstation.fleet.flight_fit import fit_flight
 from groundstation.fleet.index import index, recordings_of
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 
@@ -120,6 +121,12 @@ def test_a_folder_without_recordings_and_a_catalogue_that_is_none_are_one_line(t
         index(tmp_path / "fleet", [str(tmp_path / "empty")], workers=1)
     with pytest.raises(BadInputError, match="make one with: groundstation fleet index"):
         recordings_of(tmp_path / "nothing")
+
+
+def test_a_log_that_does_not_name_its_craft_is_not_fitted_as_the_thesis_s():
+    row = fit_flight(str(RECORDINGS / "microsd_log16"), None, ())
+    assert "say which with --vehicle crazyflie21," in row["reason"]
+    assert row["c0"] is None
 
 
 def test_nothing_else_loads_dask():
