@@ -17,7 +17,14 @@ from groundstation.cli.flights import (
     read_flights,
     require_apart,
 )
-from groundstation.cli.model_files import AS_JSON, HTML, require_new, say_written
+from groundstation.cli.model_files import (
+    AS_JSON,
+    ATTITUDE,
+    HTML,
+    require_new,
+    say_written,
+    told_turning,
+)
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 
@@ -40,6 +47,7 @@ def compare(
     vehicle: str | None = VEHICLE,
     stretch: list[str] | None = STRETCH,
     marked: bool = MARKED,
+    attitude: str | None = ATTITUDE,
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -64,16 +72,18 @@ def compare(
         require_new(html)
     require_apart(recordings, [])
     loaded = model_for(model, vehicle)
+    turning = told_turning(loaded, attitude)
     with shown("reading") as progress:
         read = read_flights(recordings, loaded, vehicle)
         asked = marked_in(read, stretch or [], marked)
         flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
-        found = judge(flights, loaded)
+        found = judge(flights, loaded, turning=turning)
         names = [path.name for path in recordings]
         report = CompareReport(
             *(where_rows(found), gap_of(found), names, model),
             [stretch_report(one, found) for one in asked],
+            turning,
         )
         if html is not None:
             from groundstation.discrepancy.report_html import compare_page

@@ -13,6 +13,7 @@ from groundstation.errors import BadInputError
 from groundstation.paths import taken
 
 if TYPE_CHECKING:
+    from groundstation.dynamics.arx import Turning
     from groundstation.dynamics.model import Model
     from groundstation.identification.runs import Run
     from groundstation.recording.session import Recording
@@ -27,6 +28,11 @@ VEHICLE = typer.Option(
 )
 MASS = typer.Option(
     None, "--mass", metavar="KG", help="What the craft weighed, where not as its profile says."
+)
+ATTITUDE = typer.Option(
+    None,
+    "--attitude",
+    help="What turns the craft: arx or body (default: the ARX polynomials, if it has them).",
 )
 MASS_RANGE = 5.0
 """A craft weighs at most so many times, and at least one over so many, what its profile says."""
@@ -79,6 +85,20 @@ def fitted_model(source: str, *, attitude: bool = False) -> Model:
     for line in origin_notes(model):
         show(f"{source}: {line}", error=True)
     return model
+
+
+def told_turning(model: Model, said: str | None) -> Turning:
+    """What of a model turns the craft; ARX polynomials are told on stderr.
+
+    Raises BadInputError for a choice that the model does not leave.
+    """
+    from groundstation.dynamics.arx import AXES, arx_label, turning_of
+
+    turning = turning_of(model, said)
+    if turning == "arx" and model.arx is not None:
+        labels = ", ".join(f"{axis} {arx_label(model.arx[axis])}" for axis in AXES)
+        show(f"the craft turns by {labels}; thrust is the body's (--attitude body)", error=True)
+    return turning
 
 
 def effect_names(effects: str) -> tuple[str, ...]:

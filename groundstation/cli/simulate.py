@@ -9,16 +9,19 @@ import typer
 
 from groundstation.cli.model_files import (
     AS_JSON,
+    ATTITUDE,
     fitted_model,
     require_new,
     runs_from,
     say_written,
+    told_turning,
     write_table,
 )
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
+    from groundstation.dynamics.arx import Turning
     from groundstation.dynamics.model import Model
 
 HEAD = (
@@ -52,6 +55,7 @@ def simulate(
         max=LONGEST_WINDOW_S,
         help="On a recording: start afresh from the observed state after so many seconds.",
     ),
+    attitude: str | None = ATTITUDE,
     supply_v: float = typer.Option(3.7, help="Along a reference: steady supply voltage."),
     html: Path | None = typer.Option(None, "--html", help="A new page with figures."),
     as_json: bool = AS_JSON,
@@ -74,10 +78,11 @@ def simulate(
     if html is not None:
         require_new(html)
     loaded = fitted_model(model)
+    turning = told_turning(loaded, attitude)
     if recording is not None:
-        report = _on_recording(loaded, recording, output, window, html)
+        report = _on_recording(loaded, recording, output, window, turning, html)
     else:
-        report = _along_reference(loaded, str(reference), output, supply_v, html)
+        report = _along_reference(loaded, str(reference), output, supply_v, turning, html)
     if as_json:
         show_json(report)
         return
@@ -89,7 +94,12 @@ def simulate(
 
 
 def _on_recording(
-    model: Model, recording: Path, output: Path, window: float, html: Path | None
+    model: Model,
+    recording: Path,
+    output: Path,
+    window: float,
+    turning: Turning,
+    html: Path | None,
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -102,7 +112,7 @@ def _on_recording(
     )
 
     runs = runs_from([recording])
-    done = [simulate_run(model, run, window) for run in runs]
+    done = [simulate_run(model, run, window, turning) for run in runs]
     table = [
         np.column_stack(
             [
@@ -130,11 +140,17 @@ def _on_recording(
         "window_s": window,
         "rms": _by_name(rms_of(error)),
         "effects": [term.name for term in model.effects],
+        "attitude": turning,
     }
 
 
 def _along_reference(
-    model: Model, source: str, output: Path, supply_v: float, html: Path | None
+    model: Model,
+    source: str,
+    output: Path,
+    supply_v: float,
+    turning: Turning,
+    html: Path | None,
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -143,7 +159,7 @@ def _along_reference(
     from groundstation.prediction.reference_flight import fly_reference
 
     reference = load_reference(source)
-    made = fly_reference(model, reference, supply_v)
+    made = fly_reference(model, reference, supply_v, turning)
     time = np.arange(len(made.duty)) * made.period_s
     table = np.column_stack(
         [
@@ -167,6 +183,7 @@ def _along_reference(
         "supply_v": supply_v,
         "rms": dict(zip(NAMES[6:], rms.tolist(), strict=True)),
         "effects": [term.name for term in model.effects],
+        "attitude": turning,
     }
 
 

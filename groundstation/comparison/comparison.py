@@ -19,6 +19,7 @@ from groundstation.comparison.refusals import (
     require_flight,
 )
 from groundstation.comparison.regimes import motion_of
+from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
@@ -30,13 +31,15 @@ Array = NDArray[np.float64]
 class Comparison:
     """One model on some runs.
 
-    errors, floors: one of each per run. black_box: what the floors come from.
+    errors, floors: one of each per run. black_box: what the floors come from. turning: what of the
+    model turns the craft.
     """
 
     model: Model
     errors: tuple[AheadErrors, ...]
     floors: tuple[Floor, ...]
     black_box: BlackBox
+    turning: Turning = "body"
 
     @cached_property
     def rms(self) -> Array:
@@ -69,8 +72,11 @@ class Comparison:
 
     def with_model(self, model: Model) -> Comparison:
         """Another model on the same runs, beside the same floor."""
-        errors = tuple(ahead_errors(one.recorded, model, motion=one.motion) for one in self.errors)
-        return Comparison(model, errors, self.floors, self.black_box)
+        errors = tuple(
+            ahead_errors(one.recorded, model, motion=one.motion, turning=self.turning)
+            for one in self.errors
+        )
+        return Comparison(model, errors, self.floors, self.black_box, self.turning)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +89,15 @@ class Judged:
 
 
 def compare(
-    flights: Sequence[Run | Judged], model: Model, black_box: BlackBox | None = None
+    flights: Sequence[Run | Judged],
+    model: Model,
+    black_box: BlackBox | None = None,
+    turning: Turning = "body",
 ) -> Comparison:
     """Judge a model on runs (``recordings.flights_of``), or on parts of them.
 
     black_box: learnt on other runs, so that it has not seen these; None: learnt on these.
+    turning: what turns the craft, the model's body or its ARX polynomials.
 
     Raises BadInputError where the model has no body or is another craft's, where channels that
     every prediction needs are missing or do not fit together, and where nothing flies.
@@ -98,7 +108,7 @@ def compare(
     motions = [motion_of(without_gaps(part.run), model) for part in parts]
     require_consistent([part.run for part in parts], model, motions)
     errors = tuple(
-        ahead_errors(part.run, model, slice(part.first, part.last), motion=motion)
+        ahead_errors(part.run, model, slice(part.first, part.last), motion=motion, turning=turning)
         for part, motion in zip(parts, motions, strict=True)
     )
     require_flight(errors)
@@ -106,4 +116,4 @@ def compare(
     prepared = [prepare(one, configuration) for one in errors]
     learnt = black_box if black_box is not None else learn(prepared)
     floors = tuple(floor_errors(learnt, one) for one in prepared)
-    return Comparison(model, errors, floors, learnt)
+    return Comparison(model, errors, floors, learnt, turning)

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.regimes import Motion, motion_of
+from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
+from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
@@ -58,12 +60,18 @@ class AheadErrors:
 
 
 def ahead_errors(
-    run: Run, model: Model, rows_judged: slice | None = None, *, motion: Motion | None = None
+    run: Run,
+    model: Model,
+    rows_judged: slice | None = None,
+    *,
+    motion: Motion | None = None,
+    turning: Turning = "body",
 ) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
     rows_judged: only these; the rows before tell the state. motion: that of another model on the
-    same run, so that the same rows are judged; None: of this one.
+    same run, so that the same rows are judged; None: of this one. turning: what of the model turns
+    the craft.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
@@ -84,6 +92,8 @@ def ahead_errors(
     driven = replace(run, duty=whole.duty, supply_v=whole.supply_v, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
     ahead = predict_ahead(model, driven, counts, stride=1)
+    if turning == "arx":
+        ahead = with_arx_attitude(ahead, model, whole)
     made = ahead.errors(driven)
 
     def errors(wanted: NDArray[np.int64]) -> Array:

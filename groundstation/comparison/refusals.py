@@ -34,8 +34,8 @@ def require_body(model: Model) -> None:
     """Raises BadInputError for a model that cannot fly."""
     if model.body is None:
         raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
-            " fit a body ('groundstation fit body')"
+            f"model for {model.vehicle}: it has no body constants, only ARX polynomials: thrust,"
+            " and when the craft flies, are not in it; fit a body ('groundstation fit body')"
         )
 
 

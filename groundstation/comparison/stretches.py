@@ -91,7 +91,7 @@ def within(comparison: Comparison, marked: Marked) -> Comparison:
             f"{marked.recording}: nothing is flown from {marked.begin_s:g} to {marked.end_s:g} s;"
             " give seconds in the air"
         )
-    return Comparison(comparison.model, tuple(errors), tuple(floors), comparison.black_box)
+    return replace(comparison, errors=tuple(errors), floors=tuple(floors))
 
 
 def _rows(error: AheadErrors, marked: Marked) -> NDArray[np.bool_]:

@@ -181,6 +181,7 @@ class CompareReport(msgspec.Struct, frozen=True):
     recordings: list[str]
     model: str
     stretches: list[StretchReport] = []
+    attitude: Literal["body", "arx"] = "body"
 
 
 class DiscrepancyReport(msgspec.Struct, frozen=True):

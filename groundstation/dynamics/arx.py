@@ -2,12 +2,50 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.dynamics.model import ArxAxis
+from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.dynamics.rotations import body_rates
+from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
+SLOPE_ROWS = 2
+"""An angle's slope is taken over so many rows: the firmware refreshes it every second one."""
+AXES = ("roll", "pitch", "yaw")
+Turning = Literal["body", "arx"]
+"""What of a model turns the craft: the equations of its body, or its ARX polynomials."""
+
+
+def turning_of(model: Model, said: str | None = None) -> Turning:
+    """What turns the craft: as a user says, else ARX polynomials where all three axes have them.
+
+    Raises BadInputError for a word that is neither, or polynomials that the model lacks.
+    """
+    whole = model.arx is not None and set(AXES) <= set(model.arx)
+    if said is None:
+        return "arx" if whole else "body"
+    if said == "arx" and not whole:
+        has = ", ".join(model.arx or {}) or "none"
+        raise BadInputError(
+            f"--attitude arx: the model has ARX polynomials of {has}, all of {', '.join(AXES)} are"
+            " needed; fit them: groundstation fit arx"
+        )
+    if said not in ("body", "arx"):
+        raise BadInputError(f"--attitude {said}: there are body, arx")
+    return "arx" if said == "arx" else "body"
+
+
+def of_rates(model: Model) -> bool:
+    """Whether the polynomials give body rates (``fit arx --gyro``) and not angles."""
+    return model.fit.get("arx", {}).get("channel") == "gyro"
+
+
+def arx_label(axis: ArxAxis) -> str:
+    """The structure as the thesis writes it."""
+    return f"ARX({axis.na},{axis.nb},{axis.nk})"
 
 
 def simulate_arx(axis: ArxAxis, inputs: ArrayLike, past_outputs: ArrayLike = ()) -> Array:
@@ -25,6 +63,94 @@ def simulate_arx(axis: ArxAxis, inputs: ArrayLike, past_outputs: ArrayLike = ())
     state = lfiltic(numerator, denominator, past)
     outputs, _ = lfilter(numerator, denominator, inputs, zi=state)
     return np.asarray(outputs)
+
+
+def arx_ahead(
+    axis: ArxAxis, inputs: Array, outputs: Array, starts: NDArray[np.int64], rows: int, every: int
+) -> Array:
+    """Outputs (m, rows + 1) from each of ``starts`` (m,) to ``rows`` rows later.
+
+    Each free run begins with the measured ``outputs`` (n,) up to its start, which is column 0, and
+    is driven by ``inputs`` (n,). every: rows per step of the model, over which the inputs are
+    means that end with their row; between steps the output moves on a straight line. What would
+    lie before the first row repeats it.
+    """
+    steps = -(-rows // every)
+    known = max(axis.na, 1)
+    run = np.empty((len(starts), known + steps))
+    for i in range(known):
+        run[:, known - 1 - i] = outputs[np.maximum(starts - i * every, 0)]
+    for j in range(1, steps + 1):
+        at, value = known - 1 + j, np.zeros(len(starts))
+        for i, a in enumerate(axis.a, 1):
+            value -= a * run[:, at - i]
+        for k, b in enumerate(axis.b):
+            acted = starts + (j - axis.nk - k) * every
+            value += b * inputs[np.clip(acted, 0, len(inputs) - 1)]
+        run[:, at] = value
+    place = np.arange(rows + 1) / every
+    before = np.minimum(place.astype(np.int64), steps - 1)
+    share = place - before
+    run = run[:, known - 1 :]
+    return np.asarray((1.0 - share) * run[:, before] + share * run[:, before + 1])
+
+
+def angle_polynomials(model: Model) -> tuple[ArxAxis, ArxAxis, ArxAxis]:
+    """Roll, pitch and yaw from u', of a model whose polynomials give angles or rates.
+
+    Rates are integrated by the trapezoidal rule; body rates count as Euler rates (thesis 3.54).
+
+    Raises BadInputError where an axis is missing.
+    """
+    turning_of(model, "arx")
+    found = [(model.arx or {})[axis] for axis in AXES]
+    if of_rates(model):
+        found = [_integral(one) for one in found]
+    roll, pitch, yaw = found
+    return roll, pitch, yaw
+
+
+def _integral(axis: ArxAxis) -> ArxAxis:
+    a = np.convolve([1.0, *axis.a], [1.0, -1.0])[1:]
+    b = 0.5 * axis.ts * np.convolve(axis.b, [1.0, 1.0])
+    return ArxAxis(len(a), len(b), axis.nk, tuple(a.tolist()), tuple(b.tolist()), axis.ts)
+
+
+class ArxTurning:
+    """The angles of a craft by its polynomials, a period at a time, from level and at rest.
+
+    Raises BadInputError for polynomials of another period than ``period_s``: inside a control
+    loop they cannot be stretched.
+    """
+
+    def __init__(self, model: Model, period_s: float, yaw: float = 0.0) -> None:
+        self._axes = angle_polynomials(model)
+        for name, one in zip(AXES, self._axes, strict=True):
+            if abs(one.ts / period_s - 1.0) > 0.01:
+                raise BadInputError(
+                    f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the"
+                    f" craft's loop every {1e3 * period_s:g} ms; fit them without --decimate, or"
+                    " use --attitude body"
+                )
+        self._period_s = period_s
+        self._origin = np.array([0.0, 0.0, yaw])
+        longest = max(SLOPE_ROWS, *(one.na for one in self._axes))
+        self._angles = np.zeros((longest + 1, 3))
+        self._inputs = np.zeros((max(one.nk + one.nb for one in self._axes), 3))
+
+    def turn(self, inputs: Array) -> tuple[Array, Array]:
+        """(angles (3,) in rad, body rates (3,) in rad/s) after a period with u' (3,) as mean."""
+        self._inputs = np.roll(self._inputs, 1, axis=0)
+        self._inputs[0] = inputs
+        new = np.empty(3)
+        for i, one in enumerate(self._axes):
+            acted = self._inputs[one.nk : one.nk + one.nb, i]
+            new[i] = np.dot(one.b, acted) - np.dot(one.a, self._angles[: one.na, i])
+        self._angles = np.roll(self._angles, 1, axis=0)
+        self._angles[0] = new
+        slope = (new - self._angles[SLOPE_ROWS]) / (SLOPE_ROWS * self._period_s)
+        angles = new + self._origin
+        return angles, body_rates(angles, slope)
 
 
 def poles(axis: ArxAxis) -> NDArray[np.complex128]:

@@ -125,8 +125,8 @@ def craft_of_model(model: Model) -> Crafts:
     """
     if model.body is None:
         raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
-            " fit a body ('groundstation fit body')"
+            f"model for {model.vehicle}: it has no body constants, only ARX polynomials: thrust,"
+            " and when the craft flies, are not in it; fit a body ('groundstation fit body')"
         )
     vehicle, body = model_vehicle(model), model.body
     record = craft_of_vehicle(vehicle)

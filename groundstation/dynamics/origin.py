@@ -45,9 +45,10 @@ def with_origin(model: Model) -> Model:
 def require_fitted_body(model: Model, where: str) -> None:
     """Raises BadInputError, beginning with ``where``, for a model whose body nobody fitted."""
     if model.body is not None and model.origin.get("body") == PROFILE:
+        turns = "" if model.arx is None else "its ARX polynomials turn it, thrust needs a body; "
         raise BadInputError(
-            f"{where}: its body constants are those of the profile {model.vehicle!r}, not fitted;"
-            f" fit them: groundstation fit body REC... --model {where} -o body.json"
+            f"{where}: {turns}its body constants are those of the profile {model.vehicle!r}, not"
+            f" fitted; fit them: groundstation fit body REC... --model {where} -o body.json"
         )
 
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
+from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run
 from groundstation.prediction.prediction import fly_ahead, observe_run
 
@@ -31,12 +33,15 @@ class Replayed:
     flown: NDArray[np.bool_]
 
 
-def simulate_run(model: Model, run: Run, window_s: float = 0.5) -> Replayed:
+def simulate_run(
+    model: Model, run: Run, window_s: float = 0.5, turning: Turning = "body"
+) -> Replayed:
     """Fly a body model, with its effects, on a run's PWM and battery voltage.
 
     The motors run through; every ``window_s`` the rest starts afresh from the state that was
     observed until then, because no model of an unstable craft can follow a flight for long. The
-    row of a fresh start is the measured one.
+    row of a fresh start is the measured one. turning: what turns the craft, the body or the model's
+    ARX polynomials, which start from what was measured.
 
     Raises BadInputError where the run lacks PWM, battery voltage, gyro or attitude.
     """
@@ -55,6 +60,8 @@ def simulate_run(model: Model, run: Run, window_s: float = 0.5) -> Replayed:
     starts = np.arange(0, len(run) - 1, rows)
     for group, ahead in ((starts[:-1], rows), (starts[-1:], len(run) - 1 - int(starts[-1]))):
         done = fly_ahead(run, seen, group, np.arange(1, ahead + 1))
+        if turning == "arx":
+            done = with_arx_attitude(done, model, run)
         at = group[:, None] + done.horizons
         real = seen.flying[at] & seen.flying[group][:, None]
         gyro[at[real]] = done.gyro[real]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.dynamics.arx import poles, simulate_arx
+from groundstation.dynamics.arx import arx_ahead, poles, simulate_arx
 from groundstation.dynamics.model import THESIS, ArxAxis
 
 
@@ -43,3 +43,18 @@ def test_the_roll_model_of_the_thesis_is_unstable():
     roll = poles(THESIS.arx["roll"])
     np.testing.assert_allclose(roll, [1.0317, 0.9273], atol=5e-5)
     assert np.log(roll[0].real) / 0.002 == pytest.approx(15.6, abs=0.1)
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_a_run_ahead_is_the_difference_equation_from_what_was_measured(every):
+    axis = ArxAxis(2, 2, 3, (-1.7, 0.72), (0.3, -0.1), 0.002 * every)
+    inputs, outputs = np.random.default_rng(1).normal(size=(2, 200))
+    (flown,) = arx_ahead(axis, inputs, outputs, np.array([101]), 8 * every, every)
+    steps = inputs[101 % every :: every]
+    at = 101 // every
+    past = outputs[101 - every], outputs[101]
+    full = [past[0], past[1]]
+    for t in range(at + 1, at + 9):
+        driven = 0.3 * steps[t - 3] - 0.1 * steps[t - 4]
+        full.append(1.7 * full[-1] - 0.72 * full[-2] + driven)
+    np.testing.assert_allclose(flown[::every], full[1:], atol=1e-9)
