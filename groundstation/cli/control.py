@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli import config, jobs, page, recordings
+from groundstation.cli import config, jobs, models, page, recordings
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
@@ -39,6 +39,7 @@ def add_commands(app: typer.Typer) -> None:
     recordings.add_commands(app)
     page.add_commands(app)
     jobs.add_commands(app)
+    models.add_commands(app)
     config.add_commands(app)
 
 

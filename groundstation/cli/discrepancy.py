@@ -171,6 +171,7 @@ def _improved(model: Model, report: DiscrepancyReport) -> Model:
         "held_out": report.validation,
         "verdict": report.verdict,
         "effects": [effect.name for effect in report.effects],
+        "base_changes": msgspec.to_builtins(report.base_changes),
         "gap": msgspec.to_builtins(report.gap.validation),
     }
     return msgspec.structs.replace(

@@ -36,8 +36,8 @@ def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
     link: str | None = typer.Option(
         None,
-        help="stand-in (default), usb, serial:PORT, replay:FILE, or a stock craft: radio://...,"
-        " usb://0, udp://HOST:PORT.",
+        help="stand-in (default), stand-in:MODEL, usb, serial:PORT, replay:FILE, or a stock craft:"
+        " radio://..., usb://0, udp://HOST:PORT.",
     ),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."

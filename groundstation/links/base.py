@@ -66,6 +66,10 @@ class Link(ABC):
     commands: the command link that the same connection carries, where it does.
     """
 
+    doing = ""
+    """What a simulated craft does, in words; of others nothing is known."""
+    pauses = False
+    """Whether nothing comes at present although nothing is wrong."""
     silence_s = 0.5
     finite = False
     """Whether the source ends, and begins anew when it is opened again."""

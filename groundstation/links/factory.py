@@ -13,11 +13,13 @@ from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
 
 KINDS = (
-    "stand-in, replay:FILE, usb, serial:PORT, radio://0/80/2M/E7E7E7E7E7, usb://0, udp://HOST:PORT"
+    "stand-in, stand-in:MODEL, replay:FILE, usb, serial:PORT, radio://0/80/2M/E7E7E7E7E7, usb://0,"
+    " udp://HOST:PORT"
 )
 CRAFT = ("radio://", "usb://", "udp://")
 """Links to a craft that speaks for itself."""
-_TAKES_ARGUMENT = {"stand-in": False, "replay": True, "usb": False, "serial": True}
+STAND_IN = "stand-in"
+_TAKES_ARGUMENT = {STAND_IN: (False, True), "replay": (True,), "usb": (False,), "serial": (True,)}
 
 
 def make_link(
@@ -25,6 +27,7 @@ def make_link(
     *,
     speed: float,
     stand_in: dict[str, Any],
+    model: str = "",
     command: str = "",
     usb: dict[str, str] | None = None,
     rate_hz: int = 100,
@@ -33,6 +36,7 @@ def make_link(
 ) -> Link:
     """A link of one of ``KINDS``, else BadInputError.
 
+    model: file of the model that ``stand-in:MODEL`` names, where MODEL is not the file itself.
     usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual ones.
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
     rate_hz, wanted: rows a second, and further variables, of a craft's own log.
@@ -42,10 +46,17 @@ def make_link(
 
         return CrazyflieTelemetry(name, rate_hz=rate_hz, wanted=wanted, clock=clock)
     kind, argument = split_name(name)
-    if kind == "stand-in":
+    if kind == STAND_IN:
         from groundstation.links.stand_in import StandInLink
 
-        return StandInLink(stand_in, speed=speed, crtp=_udp_address(command), clock=clock)
+        flown = {**stand_in, "plant": "model", "craft": model or argument, "effects": {}}
+        return StandInLink(
+            flown if argument else stand_in,
+            name=name,
+            speed=speed,
+            crtp=_udp_address(command),
+            clock=clock,
+        )
     if kind == "replay":
         from groundstation.links.replay import ReplayLink
 
@@ -65,9 +76,14 @@ def split_name(name: str) -> tuple[str, str]:
         scheme, _, rest = name.partition("://")
         return scheme, rest
     kind, colon, argument = name.partition(":")
-    if _TAKES_ARGUMENT.get(kind) != bool(colon) or bool(colon) != bool(argument):
+    if bool(colon) not in _TAKES_ARGUMENT.get(kind, ()) or bool(colon) != bool(argument):
         raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
     return kind, argument
+
+
+def is_stand_in(name: str) -> bool:
+    """Whether a link's name is that of a software craft, as configured or flying a model."""
+    return name.partition(":")[0] == STAND_IN
 
 
 def make_command_link(uri: str, *, clock: HostClock | None = None) -> CommandLink:

@@ -21,6 +21,10 @@ BATCH_S = 0.01
 FAST_BATCH_S = 5.0
 ANNOUNCE_S = 2.0
 """Powering on takes longer than this where the flight model has to be compiled."""
+LOOK_S = 0.5
+"""How often it is said what the craft does."""
+LOW_POWER = 3
+"""The firmware's power state after some seconds of low voltage."""
 CATCH_UP_S = 2.0
 """A process stalled for longer than this has missed what the craft sent meanwhile."""
 
@@ -29,6 +33,7 @@ class StandInLink(Link):
     """Flies a ``firmware_sim.StandIn`` and delivers what its bridge forwards.
 
     options: settings of the stand-in, as in the configuration's ``[stand_in]`` table.
+    name: ``stand-in:MODEL`` where it flies a fitted model.
     speed: 1 for real time, ``inf`` for as fast as the reader takes batches. The host stamps
         keep simulated spacing at any speed. Faster than real time the craft waits for a
         stalled process; in real time it flies on unheard, as a real one would.
@@ -39,11 +44,12 @@ class StandInLink(Link):
         self,
         options: dict[str, Any],
         *,
+        name: str = "stand-in",
         speed: float = 1.0,
         crtp: tuple[str, int] | None = None,
         clock: HostClock | None = None,
     ) -> None:
-        super().__init__("stand-in", clock=clock)
+        super().__init__(name, clock=clock)
         if not speed > 0:
             raise BadInputError(f"stand-in speed {speed:g}: must be greater than 0 (or 'max')")
         from firmware_sim.settings import StandInSettings
@@ -61,6 +67,7 @@ class StandInLink(Link):
         self._server: Any = None
         self._craft: Any = None
         self._powered = True
+        self._off_s = self._look_s = 0.0  # of simulated time
         self._flown_s = self._target_s = self._heard_from_s = 0.0
         self._origin_ns = 0
         self._due_s = 0.0
@@ -80,17 +87,20 @@ class StandInLink(Link):
         self.vehicle = self._craft.profile
         if self._craft.added_by_plant:
             self.emit("plant", self._craft.added_by_plant)
-        if self._crtp is not None:
-            await self._serve(*self._crtp)
-        self._flown_s = 0.0
+        await self.serve()
+        self._flown_s = self._look_s = 0.0
         self._flight = None
         self._origin_ns = self.clock()
         # a batch is due when its last packet has arrived: a stamp is never from the future
         self._due_s = time.monotonic() + self._step_s / self.speed
 
-    async def _serve(self, host: str, port: int) -> None:
+    async def serve(self) -> None:
+        """Answer clients of the official library, where a port was given. Raises TakenError."""
+        if self._crtp is None or self._server is not None:
+            return
         from firmware_sim.crtp_server import CrtpServer
 
+        host, port = self._crtp
         server = CrtpServer(self._craft, host, port)
         try:
             await server.start()
@@ -100,6 +110,12 @@ class StandInLink(Link):
                 " --command serves that port: choose a free one"
             ) from error
         self._server = server
+
+    async def serve_no_more(self) -> None:
+        """Give the port back, for the stand-in that takes over. Safe to call twice."""
+        server, self._server = self._server, None
+        if server is not None:
+            await server.close()
 
     def _power_on(self) -> Any:
         from firmware_sim.craft import StandIn
@@ -129,6 +145,9 @@ class StandInLink(Link):
             self._flight = None
             self._flown_s = self._target_s
             self._tell_of_cell()
+            if self._flown_s >= self._look_s:
+                self._look_s = self._flown_s + LOOK_S
+                self.doing = self._words()
             heard = arrival_s >= self._heard_from_s
             if heard.any():
                 stamps = self._origin_ns + np.rint(arrival_s[heard] * 1e9).astype(np.int64)
@@ -137,12 +156,26 @@ class StandInLink(Link):
     def _tell_of_cell(self) -> None:
         """An empty cell is part of the flight, not a fault of the link."""
         before, self._powered = self._powered, self._craft.powered
+        self.pauses = not self._powered
         if before and not self._powered:
+            self._off_s = self._flown_s
             self.emit("battery", "the simulated cell is empty: a charged one is plugged in soon")
         elif self._powered and not before:
             self.emit(
                 "battery", f"a charged cell was plugged in, number {self._craft.state().boots}"
             )
+
+    def _words(self) -> str:
+        """What the craft does."""
+        if not self._powered:
+            left_s = max(0.0, self._settings.recharge_s - (self._flown_s - self._off_s))
+            return f"its battery is changed: it is back in {left_s:.0f} s"
+        state = self._craft.state()
+        if not any(state.motors):
+            return f"it stands, with battery {state.boots}"
+        if state.power_state == LOW_POWER:
+            return f"it lands, for battery {state.boots} is low"
+        return f"it flies, with battery {state.boots}"
 
     def _unheard_s(self) -> float:
         """Simulated time to fly without listening, after a stall."""
@@ -155,6 +188,6 @@ class StandInLink(Link):
     async def _close(self) -> None:
         if self._flight is not None:
             await asyncio.wait([self._flight])
-        if self._server is not None:
-            await self._server.close()
-        self._craft = self._flight = self._server = None
+        await self.serve_no_more()
+        self._craft = self._flight = None
+        self.doing, self.pauses = "", False

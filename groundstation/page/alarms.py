@@ -25,7 +25,10 @@ def alarms(status: dict[str, Any] | None, fault: str, battery_v: float | None) -
 def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
     for problem in status["health"]["problems"]:
         yield _alarm(problem[:1].upper() + problem[1:])
-    streaming = status["link"]["state"] == "streaming"
+    link = status["link"]
+    streaming = link["state"] == "streaming"
+    if link["pauses"]:
+        yield _warning(f"The stand-in pauses: {link['doing']}")
     if streaming and battery_v is not None and battery_v < BATTERY_EMPTY_V:
         yield _alarm(f"Battery empty: {battery_v:.2f} V. Land now")
     elif streaming and battery_v is not None and battery_v < BATTERY_LOW_V:

@@ -37,7 +37,7 @@ BODY_MOST = 1 << 16
 ACTIONS = (
     *("/record/start", "/record/stop", "/record/mark", "/link"),
     *("/command/stop", "/command/level"),
-    *("/jobs/start", "/jobs/cancel"),
+    *("/jobs/start", "/jobs/cancel", "/models/watch"),
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 
@@ -90,6 +90,17 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             return _refusal(503, str(error))
         return _json({"recordings": recordings, "jobs": jobs})
 
+    async def models(request: Request) -> Response:
+        try:
+            found = await asyncio.to_thread(ask, control, "GET", "/models")
+            status = await asyncio.to_thread(ask, control, "GET", "/status")
+        except GroundStationError as error:
+            return _refusal(503, str(error))
+        watching = status["twin"] and status["twin"]["model"]
+        files = {one["file"] or one["id"]: one["id"] for one in found}
+        flown = status["link"]["name"].partition("stand-in:")[2]
+        return _json({"models": found, "flown": flown, "watching": files.get(watching)})
+
     async def file(request: Request) -> Response:
         kind, name = request.path_params["kind"], request.path_params["name"]
         try:
@@ -106,6 +117,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/", page),
             Route("/now", now),
             Route("/flights", flights),
+            Route("/models", models),
             Route("/file/{kind}/{name}", file),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),

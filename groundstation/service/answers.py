@@ -11,13 +11,16 @@ from groundstation.telemetry.statistics import LinkStatistics
 
 class LinkStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The telemetry link. lost: samples, since it was opened. latency_ms: median, of the last
-    second."""
+    second. doing: what a simulated craft does, in words; empty for others. pauses: silent, and
+    nothing is wrong: its battery is changed."""
 
     name: str
     state: Literal["closed", "opening", "streaming", "silent", "lost", "ended"]
     rate_hz: float
     lost: int
     latency_ms: float | None
+    doing: str
+    pauses: bool
 
 
 class RecordingStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

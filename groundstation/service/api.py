@@ -11,12 +11,13 @@ from typing import Any
 
 from groundstation.errors import BadInputError
 from groundstation.links.base import LinkEvent
-from groundstation.links.factory import split_name
+from groundstation.links.factory import STAND_IN, is_stand_in, split_name
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings
 from groundstation.service.jobs import Job
+from groundstation.service.models import ModelEntry
 from groundstation.service.station import Station
 from groundstation.telemetry.framing import port_and_baud
 
@@ -62,7 +63,10 @@ def operations(station: Station) -> list[Operation]:
         return await asyncio.to_thread(station.recordings.entries)
 
     async def switch(body: requests.LinkName) -> Any:
-        await station.switch_link(permitted_link(body.name, station.sessions.folder))
+        name, model = permitted_link(body.name, station.sessions.folder), ""
+        if is_stand_in(name) and name != STAND_IN:
+            model = await asyncio.to_thread(station.models.file, split_name(name)[1])
+        await station.switch_link(name, model)
         return station.status()
 
     async def configuration(_: None) -> Any:
@@ -118,6 +122,14 @@ def operations(station: Station) -> list[Operation]:
     async def job_cancel(body: requests.JobName) -> Any:
         return await station.jobs.cancel(body.id)
 
+    async def models(_: None) -> Any:
+        return await asyncio.to_thread(station.models.entries)
+
+    async def watch(body: requests.Watched) -> Any:
+        model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
+        station.twin.configure(model)
+        return station.status()
+
     async def page_address(_: None) -> Any:
         return requests.PageAddress(url=station.page.address())
 
@@ -144,6 +156,10 @@ def operations(station: Station) -> list[Operation]:
                   requests.JobName, requests.JobLog),
         Operation("POST", "/jobs/cancel", "End a job that waits or runs", job_cancel,
                   requests.JobName, Job),
+        Operation("GET", "/models", "The models that jobs have made, and the built-in one", models,
+                  answer=list[ModelEntry]),
+        Operation("POST", "/models/watch", "Watch the craft with a model, or with none", watch,
+                  requests.Watched, Status),
         Operation("POST", "/page/address", "A new address of the operator's page", page_address,
                   answer=requests.PageAddress),
         Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,

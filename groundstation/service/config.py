@@ -32,8 +32,8 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     name: Annotated[
         str,
         _key(
-            "stand-in, usb, serial:PORT, replay:FILE, or a craft: radio://..., usb://0,"
-            " udp://HOST:PORT",
+            "stand-in, stand-in:MODEL, usb, serial:PORT, replay:FILE, or a craft: radio://...,"
+            " usb://0, udp://HOST:PORT",
             min_length=1,
         ),
     ] = "stand-in"

@@ -16,7 +16,7 @@ from typing import Literal
 import msgspec
 
 from groundstation.documents import read_document
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated
 from groundstation.text import printable
 
@@ -107,7 +107,9 @@ class Jobs:
         for path in sorted((self._folder() / FOLDER).glob(f"*/{_ENTRY}")):
             if path.parent.name not in found:
                 with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
-                    found[path.parent.name] = msgspec.json.decode(read_document(path), type=Job)
+                    job = msgspec.json.decode(read_document(path), type=Job)
+                    self._kept(job)
+                    found[job.id] = job
         return [found[name] for name in sorted(found)]
 
     def log(self, name: str) -> str:
@@ -149,8 +151,22 @@ class Jobs:
         await self._end()
 
     async def _carry_out(self, job: Job) -> None:
-        folder = self._job_folder(job.id)
         job.state, job.began_ns = "running", time.time_ns()
+        try:
+            status = await self._work(job)
+            lines = self.log(job.id).strip().splitlines()
+            job.text = printable(lines[-1]) if lines else ""
+        except (OSError, GroundStationError) as error:  # its folder was deleted, say
+            status, job.text = 1, printable(str(error))
+        self._process = None
+        if job.state == "running":
+            job.state = "failed" if status else "done"
+        self._kept(job)
+        self._finished(job)
+
+    async def _work(self, job: Job) -> int:
+        """The exit status of the command."""
+        folder = self._job_folder(job.id)
         arguments = self._arguments(job, self._folder().absolute())
         with (folder / _LOG).open("wb") as log:
             self._process = process = await asyncio.create_subprocess_exec(
@@ -165,19 +181,16 @@ class Jobs:
                 env={**os.environ, "NO_COLOR": "1", "OMP_NUM_THREADS": "1",
                      "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
             )  # fmt: skip
-        status = await process.wait()
-        self._process = None
-        if job.state == "running":
-            job.state = "failed" if status else "done"
-        lines = self.log(job.id).strip().splitlines()
-        job.text = printable(lines[-1]) if lines else ""
-        job.report = _there(folder / _REPORT)
-        job.model_file = _there(folder / _MODEL)
-        self._finished(job)
+        return await process.wait()
+
+    def _kept(self, job: Job) -> None:
+        """What it has left, wherever the recordings folder is now."""
+        folder = self._folder() / FOLDER / job.id
+        job.report, job.model_file = _there(folder / _REPORT), _there(folder / _MODEL)
 
     def _finished(self, job: Job) -> None:
         job.ended_ns = time.time_ns()
-        with contextlib.suppress(OSError):  # the folder may have been deleted
+        with contextlib.suppress(OSError, BadInputError):  # the folder may have been deleted
             (self._job_folder(job.id) / _ENTRY).write_bytes(msgspec.json.encode(job))
         self._note("job", f"{job.id}: {job.state}" + (f", {job.text}" if job.text else ""))
 

@@ -14,8 +14,8 @@ Line = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 
 
 class LinkName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A telemetry link: stand-in, usb, serial:PORT or replay:FILE, the file in the recordings
-    folder."""
+    """A telemetry link: stand-in, stand-in:MODEL (the id of a model), usb, serial:PORT or
+    replay:FILE, the file in the recordings folder."""
 
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=512)]
 
@@ -81,6 +81,12 @@ class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     recordings: Annotated[list[File], msgspec.Meta(min_length=1, max_length=64)]
     validate: Annotated[list[File], msgspec.Meta(max_length=64)] = []
     model: Annotated[str, msgspec.Meta(max_length=255)] = ""
+
+
+class Watched(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The model that the live twin flies, by its id; empty: none."""
+
+    model: Annotated[str, msgspec.Meta(max_length=255)]
 
 
 class JobName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -7,7 +7,7 @@ import contextlib
 import json
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ import structlog
 from groundstation.clock import steady_clock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkEvent, LinkState
-from groundstation.links.factory import make_command_link, make_link
+from groundstation.links.factory import is_stand_in, make_command_link, make_link
 from groundstation.service.commander import Commander, Motors
 from groundstation.service.config import (
     DEFAULT_VEHICLE,
@@ -34,6 +34,7 @@ from groundstation.service.config import (
 )
 from groundstation.service.health import Health
 from groundstation.service.jobs import Jobs
+from groundstation.service.models import Models
 from groundstation.service.page import PageService
 from groundstation.service.receiver import Receiver
 from groundstation.service.recording_manager import RecordingManager
@@ -125,6 +126,7 @@ class Station:
         self.jobs = Jobs(
             lambda: self.sessions.folder, lambda kind, text: self.note(kind, text, source="jobs")
         )
+        self.models = Models(self.jobs.entries)
         self.twin = TwinService(
             config.twin.model,
             tell=self.take_event,
@@ -235,18 +237,21 @@ class Station:
         self.recordings.require_recording()
         self.take_event(LinkEvent(self.clock(), "operator", "mark", text, details))
 
-    async def switch_link(self, name: str) -> None:
+    async def switch_link(self, name: str, model: str = "") -> None:
         """Receive from another link, the recording going on. Where it cannot be opened the
-        present one stays: LinkError or BadInputError; TakenError while a client commands."""
+        present one stays: LinkError or BadInputError; TakenError while a client commands.
+
+        model: file of the model that ``stand-in:MODEL`` names."""
         if self.commander.client is not None:
             raise TakenError(f"{self.commander.client} is commanding; it must release first")
         if self._switching:
             raise TakenError("the link is being switched already")
         self._switching = True
         try:
-            link, before = self._make_link(name), self.link
-            await self.receiver.switch(link)
-            if before.name == "stand-in":  # the craft that took commands is gone
+            link, before = self._make_link(name, model), self.link
+            async with _port_of(before, link):
+                await self.receiver.switch(link)
+            if is_stand_in(before.name):  # the craft that took commands is gone
                 await self.commander.disconnect()
             if self._recording_ended:
                 self._recording_ended = False
@@ -283,6 +288,8 @@ class Station:
                 "rate_hz": statistics.rate_hz if statistics else 0.0,
                 "lost": statistics.lost if statistics else 0,
                 "latency_ms": statistics.latency_ms if statistics else None,
+                "doing": self.link.doing,
+                "pauses": self.link.pauses,
             },
             "vehicle": self._recorded["vehicle"]["profile"],
             "recording": self.recordings.status(),
@@ -303,7 +310,7 @@ class Station:
         """What keeps the daemon from doing what it is there for."""
         problems = []
         state = self.link_state()
-        if state not in (LinkState.STREAMING, LinkState.ENDED):
+        if state not in (LinkState.STREAMING, LinkState.ENDED) and not self.link.pauses:
             problems.append(f"link {self.link.name}: {state.value}")
         recording = self.recordings.status()
         if recording["wanted"] and recording["state"] != "recording":
@@ -378,12 +385,13 @@ class Station:
 
     # -- the stream ------------------------------------------------------------------------
 
-    def _make_link(self, name: str) -> Link:
+    def _make_link(self, name: str, model: str = "") -> Link:
         config = self.config
         link = make_link(
             name,
             speed=link_speed(config.link.speed),
             stand_in=config.stand_in,
+            model=model,
             command=config.command,
             usb=msgspec.to_builtins(config.usb),
             rate_hz=config.radio.rate_hz,
@@ -477,10 +485,26 @@ class Station:
             return "the link is being switched"
         if self.link.finite:
             return f"{self.link.name} is a recording"
-        if self.link.name == "stand-in" and not self._command_uri.startswith("udp://"):
+        if is_stand_in(self.link.name) and not self._command_uri.startswith("udp://"):
             # who watches a simulated flight must not fly a real craft
             return f"the telemetry is the stand-in's, and {self._command_uri} is another craft"
         return ""
+
+
+@contextlib.asynccontextmanager
+async def _port_of(before: Link, link: Link) -> AsyncIterator[None]:
+    """One stand-in after the other answers commands at the same port."""
+    from groundstation.links.stand_in import StandInLink
+
+    if not (isinstance(before, StandInLink) and isinstance(link, StandInLink)):
+        yield
+        return
+    await before.serve_no_more()
+    try:
+        yield
+    except BaseException:
+        await before.serve()
+        raise
 
 
 _WARNINGS = frozenset(

@@ -3,7 +3,7 @@ from copy import deepcopy
 from groundstation.page.alarms import alarms
 
 GOOD = {
-    "link": {"state": "streaming"},
+    "link": {"state": "streaming", "pauses": False, "doing": ""},
     "health": {"problems": []},
     "recording": {"wanted": True, "free_mb": 50_000.0},
     "statistics": {"loss_pct": 0.1},
@@ -37,6 +37,11 @@ def test_the_battery_is_told_before_it_is_empty_and_only_of_a_craft_that_is_ther
     assert told(GOOD, battery_v=3.05) == [("alarm", "Battery empty: 3.05 V. Land now")]
     ended = changed(link={"state": "ended"})
     assert told(ended, battery_v=3.05) == []
+
+
+def test_a_battery_that_is_changed_is_no_fault():
+    resting = changed(link={"state": "silent", "pauses": True, "doing": "back in 7 s"})
+    assert told(resting, battery_v=3.0) == [("warning", "The stand-in pauses: back in 7 s")]
 
 
 def test_the_worst_comes_first():

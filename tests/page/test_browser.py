@@ -242,9 +242,33 @@ def test_a_recording_is_found_inspected_and_fitted_and_the_report_read(flying, v
     report = opened.value
     expect(report.locator("svg").first).to_be_visible()
     expect(report.locator("body")).to_contain_text("thrust_per_mass")
+    fitted_model_flies_and_watches(page)
+    page.get_by_role("link", name="Flights").click()
     with page.expect_popup() as opened:
         inspected.get_by_role("link", name="Log of").click()
     expect(opened.value.locator("body")).to_contain_text("verdict")
+
+
+def fitted_model_flies_and_watches(page):
+    page.get_by_role("link", name="Models", exact=True).click()
+    model = page.locator("#models section", has_text="_fit")
+    expect(model).to_contain_text(FLIGHT)
+    model.get_by_text("7 numbers").click()
+    c0 = model.get_by_role("row", name="body.c0")
+    value, low, high = (float(text) for text in c0.get_by_role("cell").all_text_contents()[1:4])
+    assert low < value < high < 1.1 * low
+    expect(model.get_by_role("row", name="motor.a0")).to_contain_text("– (profile)")
+    model.get_by_role("button", name="Watch the craft with this").click()
+    expect(model.get_by_role("button", name="Watch no more")).to_be_visible()
+    model.get_by_role("button", name="Fly in the stand-in").click()
+    expect(model.get_by_role("button", name="Flies in the stand-in")).to_be_disabled()
+    expect(page.locator("#link")).to_have_text(re.compile(r"^stand-in:.*_fit: streaming$"))
+    model.get_by_role("button", name="Watch no more").click()
+    page.get_by_role("link", name="Now", exact=True).click()
+    expect(page.locator("#doing")).to_have_text("it flies, with battery 1")
+    page.get_by_label("Receive from").fill("stand-in")
+    page.get_by_role("button", name="Switch link").click()
+    expect(page.locator("#link")).to_have_text("stand-in: streaming")
 
 
 def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled(flying, visit):

@@ -103,6 +103,17 @@ def test_the_daemon_s_end_is_the_job_s_end(talk):
     assert (ended["state"], ended["model_file"]) == ("cancelled", None)
 
 
+def test_a_job_whose_folder_is_deleted_has_failed_and_the_next_one_runs(talk, tmp_path):
+    def conversation(ask):
+        first, waiting, last = (start(ask, "inspect", FLIGHT) for _ in range(3))
+        shutil.rmtree(tmp_path / "sessions" / "jobs" / waiting)
+        assert "no such job" in when_ended(ask, waiting)["text"]
+        assert job(ask, waiting)["state"] == "failed"
+        assert {when_ended(ask, name)["state"] for name in (first, last)} == {"done"}
+
+    talk(conversation)
+
+
 @pytest.mark.parametrize(
     ("body", "says"),
     [

@@ -2,6 +2,7 @@
 // Nothing is ever queued for a browser: one that is slow asks seldom and gets fewer rows.
 
 import { watchFlights } from "./flights.js";
+import { watchModels } from "./models.js";
 import { Plot } from "./plot.js";
 
 const ASK_MS = 100; // ten times a second
@@ -97,11 +98,13 @@ function showRow(row) {
 function showStatus(status) {
   const { link, recording, command, statistics } = status;
   write("link", `${link.name}: ${link.state}`);
-  at("link").className = `badge ${link.state === "streaming" ? "good" : "bad"}`;
+  at("link").className = `badge ${link.state === "streaming" || link.pauses ? "good" : "bad"}`;
   write("rate", `${link.rate_hz.toFixed(0)} a second`);
   write("loss", statistics ? `${statistics.loss_pct.toFixed(2)} % lately, ${link.lost} in all` : "–");
   write("late", fixed(link.latency_ms, 1, "ms"));
   write("vehicle", status.vehicle);
+  write("doing", link.doing);
+  at("doing").hidden = at("doing-title").hidden = !link.doing;
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
     + (command.client ? `, ${command.client} commands` : ""));
   write("stop-why", !command ? "No command link: these motors cannot be stopped from here."
@@ -213,8 +216,9 @@ document.addEventListener("keydown", (event) => {
 });
 
 function showPart() {
-  const part = location.hash === "#flights" ? "flights" : "now";
-  for (const name of ["now", "flights"]) {
+  const parts = ["now", "flights", "models"];
+  const part = parts.find((name) => location.hash === `#${name}`) ?? "now";
+  for (const name of parts) {
     at(name).hidden = name !== part;
     if (name === part) at(`to-${name}`).setAttribute("aria-current", "page");
     else at(`to-${name}`).removeAttribute("aria-current");
@@ -226,3 +230,4 @@ showPart();
 ask();
 draw();
 watchFlights(change);
+watchModels(change);
