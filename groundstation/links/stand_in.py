@@ -125,7 +125,8 @@ class StandInLink(Link):
             # compiles on a machine's first run, which must not look like a silent link
             craft.advance(0.0)
         except (ValueError, OSError) as error:
-            raise BadInputError(f"configuration [stand_in]: {error}") from error
+            where = "configuration [stand_in]" if self.name == "stand-in" else f"link {self.name}"
+            raise BadInputError(f"{where}: {error}") from error
         return craft
 
     async def _read(self) -> RawBatch:
