@@ -28,8 +28,10 @@ from firmware_sim.layout import (
     PASS_NS,
     SENSOR_RING,
 )
+from firmware_sim.polynomials import TURNING, put_polynomials
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
+from groundstation.dynamics.arx import of_rates, turning_of
 from groundstation.dynamics.craft import Acting
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
 from groundstation.dynamics.registry import EFFECTS as LISTED
@@ -165,13 +167,21 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
     for rotor, motor in enumerate(rotor_motors(model)):
         p["a0"][rotor], p["a1"][rotor], p["a2"][rotor] = motor.a0, motor.a1, motor.a2
     terms = {term.name: {k: e.value for k, e in term.parameters.items()} for term in model.effects}
+    if turning_of(model, settings.attitude) == "arx":
+        put_polynomials(p, model)
+        for name in (*TURNING, *(() if of_rates(model) else ("attitude_filter_lean",))):
+            IMPLEMENTED[name].clear(p)
+            terms.pop(name, None)
+        p["coupling"] = p["rotor_inertia_gyro"] = p["rotor_inertia_yaw"] = 0.0
     if settings.sensor.delay_s is not None and "dead_time" in terms:
         raise ValueError(
             "sensor delay_s: the model has dead_time, which is the same delay; leave it out"
         )
     replace_effects(p, {name: one for name, one in terms.items() if name in IMPLEMENTED})
     laws = [
-        find_effect(one.name, one.source) for one in model.effects if one.name not in IMPLEMENTED
+        find_effect(one.name, one.source)
+        for one in model.effects
+        if one.name not in IMPLEMENTED and one.name in terms
     ]
     return [(effect, effect.values(terms[effect.name])) for effect in laws]
 

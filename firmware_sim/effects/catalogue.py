@@ -17,6 +17,7 @@ import numpy as np
 import firmware_sim.effects
 from firmware_sim.effects.effect import Effect
 from firmware_sim.settings import StandInSettings
+from groundstation.dynamics.arx import arx_labels, turning_of
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS as NAMED
 
@@ -105,7 +106,11 @@ def added_by_plant(settings: StandInSettings) -> str:
         added.insert(0, f"body constants of the profile {model.vehicle}")
     if parameters(plain)[0]["shake"].any():
         added.append("vibration")
-    return f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
+    beside = f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
+    if turning_of(model, settings.attitude) == "body":
+        return beside
+    turns = f"the craft turns by its ARX polynomials ({arx_labels(model)}), thrust is the body's"
+    return f"{turns}; {beside}" if beside else turns
 
 
 def _unit(name: str, parameter: str) -> str:

@@ -32,7 +32,7 @@ MASS = typer.Option(
 ATTITUDE = typer.Option(
     None,
     "--attitude",
-    help="What turns the craft: arx or body (default: the ARX polynomials, if it has them).",
+    help="What turns the craft: arx or body (default: arx where 'fit arx' made the model).",
 )
 MASS_RANGE = 5.0
 """A craft weighs at most so many times, and at least one over so many, what its profile says."""
@@ -92,12 +92,12 @@ def told_turning(model: Model, said: str | None) -> Turning:
 
     Raises BadInputError for a choice that the model does not leave.
     """
-    from groundstation.dynamics.arx import AXES, arx_label, turning_of
+    from groundstation.dynamics.arx import arx_labels, turning_of
 
     turning = turning_of(model, said)
-    if turning == "arx" and model.arx is not None:
-        labels = ", ".join(f"{axis} {arx_label(model.arx[axis])}" for axis in AXES)
-        show(f"the craft turns by {labels}; thrust is the body's (--attitude body)", error=True)
+    if turning == "arx":
+        turns = f"the craft turns by {arx_labels(model)}; thrust is the body's"
+        show(f"{turns} (--attitude body)", error=True)
     return turning
 
 

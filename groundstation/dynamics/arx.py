@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.dynamics.origin import FITTED, origin_of
 from groundstation.dynamics.rotations import body_rates
 from groundstation.errors import BadInputError
 
@@ -20,21 +21,21 @@ Turning = Literal["body", "arx"]
 
 
 def turning_of(model: Model, said: str | None = None) -> Turning:
-    """What turns the craft: as a user says, else ARX polynomials where all three axes have them.
+    """What turns the craft: as a user says, else ARX polynomials of all axes that were fitted.
 
     Raises BadInputError for a word that is neither, or polynomials that the model lacks.
     """
     whole = model.arx is not None and set(AXES) <= set(model.arx)
     if said is None:
-        return "arx" if whole else "body"
+        return "arx" if whole and origin_of(model)["arx"] == FITTED else "body"
     if said == "arx" and not whole:
         has = ", ".join(model.arx or {}) or "none"
         raise BadInputError(
-            f"--attitude arx: the model has ARX polynomials of {has}, all of {', '.join(AXES)} are"
+            f"attitude arx: the model has ARX polynomials of {has}, all of {', '.join(AXES)} are"
             " needed; fit them: groundstation fit arx"
         )
     if said not in ("body", "arx"):
-        raise BadInputError(f"--attitude {said}: there are body, arx")
+        raise BadInputError(f"attitude {said}: there are body, arx")
     return "arx" if said == "arx" else "body"
 
 
@@ -43,9 +44,10 @@ def of_rates(model: Model) -> bool:
     return model.fit.get("arx", {}).get("channel") == "gyro"
 
 
-def arx_label(axis: ArxAxis) -> str:
-    """The structure as the thesis writes it."""
-    return f"ARX({axis.na},{axis.nb},{axis.nk})"
+def arx_labels(model: Model) -> str:
+    """The structures of all axes as the thesis writes them."""
+    found = (model.arx or {}).items()
+    return ", ".join(f"{axis} ARX({one.na},{one.nb},{one.nk})" for axis, one in found)
 
 
 def simulate_arx(axis: ArxAxis, inputs: ArrayLike, past_outputs: ArrayLike = ()) -> Array:
@@ -130,7 +132,7 @@ class ArxTurning:
                 raise BadInputError(
                     f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the"
                     f" craft's loop every {1e3 * period_s:g} ms; fit them without --decimate, or"
-                    " use --attitude body"
+                    " choose attitude body"
                 )
         self._period_s = period_s
         self._origin = np.array([0.0, 0.0, yaw])
