@@ -26,7 +26,7 @@ from firmware_sim.layout import (
 )
 from firmware_sim.pilot import LANDED_M
 from firmware_sim.plant import rotor_acceleration
-from groundstation.dynamics.arx import AXES, angle_polynomials
+from groundstation.dynamics.arx import AXES, angle_polynomial, require_period
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
 
@@ -45,12 +45,9 @@ def put_polynomials(p: Any, model: Model) -> None:
 
     Raises ValueError for polynomials that the loop cannot step.
     """
-    for i, (name, one) in enumerate(zip(AXES, angle_polynomials(model), strict=True)):
-        if abs(one.ts / PASS_S - 1.0) > 0.01:
-            raise ValueError(
-                f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the craft's"
-                ' loop every 2 ms; fit them without --decimate, or say attitude = "body"'
-            )
+    require_period(model, PASS_S)
+    for i, name in enumerate(AXES):
+        one = angle_polynomial(model, name)
         if max(one.na, one.nb) > ARX_ORDER or one.nk + one.nb > ARX_DEPTH:
             raise ValueError(
                 f"the ARX polynomials of {name} look back {one.na} and {one.nk + one.nb} rows, at"

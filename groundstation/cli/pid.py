@@ -87,7 +87,9 @@ def evaluate(
     chosen = loop or form
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
-    loaded = fitted_model(model, attitude=True)
+    loaded = fitted_model(model, attitude=chosen != "firmware")
+    if chosen == "firmware":
+        _tell_polynomials_rest(loaded, "--loop direct or whole")
     release = _release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
@@ -102,6 +104,15 @@ def evaluate(
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
         show(line)
     say_written(html)
+
+
+def _tell_polynomials_rest(model: Model, instead: str) -> None:
+    if model.arx is not None:
+        show(
+            "the firmware's loops are closed around the model's body; its ARX polynomials rest"
+            f" ({instead} closes loops around them)",
+            error=True,
+        )
 
 
 def _release_of(model: Model, said: str | None) -> Release:
@@ -207,10 +218,11 @@ def design(
         raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
     if draws < 0:
         raise BadInputError(f"--draws {draws}: must not be negative")
-    loaded = fitted_model(model, attitude=True)
+    loaded = fitted_model(model, attitude=form != "firmware")
     gains: dict[str, float] | dict[str, PidGains]
     release: Release | None = None
     if form == "firmware":
+        _tell_polynomials_rest(loaded, "--form thesis")
         release = _release_of(loaded, firmware)
         report, gains, page = _design_firmware(
             loaded, release, axes, sensitivity, spare_ms / 1e3, draws, seed, model

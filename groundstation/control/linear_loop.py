@@ -10,12 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.margins import Margins, loop_margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, AntiWindup, PidGains
+from groundstation.dynamics.arx import angle_polynomial
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
@@ -40,8 +42,10 @@ class DirectResponse:
 def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     """The linear model of an axis from u' in (rev/s)^2 to its angle in rad.
 
-    The model's ARX polynomials where it has them, otherwise its grey box, a double integrator
-    c / s^2 under a held input (thesis eq. 7.12-7.14) with the dead time in whole samples.
+    The model's ARX polynomials where it has them (those of rates integrated), otherwise its grey
+    box, a double integrator c / s^2 under a held input (thesis eq. 7.12-7.14) with the dead time in
+    whole samples. u' of a row of fitted polynomials acted before the row, what a loop sets at it
+    acts after it: one row more.
     delay: samples instead of the model's own.
 
     Raises BadInputError for an unknown axis or a delay that is not 0..200 samples.
@@ -49,7 +53,8 @@ def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     if axis not in AXES:
         raise BadInputError(f"axis {axis!r}: there are {', '.join(AXES)}")
     if model.arx is not None and axis in model.arx:
-        plant = model.arx[axis]
+        plant = angle_polynomial(model, axis)
+        plant = msgspec.structs.replace(plant, nk=plant.nk + (1 if "arx" in model.fit else 0))
     elif model.body is not None:
         c = (model.body.c0, model.body.c1, model.body.c2)[AXES.index(axis)]
         ts = SAMPLE_PERIOD_S

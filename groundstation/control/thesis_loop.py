@@ -21,6 +21,7 @@ from groundstation.control.linear_loop import axis_plant, frequency_response, gr
 from groundstation.control.margins import Margins, loop_margins
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
+from groundstation.dynamics.arx import angle_polynomial, require_period
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
@@ -75,14 +76,17 @@ def run_whole(
     if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
     plant = _plant(model)
-    polynomials = model.arx or {}
+    polynomials = {}
+    if body is Body.ARX:
+        require_period(model, SAMPLE_PERIOD_S)
+        polynomials = {axis: angle_polynomial(model, axis) for axis in AXES}
     na = max((one.na for one in polynomials.values()), default=1)
     nb = max((one.nb for one in polynomials.values()), default=1)
     a, b, nk = np.zeros((3, na)), np.zeros((3, nb)), np.zeros(3, np.int64)
     for index, axis in enumerate(AXES if body is Body.ARX else ()):
         one = polynomials[axis]
         a[index, : one.na], b[index, : one.nb] = one.a, one.b
-        nk[index] = one.nk if delay is None else delay
+        nk[index] = max(one.nk, 1) if delay is None else delay  # speeds at a row act after it
     wanted = np.ascontiguousarray(reference, np.float64)
     rows = len(wanted)
     supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))

@@ -97,19 +97,25 @@ def arx_ahead(
     return np.asarray((1.0 - share) * run[:, before] + share * run[:, before + 1])
 
 
-def angle_polynomials(model: Model) -> tuple[ArxAxis, ArxAxis, ArxAxis]:
-    """Roll, pitch and yaw from u', of a model whose polynomials give angles or rates.
+def angle_polynomial(model: Model, axis: str) -> ArxAxis:
+    """One axis from u' to its angle, of a model whose polynomials give angles or rates.
 
     Rates are integrated by the trapezoidal rule; body rates count as Euler rates (thesis 3.54).
-
-    Raises BadInputError where an axis is missing.
     """
-    turning_of(model, "arx")
-    found = [(model.arx or {})[axis] for axis in AXES]
-    if of_rates(model):
-        found = [_integral(one) for one in found]
-    roll, pitch, yaw = found
-    return roll, pitch, yaw
+    one = (model.arx or {})[axis]
+    return _integral(one) if of_rates(model) else one
+
+
+def require_period(model: Model, period_s: float) -> None:
+    """Raises BadInputError for polynomials of another period than a loop's: inside it they cannot
+    be stretched."""
+    for name, one in (model.arx or {}).items():
+        if abs(one.ts / period_s - 1.0) > 0.01:
+            raise BadInputError(
+                f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the"
+                f" craft's loop every {1e3 * period_s:g} ms; fit them without --decimate, or"
+                " let the body turn it: attitude body"
+            )
 
 
 def _integral(axis: ArxAxis) -> ArxAxis:
@@ -121,19 +127,13 @@ def _integral(axis: ArxAxis) -> ArxAxis:
 class ArxTurning:
     """The angles of a craft by its polynomials, a period at a time, from level and at rest.
 
-    Raises BadInputError for polynomials of another period than ``period_s``: inside a control
-    loop they cannot be stretched.
+    Raises BadInputError for polynomials of another period than ``period_s``.
     """
 
     def __init__(self, model: Model, period_s: float, yaw: float = 0.0) -> None:
-        self._axes = angle_polynomials(model)
-        for name, one in zip(AXES, self._axes, strict=True):
-            if abs(one.ts / period_s - 1.0) > 0.01:
-                raise BadInputError(
-                    f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the"
-                    f" craft's loop every {1e3 * period_s:g} ms; fit them without --decimate, or"
-                    " choose attitude body"
-                )
+        turning_of(model, "arx")
+        require_period(model, period_s)
+        self._axes = [angle_polynomial(model, axis) for axis in AXES]
         self._period_s = period_s
         self._origin = np.array([0.0, 0.0, yaw])
         longest = max(SLOPE_ROWS, *(one.na for one in self._axes))

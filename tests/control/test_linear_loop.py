@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -193,3 +194,21 @@ def test_what_cannot_be_closed_is_refused():
         axis_plant(THESIS, "height")
     with pytest.raises(BadInputError, match="delay of -1"):
         axis_plant(THESIS, "roll", -1)
+
+
+@pytest.mark.parametrize("channel", ["gyro", "attitude"])
+def test_a_loop_around_fitted_polynomials_is_that_around_the_body_they_describe(channel):
+    ts, grey = 0.002, msgspec.structs.replace(THESIS, arx=None)
+    kick = THESIS.body.c0 * ts
+    rate, angle = ArxAxis(1, 1, 0, (-1.0,), (kick,), ts), (-2.0, 1.0)
+    turn = ArxAxis(2, 2, 0, angle, (kick * ts / 2, kick * ts / 2), ts)
+    fitted = msgspec.structs.replace(
+        THESIS,
+        arx={"roll": rate if channel == "gyro" else turn},
+        fit={"arx": {"channel": channel}},
+    )
+    gains = PidGains(20000.0, 0.0, 3000.0)
+    plants = [axis_plant(model, "roll") for model in (fitted, grey)]
+    first, second = (run_direct(plant, gains, np.ones(300)).y for plant in plants)
+    np.testing.assert_allclose(first, second, atol=1e-6)
+    assert most_delay(plants[0], gains) == most_delay(plants[1], gains)
