@@ -297,6 +297,10 @@ BUILT_IN: dict[str, Programme] = {
             Segment(kind="rest", seconds=3.0),
         ),
     ),
+    # For clients: fixed on the bench, motors off until somebody commands.
+    "bench": Programme(
+        name="bench", segment=(Segment(kind="bench", seconds=10.0, thrust=0.0),), repeat=0
+    ),
     # Thesis 7.2.1: fixed on the bench, thrust moved arbitrarily.
     "motor_bench": Programme(
         name="motor_bench",

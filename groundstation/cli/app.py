@@ -7,6 +7,7 @@ import typer
 from groundstation import __version__
 from groundstation.cli import (
     attitude,
+    bench,
     compare,
     control,
     demo,
@@ -68,6 +69,7 @@ for module in (
     compare,
     discrepancy,
     pid,
+    bench,
     attitude,
     fleet,
     demo,

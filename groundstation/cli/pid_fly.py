@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.commanding import (
+    await_connection,
+    begin_recording,
+    end_recording,
+    kept,
+    patient,
+    require_ready,
+)
 from groundstation.cli.left_changed import (
     changes_left,
     crafts_left,
@@ -25,7 +28,7 @@ from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_mo
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.client import Pilot, ask
+from groundstation.service.client import Pilot
 from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
@@ -34,12 +37,6 @@ if TYPE_CHECKING:
     from groundstation.control.step_analysis import Flown
 
 CLIENT = "pid fly"
-LEAST_REST_V = 3.5
-"""Battery at rest below which a flight does not begin."""
-KEEP_S = 0.4
-"""The least lease is 1 s."""
-CONNECT_S, TELEMETRY_S = 20.0, 5.0
-"""How long a daemon that has just started is waited for."""
 
 
 def fly(
@@ -197,7 +194,7 @@ def _flight(
 ) -> dict[str, Any]:
     """Everything that touches the craft; what happened."""
     path = socket_path()
-    _await_connection(path)
+    await_connection(path)
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
         release = whose.require(pilot.lease["firmware"], uri)
@@ -206,13 +203,18 @@ def _flight(
             raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
         before = pilot.parameters()
         former, written = _left_changed(uri, before)
-        _require_ready(pilot, wanted, before)
+        unknown = [name for name in wanted if name not in before]
+        if unknown:
+            raise BadInputError(
+                f"the craft has no parameter {', '.join(unknown)}; nothing was written"
+            )
+        require_ready(pilot)
         if real and not yes:
             with kept(pilot):
                 if not typer.confirm(f"{uri}: clear of people, ready to fly?"):
                     raise BadInputError("not flown")
         with open_sticks(thrust or ("keyboard" if real else "stand-in")) as sticks:
-            recording = _begin_recording(path)
+            recording = begin_recording(path)
             changed = dict(wanted)
             if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):
                 changed[HOLD_HEIGHT] = 1.0
@@ -238,7 +240,7 @@ def _flight(
                 aborted = str(error)
             finally:
                 # motors first: parameters may take a while
-                with _patient():
+                with patient():
                     if stopped:  # said where another Ctrl-C can no longer prevent it
                         say("stopping the motors", error=True)
                     motors = stop_motors(pilot)
@@ -249,7 +251,7 @@ def _flight(
     return {
         "aborted": aborted,
         "motors": motors,
-        "recording": _end_recording(path, recording, aborted),
+        "recording": end_recording(path, recording, aborted),
         "gains": _flown_gains(before, wanted),
         "firmware": release,
         "restored": sorted(back),
@@ -276,112 +278,6 @@ def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float]
 
 def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in before.items() if name.startswith("pid_")} | wanted
-
-
-@contextlib.contextmanager
-def kept(pilot: Pilot) -> Iterator[None]:
-    """The lease lasts while a human thinks. Nothing else may use the pilot meanwhile."""
-    answered = threading.Event()
-
-    def keep() -> None:
-        # a lease that is lost shows at the next command
-        with contextlib.suppress(GroundStationError):
-            while not answered.wait(KEEP_S):
-                pilot.keep()
-
-    keeper = threading.Thread(target=keep, daemon=True)
-    keeper.start()
-    try:
-        yield
-    finally:
-        answered.set()
-        keeper.join()
-
-
-@contextlib.contextmanager
-def _patient() -> Iterator[None]:
-    """One Ctrl-C or SIGTERM more does not keep the motors from being stopped, a second one does:
-    then the end of the lease stops them."""
-    asked = 0
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked += 1
-        if asked > 1:
-            raise KeyboardInterrupt
-        say("the motors are being stopped; Ctrl-C again leaves it to the daemon", error=True)
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _await_connection(path: Path) -> None:
-    """A daemon that has just started connects within seconds; a refusal is a refusal."""
-    deadline = time.monotonic() + CONNECT_S
-    while True:
-        status = ask(path, "GET", "/status")
-        command = status.get("command")
-        if command is None or command["state"] not in ("connecting", "closed"):
-            return
-        if status["link"]["name"].startswith("replay:"):
-            return  # it never will
-        if time.monotonic() > deadline:
-            return
-        time.sleep(0.2)
-
-
-def _require_ready(pilot: Pilot, wanted: dict[str, float], present: dict[str, float]) -> None:
-    from groundstation.control.programme import AbortLimits
-
-    unknown = [name for name in wanted if name not in present]
-    if unknown:
-        raise BadInputError(f"the craft has no parameter {', '.join(unknown)}; nothing was written")
-    deadline = time.monotonic() + TELEMETRY_S
-    while True:
-        # zero thrust: looks at the telemetry without turning a motor
-        answer = pilot.setpoint(0.0, 0.0, 0.0, 0)
-        telemetry = answer["telemetry"]
-        fresh = telemetry is not None and telemetry["age_s"] <= AbortLimits().silent_s
-        if fresh and answer["link_state"] == "streaming":
-            break
-        if time.monotonic() < deadline:
-            time.sleep(0.1)
-            continue
-        raise GroundStationError(
-            f"no telemetry is coming in (link {answer['link_state']}); nothing was flown"
-        )
-    battery = telemetry["battery_v"]
-    if battery is None or battery < LEAST_REST_V:
-        raise GroundStationError(
-            f"battery at {battery} V, {LEAST_REST_V} V at rest is the least; charge it"
-        )
-
-
-def _begin_recording(path: Path) -> dict[str, Any]:
-    """A recording of this flight alone."""
-    running = ask(path, "GET", "/status")["recording"]
-    was_on = running["file"] is not None and running.get("state") not in ("off", "finished")
-    if was_on:
-        ask(path, "POST", "/record/stop")
-    return {"was_on": was_on, **ask(path, "POST", "/record/start")}
-
-
-def _end_recording(path: Path, recording: dict[str, Any], aborted: str) -> str:
-    """The file of this flight; a recording that ran before it goes on in a new one."""
-    try:
-        status = ask(path, "POST", "/record/stop")
-        if recording["was_on"]:
-            ask(path, "POST", "/record/start")
-    except GroundStationError as error:
-        if not aborted:
-            raise
-        say(f"the recording could not be ended: {error}", error=True)
-        status = recording
-    return str(status.get("path") or status["file"])
 
 
 def _write(pilot: Pilot, values: dict[str, float]) -> None:
@@ -439,7 +335,7 @@ def _undo() -> None:
         show("nothing was left changed")
         return
     path = socket_path()
-    _await_connection(path)
+    await_connection(path)
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
         left = changes_left(uri)

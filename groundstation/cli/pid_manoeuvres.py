@@ -35,7 +35,7 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
     table = programme.setpoints()
     # before the flight, which nothing may hold up
     firmware = _firmware(pilot) if isinstance(sticks, StandInPilot) else None
-    clock = _Clock()
+    clock = SetpointClock()
     answer: dict[str, Any] = {}
 
     def send(roll: float, pitch: float, yaw: float, thrust: int) -> str:
@@ -90,7 +90,11 @@ def stop_motors(pilot: Pilot) -> str:
 
 
 def _land(
-    pilot: Pilot, sticks: Source, clock: _Clock, last: dict[str, Any], firmware: Firmware | None
+    pilot: Pilot,
+    sticks: Source,
+    clock: SetpointClock,
+    last: dict[str, Any],
+    firmware: Firmware | None,
 ) -> str:
     """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
     from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
@@ -131,7 +135,7 @@ def _firmware(pilot: Pilot) -> Firmware:
     return firmware_of_vehicle(vehicle, pilot.lease["firmware"] or None)
 
 
-class _Clock:
+class SetpointClock:
     """Setpoints every 10 ms; what was missed is not made up for."""
 
     def __init__(self) -> None:

@@ -55,6 +55,9 @@ ELSEWHERE = {
     "groundstation compare flight.mcap --model body.json --marked": (
         *("a flight that a twin watched", "tests/discrepancy/test_commands.py", '"--marked"'),
     ),
+    "groundstation bench motor": (
+        *("a craft on the bench", "tests/system/test_bench_motor.py", '"bench", "motor"'),
+    ),
     "groundstation page": ("a daemon with a page", "tests/page/test_browser.py", '"page"'),
     "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story

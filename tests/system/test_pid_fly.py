@@ -14,8 +14,8 @@ import pytest
 from installed import COMMAND, RECORDINGS, Daemon, require_failure, until
 from programs import Program, run_program
 
+from groundstation.cli.commanding import kept
 from groundstation.cli.left_changed import changes_left, note_changes
-from groundstation.cli.pid_fly import kept
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot, ask
 

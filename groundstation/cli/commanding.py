@@ -1,0 +1,131 @@
+"""Around everything that turns motors: connection, telemetry, recording, an end that holds."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from groundstation.cli.terminal import say
+from groundstation.errors import GroundStationError
+from groundstation.service.client import Pilot, ask
+
+LEAST_REST_V = 3.5
+"""Battery at rest below which nothing begins."""
+KEEP_S = 0.4
+"""The least lease is 1 s."""
+CONNECT_S, TELEMETRY_S = 20.0, 5.0
+"""How long a daemon that has just started is waited for."""
+
+
+def await_connection(path: Path) -> None:
+    """A daemon that has just started connects within seconds; a refusal is a refusal."""
+    deadline = time.monotonic() + CONNECT_S
+    while True:
+        status = ask(path, "GET", "/status")
+        command = status.get("command")
+        if command is None or command["state"] not in ("connecting", "closed"):
+            return
+        if status["link"]["name"].startswith("replay:"):
+            return  # it never will
+        if time.monotonic() > deadline:
+            return
+        time.sleep(0.2)
+
+
+def require_ready(pilot: Pilot) -> dict[str, Any]:
+    """The telemetry of a craft that may begin; its motors stay off.
+
+    Raises GroundStationError where none comes in or the battery is low.
+    """
+    from groundstation.control.programme import AbortLimits
+
+    deadline = time.monotonic() + TELEMETRY_S
+    while True:
+        # zero thrust: looks at the telemetry without turning a motor
+        answer = pilot.setpoint(0.0, 0.0, 0.0, 0)
+        telemetry = answer["telemetry"]
+        fresh = telemetry is not None and telemetry["age_s"] <= AbortLimits().silent_s
+        if fresh and answer["link_state"] == "streaming":
+            break
+        if time.monotonic() < deadline:
+            time.sleep(0.1)
+            continue
+        raise GroundStationError(
+            f"no telemetry is coming in (link {answer['link_state']}); nothing was flown"
+        )
+    battery = telemetry["battery_v"]
+    if battery is None or battery < LEAST_REST_V:
+        raise GroundStationError(
+            f"battery at {battery} V, {LEAST_REST_V} V at rest is the least; charge it"
+        )
+    return dict(telemetry)
+
+
+@contextlib.contextmanager
+def kept(pilot: Pilot) -> Iterator[None]:
+    """The lease lasts while a human thinks. Nothing else may use the pilot meanwhile."""
+    answered = threading.Event()
+
+    def keep() -> None:
+        # a lease that is lost shows at the next command
+        with contextlib.suppress(GroundStationError):
+            while not answered.wait(KEEP_S):
+                pilot.keep()
+
+    keeper = threading.Thread(target=keep, daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        answered.set()
+        keeper.join()
+
+
+@contextlib.contextmanager
+def patient() -> Iterator[None]:
+    """One Ctrl-C or SIGTERM more does not keep the motors from being stopped, a second one does:
+    then the end of the lease stops them."""
+    asked = 0
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked += 1
+        if asked > 1:
+            raise KeyboardInterrupt
+        say("the motors are being stopped; Ctrl-C again leaves it to the daemon", error=True)
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def begin_recording(path: Path) -> dict[str, Any]:
+    """A recording of this flight alone."""
+    running = ask(path, "GET", "/status")["recording"]
+    was_on = running["file"] is not None and running.get("state") not in ("off", "finished")
+    if was_on:
+        ask(path, "POST", "/record/stop")
+    return {"was_on": was_on, **ask(path, "POST", "/record/start")}
+
+
+def end_recording(path: Path, recording: dict[str, Any], aborted: str) -> str:
+    """The file of this flight; a recording that ran before it goes on in a new one."""
+    try:
+        status = ask(path, "POST", "/record/stop")
+        if recording["was_on"]:
+            ask(path, "POST", "/record/start")
+    except GroundStationError as error:
+        if not aborted:
+            raise
+        say(f"the recording could not be ended: {error}", error=True)
+        status = recording
+    return str(status.get("path") or status["file"])

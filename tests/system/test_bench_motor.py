@@ -1,0 +1,85 @@
+"""``bench motor`` against a real daemon: thrust out over CRTP, blade times back, a motor."""
+
+import os
+import signal
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+from installed import COMMAND, Daemon, require_failure, until
+from programs import Program, run_program
+
+from groundstation.dynamics.model import load_model
+from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.recording.open_recording import open_recording
+from groundstation.service.client import ask
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench")
+    settings = folder / "groundstation.toml"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    settings.write_text(
+        f'command = "udp://127.0.0.1:{port}"\n[link]\nname = "stand-in"\n'
+        '[stand_in]\nprogram = "bench"\nplant = "reduced"\nseed = 5\n'
+        f'[recording]\nfolder = "{folder / "sessions"}"\nlow_space_mb = 0\n'
+    )
+    with Daemon(folder, "--config", settings) as running:
+        running.status_when(
+            lambda s: s["command"] is not None and s["command"]["state"] == "connected",
+            "the command link is connected",
+        )
+        yield running
+
+
+def command(daemon, *arguments):
+    environment = {**os.environ, "NO_COLOR": "1", "GROUNDSTATION_SOCKET": str(daemon.socket)}
+    return [COMMAND, "bench", "motor", *map(str, arguments)], environment
+
+
+def bench(daemon, *arguments):
+    words, environment = command(daemon, *arguments)
+    return run_program(words, env=environment, timeout=120)
+
+
+def test_a_motor_driven_over_the_command_link_is_the_one_that_was_fitted(daemon, tmp_path):
+    model, page = tmp_path / "motor.json", tmp_path / "motor.html"
+    done = bench(daemon, "--seconds", 8, "--seed", 3, "-o", model, "--html", page)
+    assert done.returncode == 0, done.stderr
+    assert "PROPELLERS WILL TURN at up to 80% of full thrust for 8 s" in done.stderr
+    truth, motor = load_vehicle("crazyflie1").motor, load_model(model).motor
+    for name in ("a0", "a1", "a2"):
+        assert getattr(motor, name) == pytest.approx(getattr(truth, name), rel=0.03)
+    assert "<svg" in page.read_text()
+    name = done.stderr.split("recording: ")[1].splitlines()[0]
+    recording = open_recording(Path(name))
+    sent = [e["thrust"] for e in recording.commands if e["kind"] == "setpoint"]
+    assert max(sent) <= 0.8 * 65535 + 1
+    assert sent[-1] == 0
+    assert not recording.samples.duty[-20:].any()
+    assert any(e["text"] == "bench motor begins" for e in recording.events)
+    refused = require_failure(bench(daemon, "--seconds", 8, "-o", model))
+    assert "motor.json" in refused
+
+
+def begun(daemon):
+    """How often motors have been driven."""
+    events = ask(daemon.socket, "GET", "/events")
+    return sum(event["text"] == "bench motor begins" for event in events)
+
+
+def test_ctrl_c_stops_the_motors_and_names_the_recording(daemon):
+    before = begun(daemon)
+    words, environment = command(daemon, "--profile", "chirp", "--seconds", 60)
+    with Program(
+        words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as driving:
+        until(lambda: begun(daemon) > before, "the motors are driven")
+        driving.send_signal(signal.SIGINT)
+        _, said = driving.communicate(timeout=60)
+    assert driving.returncode == 1
+    assert "bench aborted: Ctrl-C; motors are off, the recording is" in said
