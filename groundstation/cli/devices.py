@@ -21,6 +21,9 @@ def add_commands(app: typer.Typer) -> None:
 
 def devices(
     config: Path | None = typer.Option(None, help="TOML file whose \\[usb] names the bridge."),
+    craft: bool = typer.Option(
+        True, help="Look for craft by radio; not while another program flies one."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Serial ports, USB devices and the craft in reach: usable or why not.
@@ -31,8 +34,8 @@ def devices(
     from groundstation.service.config import load_config
 
     usb, problem = usb_devices(load_config(config).usb.device)
-    craft, unseen = craft_in_reach(usb)
-    rows = [*serial_ports(), *usb, *craft]
+    found, unseen = craft_in_reach(usb) if craft else ([], "")
+    rows = [*serial_ports(), *usb, *found]
     problem = "; ".join(filter(None, (problem, unseen)))
     if as_json:
         show_json({"devices": rows, "usb_problem": problem or None})

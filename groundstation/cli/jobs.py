@@ -39,8 +39,10 @@ def list_jobs(as_json: bool = AS_JSON) -> None:
 
 @jobs.command("start")
 def start(
-    kind: str = typer.Argument(help="inspect, fit, compare or discrepancy."),
-    recordings: list[str] = typer.Argument(help="Files of the recordings folder."),
+    kind: str = typer.Argument(help="inspect, fit, compare, discrepancy or design."),
+    recordings: list[str] = typer.Argument(
+        None, help="Files of the recordings folder; none for a design."
+    ),
     validate: list[str] = typer.Option([], help="A file that no fit sees; may be repeated."),
     model: str = typer.Option("", help="The id of a fit that is done, or thesis."),
     as_json: bool = AS_JSON,
@@ -49,7 +51,7 @@ def start(
 
     Example: [bold]groundstation jobs start fit flight.mcap[/bold]
     """
-    body = {"kind": kind, "recordings": recordings, "validate": validate, "model": model}
+    body = {"kind": kind, "recordings": recordings or [], "validate": validate, "model": model}
     job = ask(socket_path(), "POST", "/jobs/start", body)
     if as_json:
         show_json(job)

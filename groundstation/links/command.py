@@ -42,6 +42,7 @@ class CommandLink(ABC):
     ``time_ns``, ``direction`` (out or in), ``kind`` (setpoint, parameter or parameters), the
     ``client`` who wanted it, and its values.
     superseded: setpoints that a newer one replaced before the radio took them.
+    armed: what the craft last answered to a request to arm; None before the first.
     """
 
     def __init__(self, uri: str, *, clock: HostClock | None = None) -> None:
@@ -49,6 +50,7 @@ class CommandLink(ABC):
         self.clock = clock or steady_clock()
         self.state = CommandState.CLOSED
         self.superseded = 0
+        self.armed: bool | None = None
         self.on_event: EventSink = lambda event: None
         self.on_entry: EntrySink = lambda entry: None
 
@@ -135,7 +137,8 @@ class CommandLink(ABC):
         return False
 
     def arm(self, armed: bool) -> bool:
-        """Arm or disarm the motors; whether this firmware knows the request."""
+        """Arm or disarm the motors; whether this firmware knows the request. Its answer comes
+        later, as ``armed``."""
         return False
 
     def record_parameters(self, client: str) -> None:

@@ -22,7 +22,7 @@ TODAY, SUPERVISED = 4, 12
 """CRTP versions: from which on there are requests to arm and stop, and a port for them."""
 PLATFORM, SUPERVISOR = (13, 0), (9, 1)
 """Port and channel of requests."""
-ARM = 1
+ARM, ANSWER = 1, 0x80
 EMERGENCY = (6, 1, b"\x03")
 SUPERVISED_STOP = (9, 1, b"\x03")
 LOCKS_AFTER_S = 2.0
@@ -51,6 +51,7 @@ class CrazyflieLink(CommandLink):
         self._connection = shared or Connection(uri)
         self._connection.on_lost.append(lambda reason: self._enter(CommandState.LOST, reason))
         self._sender: _Sender | None = None
+        self._asked_armed = False
 
     async def open(self) -> None:
         if self._is_shared and not self._connection.is_open:
@@ -64,6 +65,9 @@ class CrazyflieLink(CommandLink):
             await self.close()
             raise
         self._sender = _Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
+        self.armed = None
+        for port in (PLATFORM[0], SUPERVISOR[0]):
+            self._connection.craft.add_port_callback(port, self._take_answer)
         self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
 
     async def close(self) -> None:
@@ -115,9 +119,20 @@ class CrazyflieLink(CommandLink):
         if not self._is_up_to_date():
             return False
         port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
+        self._asked_armed, self.armed = armed, None
         self._connection.send(port, channel, bytes([ARM, armed]))
         self._entry("out", "arm" if armed else "disarm")
         return True
+
+    def _take_answer(self, packet: Any) -> None:
+        """To a request to arm: whether it was done and, from 2026 on, whether it is armed. Called
+        from cflib's thread."""
+        data = bytes(packet.data)
+        place = packet.port, packet.channel
+        if place == PLATFORM and len(data) >= 2 and data[0] == ARM:
+            self.armed = self._asked_armed if data[1] else not self._asked_armed
+        elif place == SUPERVISOR and len(data) >= 3 and data[0] == ANSWER | ARM:
+            self.armed = bool(data[2])
 
     def _is_up_to_date(self) -> bool:
         return self.state is CommandState.CONNECTED and self._connection.protocol >= TODAY

@@ -93,6 +93,18 @@ def make_command_link(uri: str, *, clock: HostClock | None = None) -> CommandLin
     return CrazyflieLink(uri, clock=clock)
 
 
+async def serve_commands(link: Link, uri: str) -> None:
+    """Let a stand-in answer at ``uri``; other craft have addresses of their own. Raises
+    BadInputError for an address of another kind, TakenError for a port that is taken."""
+    from groundstation.links.stand_in import StandInLink
+
+    address = _udp_address(uri)
+    if isinstance(link, StandInLink):
+        if address is None:
+            raise BadInputError(f"command link {uri}: the stand-in answers at udp://HOST:PORT only")
+        await link.serve_at(address)
+
+
 def _udp_address(uri: str) -> tuple[str, int] | None:
     parts = urlsplit(uri)
     if parts.scheme != "udp":

@@ -94,9 +94,23 @@ class StandInLink(Link):
         # a batch is due when its last packet has arrived: a stamp is never from the future
         self._due_s = time.monotonic() + self._step_s / self.speed
 
+    async def serve_at(self, address: tuple[str, int]) -> None:
+        """Answer at another host and port from now on. Raises TakenError, answering where it did
+        before."""
+        before, self._crtp = self._crtp, address
+        if address == before:
+            return
+        await self.serve_no_more()
+        try:
+            await self.serve()
+        except BaseException:
+            self._crtp = before
+            await self.serve()
+            raise
+
     async def serve(self) -> None:
         """Answer clients of the official library, where a port was given. Raises TakenError."""
-        if self._crtp is None or self._server is not None:
+        if self._crtp is None or self._server is not None or self._craft is None:
             return
         from firmware_sim.crtp_server import CrtpServer
 

@@ -34,9 +34,11 @@ from groundstation.text import printable
 
 STATIC = Path(__file__).with_name("static")
 BODY_MOST = 1 << 16
+STAND_IN_AT = "udp://127.0.0.1:19850"
+"""Where the stand-in is asked to take commands, unless the operator says otherwise."""
 ACTIONS = (
     *("/record/start", "/record/stop", "/record/mark", "/link"),
-    *("/command/stop", "/command/level"),
+    *("/command/stop", "/command/level", "/command/arm", "/command/connect"),
     *("/jobs/start", "/jobs/cancel", "/models/watch"),
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
@@ -90,6 +92,21 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             return _refusal(503, str(error))
         return _json({"recordings": recordings, "jobs": jobs})
 
+    async def devices(request: Request) -> Response:
+        try:
+            found = await asyncio.to_thread(ask, control, "GET", "/devices")
+            recordings = await asyncio.to_thread(ask, control, "GET", "/recordings")
+            link = (await asyncio.to_thread(ask, control, "GET", "/status"))["link"]["name"]
+        except GroundStationError as error:
+            return _refusal(503, str(error))
+        usable = [one["link"] for one in found["devices"] if one["usable"] and one["link"]]
+        replays = [f"replay:{one['file']}" for one in recordings if one["state"] == "finished"]
+        craft = [one for one in usable if "://" in one]
+        commands = [STAND_IN_AT] if link.startswith("stand-in") else craft
+        return _json(
+            {**found, "links": ["stand-in", *usable, *replays[::-1]], "commands": commands}
+        )
+
     async def models(request: Request) -> Response:
         try:
             found = await asyncio.to_thread(ask, control, "GET", "/models")
@@ -118,6 +135,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/now", now),
             Route("/flights", flights),
             Route("/models", models),
+            Route("/devices", devices),
             Route("/file/{kind}/{name}", file),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),
@@ -185,6 +203,8 @@ def _file(control: Path, kind: str, name: str) -> Response:
     for job in ask(control, "GET", "/jobs"):
         if job["id"] == name and kind == "model" and job["model_file"]:
             return FileResponse(job["model_file"], filename=f"{name}.json")
+        if job["id"] == name and kind == "gains" and job["gains_file"]:
+            return FileResponse(job["gains_file"], filename=f"{name}.toml")
         if job["id"] == name and kind == "report" and job["report"]:
             return FileResponse(job["report"], headers={"content-security-policy": _REPORT})
     raise BadInputError(f"there is no {kind} of {name}")

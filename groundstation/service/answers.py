@@ -93,12 +93,14 @@ class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
-    client: who commands. held_level: by the operator. interventions: of the dead man."""
+    client: who commands. armed: what the craft last answered, None where it was not
+    asked. held_level: by the operator. interventions: of the dead man."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
     firmware: Literal["2014", "2.x", ""]
     client: str | None
+    armed: bool | None
     held_level: bool
     setpoints: int
     superseded: int

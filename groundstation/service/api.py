@@ -16,6 +16,7 @@ from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings
+from groundstation.service.devices import Devices
 from groundstation.service.jobs import Job
 from groundstation.service.models import ModelEntry
 from groundstation.service.station import Station
@@ -104,6 +105,17 @@ def operations(station: Station) -> list[Operation]:
         commander.level(body.on)
         return requests.Done()
 
+    async def arm(body: requests.Armed) -> Any:
+        await commander.arm(body.on)
+        return requests.Done()
+
+    async def connect(body: requests.CommandUri) -> Any:
+        await station.connect_command(body.uri)
+        return station.status()
+
+    async def devices(_: None) -> Any:
+        return await station.devices.look()
+
     async def parameters(_: None) -> Any:
         return requests.Values(values=commander.parameters())
 
@@ -149,6 +161,8 @@ def operations(station: Station) -> list[Operation]:
                   answer=list[CatalogueEntry]),
         Operation("POST", "/link", "Receive from another link, recording on", switch,
                   requests.LinkName, Status),
+        Operation("GET", "/devices", "What is plugged in or in reach", devices,
+                  answer=Devices),
         Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
         Operation("POST", "/jobs/start", "Begin a job, or let it wait for its turn", job_start,
                   requests.NewJob, Job),
@@ -179,6 +193,10 @@ def operations(station: Station) -> list[Operation]:
                   answer=requests.Done, limited=False),
         Operation("POST", "/command/level", "Hold the craft level, or no more", level,
                   requests.Level, requests.Done, limited=False),
+        Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,
+                  requests.Armed, requests.Done),
+        Operation("POST", "/command/connect", "Command the craft at another address", connect,
+                  requests.CommandUri, Status),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,
                   answer=requests.Values),
         Operation("POST", "/command/parameters", "Write parameters and read them back",

@@ -36,6 +36,8 @@ WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
 STOPS = 5
 """How often zero thrust is sent at an end: a radio may lose some."""
+ANSWER_S = 2.0
+"""A craft that has not answered a request to arm by then does not."""
 STILL_S = 0.5
 """Motors that turn so long after they were asked to stop are disarmed, then stopped by the
 firmware's emergency stop, again and again."""
@@ -109,6 +111,7 @@ class Commander:
         self._stop: Stop | None = None
         self._lease: Lease | None = None
         self._stops = 0  # zero thrusts still to be repeated
+        self._connecting = asyncio.Lock()
         self._stopped_by = DEAD_MAN
         self._closing = False
         self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
@@ -181,6 +184,38 @@ class Commander:
             what = "holds the craft level" if on else "gives the attitude back"
             self._note("level", f"the operator {what}; {self._lease.client} commands")
 
+    async def arm(self, on: bool) -> None:
+        """Arm the motors or disarm them, whoever commands, and wait for the craft's answer.
+
+        Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or
+        does not answer."""
+        link = self._require_link()
+        _, reason = self._telemetry()
+        if on and reason:
+            raise BadInputError(f"no craft can be armed: {reason}")
+        if link.state is not CommandState.CONNECTED:
+            raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
+        if not link.arm(on):
+            raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
+        asked_s = time.monotonic()
+        while link.armed is None and time.monotonic() - asked_s < ANSWER_S:
+            await asyncio.sleep(WATCH_S / 5)
+        word = "arm" if on else "disarm"
+        if link.armed is None:
+            raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
+        if link.armed is not on:
+            raise LinkError(f"the craft refuses to {word} its motors")
+        self._note("armed" if on else "disarmed", f"the operator {word}s the motors")
+
+    async def replace(self, link: CommandLink) -> None:
+        """Command through another link from now on. Raises TakenError while a client commands."""
+        if self._lease is not None:
+            raise TakenError(f"{self._lease.client} is commanding; it must release first")
+        before, self.link = self.link, link
+        async with self._connecting:
+            if before is not None:
+                await before.close()
+
     def keep(self, token: str) -> None:
         """Say that the client is alive. It does not keep motors running: setpoints do."""
         self._require(token)
@@ -244,6 +279,7 @@ class Commander:
             "state": self.link.state.value,
             "firmware": self.link.firmware,
             "client": self.client,
+            "armed": self.link.armed,
             "held_level": self._lease is not None and self._lease.held_level,
             "setpoints": self.setpoints,
             "superseded": self.link.superseded,
@@ -255,15 +291,17 @@ class Commander:
 
     async def keep_connected(self) -> None:
         """Connect the command link whenever there is a craft behind the telemetry and it is not."""
-        link, told = self.link, ""
-        while link is not None:
+        told = ""
+        while True:
+            link = self.link
             # a stand-in answers only once its link is open
             state, reason = self._telemetry()
-            is_open = link.state not in (CommandState.CLOSED, CommandState.LOST)
-            if state is LinkState.STREAMING and not reason and not is_open:
+            if link is not None and state is LinkState.STREAMING and not reason and _away(link):
                 try:
-                    await link.close()
-                    await link.open()
+                    async with self._connecting:
+                        if link is self.link:
+                            await link.close()
+                            await link.open()
                     told = ""
                 except LinkError as error:
                     if str(error) != told:
@@ -279,7 +317,7 @@ class Commander:
 
     async def watch(self) -> None:
         """The dead man: runs as long as the daemon, where there is anything to command."""
-        while self.link is not None:
+        while True:
             self.look(time.monotonic())
             await asyncio.sleep(WATCH_S)
 
@@ -394,3 +432,7 @@ class Commander:
     def _end(self, text: str, *, kind: str = "command") -> None:
         self._lease = None
         self._note(kind, text)
+
+
+def _away(link: CommandLink) -> bool:
+    return link.state in (CommandState.CLOSED, CommandState.LOST)

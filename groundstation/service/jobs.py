@@ -27,21 +27,24 @@ LOG_MOST = 1 << 16
 """Bytes of a log that are told: its end."""
 STOP_S = 5.0
 """A cancelled job is asked to end, and killed after so long."""
-_ENTRY, _LOG, _REPORT, _MODEL = "job.json", "log.txt", "report.html", "model.json"
+_ENTRY, _LOG, _REPORT, _MODEL, _GAINS = (
+    "job.json", "log.txt", "report.html", "model.json", "gains.toml",
+)  # fmt: skip
 
-Kind = Literal["inspect", "fit", "compare", "discrepancy"]
+Kind = Literal["inspect", "fit", "compare", "discrepancy", "design"]
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 _COMMANDS: dict[str, tuple[str, ...]] = {
     "inspect": ("inspect",),
     "fit": ("fit", "body"),
     "compare": ("compare",),
     "discrepancy": ("discrepancy",),
+    "design": ("pid", "design"),
 }
 
 
 class Job(msgspec.Struct, kw_only=True):
-    """command: as a person would type it in the recordings folder. report, model: paths of what it
-    wrote, None where it did not. text: the last line of its log."""
+    """command: as a person would type it in the recordings folder. report, model_file, gains_file:
+    paths of what it wrote, None where it did not. text: the last line of its log."""
 
     id: str
     kind: Kind
@@ -55,6 +58,7 @@ class Job(msgspec.Struct, kw_only=True):
     text: str = ""
     report: str | None = None
     model_file: str | None = None
+    gains_file: str | None = None
 
 
 class Jobs:
@@ -86,7 +90,11 @@ class Jobs:
                 raise BadInputError(f"{name}: no such recording in {folder}")
         if kind == "inspect" and (len(names) != 1 or model):
             raise BadInputError("inspect takes one recording")
-        if kind in ("compare", "discrepancy") and not model:
+        if kind == "design" and names:
+            raise BadInputError("design takes a model and no recordings")
+        if kind != "design" and not recordings:
+            raise BadInputError(f"{kind} needs recordings: choose one at least")
+        if kind in ("compare", "discrepancy", "design") and not model:
             raise BadInputError(f"{kind} needs a model: that of a fit, or thesis")
         job = Job(
             id=dated(folder / FOLDER, kind, time.time_ns()).name,
@@ -187,6 +195,7 @@ class Jobs:
         """What it has left, wherever the recordings folder is now."""
         folder = self._folder() / FOLDER / job.id
         job.report, job.model_file = _there(folder / _REPORT), _there(folder / _MODEL)
+        job.gains_file = _there(folder / _GAINS)
 
     def _finished(self, job: Job) -> None:
         job.ended_ns = time.time_ns()
@@ -215,6 +224,8 @@ class Jobs:
             words += ["--model", self._model(job.model, folder)]
         if job.kind in ("fit", "discrepancy"):
             words += ["-o", str(into / _MODEL)]
+        if job.kind == "design":
+            words += ["-o", str(into / _GAINS)]
         if job.kind != "inspect":
             words += ["--html", str(into / _REPORT)]
         return words

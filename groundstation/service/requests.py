@@ -39,6 +39,18 @@ class Holder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     token: Token
 
 
+class Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """on: arm the motors; otherwise disarm them."""
+
+    on: bool
+
+
+class CommandUri(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Where the craft takes commands: radio://..., usb://0, or udp://HOST:PORT for the stand-in."""
+
+    uri: Annotated[str, msgspec.Meta(min_length=1, max_length=512)]
+
+
 class Level(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """on: hold the craft level, whatever attitude its client commands."""
 
@@ -74,11 +86,12 @@ File = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
 
 
 class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Work on recordings, files of the recordings folder. validate: those that no fit sees. model:
-    the id of a fit that is done, or thesis; empty where none is needed."""
+    """Work on recordings, files of the recordings folder; a design of a controller takes a model
+    and none. validate: those that no fit sees. model: the id of a fit that is done, or thesis;
+    empty where none is needed."""
 
     kind: Kind
-    recordings: Annotated[list[File], msgspec.Meta(min_length=1, max_length=64)]
+    recordings: Annotated[list[File], msgspec.Meta(max_length=64)] = []
     validate: Annotated[list[File], msgspec.Meta(max_length=64)] = []
     model: Annotated[str, msgspec.Meta(max_length=255)] = ""
 

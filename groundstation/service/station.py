@@ -19,7 +19,13 @@ import structlog
 from groundstation.clock import steady_clock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkEvent, LinkState
-from groundstation.links.factory import is_stand_in, make_command_link, make_link
+from groundstation.links.factory import (
+    CRAFT,
+    is_stand_in,
+    make_command_link,
+    make_link,
+    serve_commands,
+)
 from groundstation.service.commander import Commander, Motors
 from groundstation.service.config import (
     DEFAULT_VEHICLE,
@@ -32,6 +38,7 @@ from groundstation.service.config import (
     socket_path,
     with_reloaded,
 )
+from groundstation.service.devices import DeviceList
 from groundstation.service.health import Health
 from groundstation.service.jobs import Jobs
 from groundstation.service.models import Models
@@ -50,6 +57,7 @@ from groundstation.text import printable
 from groundstation.viewer.viewer import Viewer, ViewerMode
 
 if TYPE_CHECKING:
+    from groundstation.links.command import CommandLink
     from groundstation.twin.twin import Shown
 
 EVENTS_KEPT = 1000
@@ -82,12 +90,11 @@ class Station:
         self.turned_away = 0
         """Requests and connections beyond the control API's limits."""
         self._source = source
+        self._craft_port = config.command  # at which a stand-in takes commands
         link = self._make_link(config.link.name)
         command = link.commands
         if config.command and (command is None or config.command != command.uri):
             command = make_command_link(config.command, clock=self.clock)
-        if command is not None:
-            command.on_event = self.take_event
         self._command_uri = "" if command is None else command.uri
         self.commander = Commander(
             command,
@@ -126,6 +133,7 @@ class Station:
         self.jobs = Jobs(
             lambda: self.sessions.folder, lambda kind, text: self.note(kind, text, source="jobs")
         )
+        self.devices = DeviceList(self._flies_by_dongle)
         self.models = Models(self.jobs.entries)
         self.twin = TwinService(
             config.twin.model,
@@ -134,7 +142,7 @@ class Station:
             show=self._show_twin,
         )
         if command is not None:
-            command.on_entry = self.sessions.command
+            self._listen(command)
         self.receiver = Receiver(
             link,
             self,
@@ -260,6 +268,26 @@ class Station:
             self._switching = False
         self._tell_no_craft()
         self._tell_vehicle()
+
+    async def connect_command(self, uri: str) -> None:
+        """Command the craft at ``uri`` from now on; it is connected as soon as it answers. A
+        stand-in that is flown answers there. Raises BadInputError, TakenError."""
+        if not uri.startswith(CRAFT):
+            raise BadInputError(f"command link {uri!r}: give {' or '.join(CRAFT)}...")
+        if self.commander.client is not None:
+            raise TakenError(f"{self.commander.client} is commanding; it must release first")
+        own = self.link.commands
+        if own is None or own.uri != uri:
+            own = make_command_link(uri, clock=self.clock)
+        await serve_commands(self.link, uri)
+        await self.commander.replace(own)
+        self._listen(own)
+        self._command_uri = self._craft_port = uri
+        self._tell_no_craft()
+
+    def _listen(self, command: CommandLink) -> None:
+        command.on_event = self.take_event
+        command.on_entry = self.sessions.command
 
     def reload(self) -> dict[str, list[str]]:
         """Take over what can be from the configuration: the keys that were, and those that need
@@ -392,7 +420,7 @@ class Station:
             speed=link_speed(config.link.speed),
             stand_in=config.stand_in,
             model=model,
-            command=config.command,
+            command=self._craft_port,
             usb=msgspec.to_builtins(config.usb),
             rate_hz=config.radio.rate_hz,
             wanted=[name.strip() for name in config.radio.log.split(",") if name.strip()],
@@ -478,6 +506,12 @@ class Station:
                 f"the craft says it is a {said}; recordings say {configured}, as configured",
                 source=self.link.name,
             )
+
+    def _flies_by_dongle(self) -> bool:
+        """Whether a dongle or cable is in use, so that nobody else may look for craft with it."""
+        command = self.commander.link
+        uris = self.link.name, "" if command is None else command.uri
+        return any(uri.startswith(("radio://", "usb://")) for uri in uris)
 
     def _no_craft(self) -> str:
         """Why nothing that could be commanded is behind the telemetry, or empty."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from served_craft import ServedCraft, served
 
+from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.command import CommandState
 from groundstation.recording.open_recording import open_recording
@@ -141,3 +142,19 @@ def test_what_a_craft_says_it_is_does_not_override_the_configuration(craft, tmp_
     assert recorded(tmp_path).metadata["vehicle"] == {"profile": "brushless"}
     (said,) = [event.text for event in station.events if event.kind == "vehicle"]
     assert said == "the craft says it is a crazyflie21; recordings say brushless, as configured"
+
+
+def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, tmp_path):
+    station = station_for(craft, tmp_path)
+
+    async def scenario() -> None:
+        link = station.commander.link
+        await until(lambda: link.state is CommandState.CONNECTED)
+        assert station.status()["command"]["armed"] is None
+        await station.commander.arm(True)
+        assert station.status()["command"]["armed"] is True
+        with pytest.raises(LinkError, match="refuses to disarm"):  # brushed motors always are
+            await station.commander.arm(False)
+
+    run(station, scenario)
+    assert [one["kind"] for one in recorded(tmp_path).commands] == ["arm", "disarm"]

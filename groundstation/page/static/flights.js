@@ -68,6 +68,7 @@ function jobRow(job, change) {
   const name = encodeURIComponent(job.id);
   if (job.report) does.append(link(`file/report/${name}`, "Report", job.id));
   if (job.model_file) does.append(link(`file/model/${name}`, "Model", job.id));
+  if (job.gains_file) does.append(link(`file/gains/${name}`, "Gains", job.id));
   does.append(link(`file/log/${name}`, "Log", job.id));
   if (job.state === "waiting" || job.state === "running") {
     const button = document.createElement("button");
@@ -76,7 +77,7 @@ function jobRow(job, change) {
       change("/jobs/cancel", { id: job.id }, `${job.id} is cancelled.`));
     does.append(button);
   }
-  return row(job.kind, job.state, job.recordings.join(", "), job.text, does);
+  return row(job.kind, job.state, job.recordings.join(", ") || job.model, job.text, does);
 }
 
 function row(...cells) {
@@ -92,7 +93,7 @@ function row(...cells) {
 function link(address, text, of) {
   const made = document.createElement("a");
   made.href = address;
-  if (["Download", "Model"].includes(text)) made.download = "";
+  if (["Download", "Model", "Gains"].includes(text)) made.download = "";
   else made.target = "_blank";
   made.textContent = text;
   made.setAttribute("aria-label", `${text} of ${of}`);

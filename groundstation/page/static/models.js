@@ -62,6 +62,9 @@ function card(one, { flown, watching }, open, change) {
         change("/models/watch", { model: "" }, "No model watches the craft."))
       : button("Watch the craft with this", one.id, false, () =>
         change("/models/watch", { model: one.id }, `${one.id} watches the craft.`)));
+  does.append(button("Design a controller", one.id, false, () =>
+    change("/jobs/start", { kind: "design", model: one.id },
+      "Begun; its state is in the list of jobs, under Flights.")));
   if (one.report) does.append(link(`file/report/${encodeURIComponent(one.id)}`, "Report", one.id));
   if (one.file) does.append(link(`file/model/${encodeURIComponent(one.id)}`, "Model file", one.id));
   made.append(does);

@@ -111,6 +111,13 @@ function showStatus(status) {
     : command.state === "connected" ? "At once, whoever commands." : `The command link is ${command.state}.`);
   at("stop").disabled = !command;
   at("level").disabled = !command?.client;
+  const connected = command?.state === "connected";
+  const today = connected && command.firmware === "2.x"; // older firmware knows no arming
+  at("arm").disabled = !today || command.armed === true;
+  at("disarm").disabled = !today || command.armed === false;
+  write("armed", !connected ? "–" : command.armed === null ? (today ? "not told" : "always")
+    : command.armed ? "yes" : "no");
+  at("connect").hidden = connected;
   at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
   showRecording(recording);
 }
@@ -214,6 +221,33 @@ document.addEventListener("keydown", (event) => {
     at("mark-text").focus();
   } else if (event.key === "l" && !at("level").disabled) holdLevel();
 });
+
+at("connect").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const uri = at("command-uri").value;
+  if (await change("/command/connect", { uri }, `Connecting to ${uri}.`)) event.target.reset();
+});
+at("arm").addEventListener("click", () => at("arming").showModal());
+at("arming").addEventListener("close", () => {
+  if (at("arming").returnValue === "arm") change("/command/arm", { on: true }, "The motors are armed.");
+  at("arming").returnValue = "";
+});
+at("disarm").addEventListener("click", () =>
+  change("/command/arm", { on: false }, "The motors are disarmed."));
+
+/** What there is to choose from, asked for when somebody is about to choose. */
+async function offer() {
+  try {
+    const answer = await fetch("devices");
+    if (!answer.ok) return;
+    const { devices, links, commands } = await answer.json();
+    const described = (one) => devices.find((device) => device.link === one)?.description ?? "";
+    for (const [id, names] of [["links", links], ["commands", commands]]) {
+      at(id).replaceChildren(...names.map((name) => new Option(described(name), name)));
+    }
+  } catch { /* the alarms say so */ }
+}
+for (const id of ["link-name", "command-uri"]) at(id).addEventListener("focus", offer);
 
 function showPart() {
   const parts = ["now", "flights", "models"];
