@@ -182,18 +182,30 @@ def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, v
 
 def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit, tmp_path):
     (tmp_path / "waiting.toml").write_text(
-        "[stand_in]\nprogram = 'wait'\naltitude_hold = true\n"
+        "[stand_in]\ncraft = 'crazyflie21'\nprogram = 'wait'\naltitude_hold = true\n"
         "[dead_man]\nlevel_s = 0.5\nstop_s = 2.0\n"
     )
-    command = f"udp://127.0.0.1:{free_udp_port()}"
-    daemon = page_daemon("--command", command, "--config", "waiting.toml")
-    daemon.status_when(lambda status: status["command"]["state"] == "connected", "the command link")
+    daemon = page_daemon("--config", "waiting.toml")
+    daemon.recording()
     page = visit(daemon.address())
+    expect(page.locator("#stop-why")).to_contain_text("No command link")
+    page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_udp_port()}")
+    page.get_by_role("button", name="Connect").click()
+    expect(page.locator("#armed")).to_have_text("not told")
+    page.get_by_role("button", name="Arm…").click()
+    page.get_by_role("dialog").get_by_role("button", name="No").click()
+    expect(page.locator("#armed")).to_have_text("not told")
+    page.get_by_role("button", name="Arm…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Arm the motors").click()
+    expect(page.locator("#said")).to_have_text("The motors are armed.")
+    expect(page.locator("#armed")).to_have_text("yes")
     expect(page.locator("#stop-why")).to_have_text("At once, whoever commands.")
     ended = []
 
     def fly():
         with Pilot(daemon.socket, "a program") as pilot:
+            pilot.setpoint(0.0, 0.0, 0.0, 0)  # unlocks the thrust of today's firmware
+            time.sleep(0.1)
             while not ended:
                 try:
                     pilot.setpoint(0.0, 0.0, 0.0, 40000)
