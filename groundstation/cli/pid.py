@@ -132,9 +132,9 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         DELAYS,
         FINDING,
         GAINS,
-        WINDOW_S,
         printed_cases,
         printed_plant,
+        window_s,
     )
 
     delays = DELAYS if delay is None else (delay,)
@@ -143,9 +143,8 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         responses = {}
         for case in cases:
             plant = printed_plant(case.axis, case.delay)
-            axis = case.axis.split(",")[0]
-            rows = round(WINDOW_S[axis] / plant.ts)
-            gains = GAINS[case.controller][axis]
+            rows = round(window_s(case.axis) / plant.ts)
+            gains = GAINS[case.controller][case.axis.split(",")[0]]
             key = case.controller, case.axis, case.delay
             responses[key] = run_direct(plant, gains, np.ones(rows)).y
         thesis_page(cases, responses).write(html)

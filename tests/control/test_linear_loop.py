@@ -19,7 +19,13 @@ from groundstation.control.linear_loop import (
 )
 from groundstation.control.metrics import step_metrics
 from groundstation.control.pid import AntiWindup, PidGains
-from groundstation.control.thesis_tables import GAINS, ROUNDED_YAW, printed_cases, printed_plant
+from groundstation.control.thesis_tables import (
+    GAINS,
+    ROUNDED_ROLL,
+    ROUNDED_YAW,
+    printed_cases,
+    printed_plant,
+)
 from groundstation.dynamics.model import THESIS, ArxAxis
 from groundstation.errors import BadInputError
 
@@ -212,3 +218,10 @@ def test_a_loop_around_fitted_polynomials_is_that_around_the_body_they_describe(
     first, second = (run_direct(plant, gains, np.ones(300)).y for plant in plants)
     np.testing.assert_allclose(first, second, atol=1e-6)
     assert most_delay(plants[0], gains) == most_delay(plants[1], gains)
+
+
+def test_roll_within_its_rounding_gives_the_printed_errors_at_two_samples():
+    cases = [case for case in printed_cases((2,)) if case.axis == ROUNDED_ROLL]
+    assert [case.controller for case in cases] == ["P", "PI", "PD", "PID"]
+    for case in cases:
+        assert case.metrics.rms == pytest.approx(case.printed[0], rel=0.16), case.controller
