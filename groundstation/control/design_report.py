@@ -22,10 +22,11 @@ from groundstation.control.design import (
 from groundstation.control.evaluate import AxisResult, evaluate
 from groundstation.control.firmware_design import WINDOW_S, AxisDesign, Robustness
 from groundstation.control.firmwares import Release
-from groundstation.control.linear_loop import DirectJudge
+from groundstation.control.linear_loop import DirectJudge, direct_loop
+from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
-from groundstation.control.report import LOOP_NAMES, front_figure, step_figure
+from groundstation.control.report import BROKEN_AT, LOOP_NAMES, front_figure, step_figure
 from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
@@ -87,6 +88,7 @@ def firmware_report(
         "form": "firmware",
         "firmware": release,
         "vehicle": model.vehicle,
+        "max_sensitivity": limits.sensitivity,
         "axes": axes,
         "notes": notes,
     }
@@ -122,7 +124,12 @@ def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any
     notes = [_limits_line(limits)]
     if rounding:
         notes.append("the worst of the corners of the printed digits counts")
-    return {"form": "thesis", "axes": axes, "notes": notes}
+    return {
+        "form": "thesis",
+        "max_sensitivity": limits.sensitivity,
+        "axes": axes,
+        "notes": notes,
+    }
 
 
 def firmware_page(
@@ -149,6 +156,8 @@ def firmware_page(
     )
     page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
     page.figure(step_figure(ours, stock), "Step responses: designed, and stock gains in grey.")
+    loops = {one.axis: one.loop for one in ours}
+    add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
     page.heading("Gains and reasons")
     page.table(("gain", "value"), list(gains.items()))
     page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
@@ -171,6 +180,8 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     """The design of PIDs on u' for people."""
     page = Page(f"PID on u' for {name}", LOOP_NAMES["direct"])
     page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
+    loops = {axis: direct_loop(plant, gains) for axis, (gains, _, _, plant) in found.items()}
+    add_loop_figures(page, loops, BROKEN_AT["direct"], report["max_sensitivity"])
     for axis, (_, design, _, plant) in found.items():
         page.heading(f"{axis}, {plant.nk} samples of delay")
         page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 
 from groundstation.control.firmware_loop import (
     STEP_RAD,
-    cascade_margins,
+    cascade_loop,
     step_response,
 )
 from groundstation.control.linear_loop import (
     axis_plant,
-    direct_margins,
+    direct_loop,
     is_stable,
     most_delay,
     run_direct,
 )
-from groundstation.control.margins import Margins
+from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import Plant, plant_of_model
-from groundstation.control.thesis_loop import Body, run_whole, whole_margins
+from groundstation.control.thesis_loop import body_of, run_whole, whole_loop
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
@@ -46,7 +46,7 @@ STILL = 0.1
 class AxisResult:
     """One axis. response: (k,) over the step, one row per 2 ms. step: in rad, yaw of the
     firmware in rad/s. margins: None where the loop is unstable. most_delay: samples up to which
-    it is stable, only on the direct loop."""
+    it is stable, only on the direct loop. loop: its frequency response, stable or not."""
 
     axis: str
     gains: dict[str, float]
@@ -55,6 +55,7 @@ class AxisResult:
     stable: bool
     margins: Margins | None
     response: Array
+    loop: LoopResponse
     most_delay: int | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -112,15 +113,16 @@ def _direct(
     plant = axis_plant(model, axis, delay)
     with np.errstate(over="ignore", invalid="ignore"):
         y = run_direct(plant, gains, np.ones(round(seconds / plant.ts))).y
-    stable = is_stable(plant, gains)
+    stable, loop = is_stable(plant, gains), direct_loop(plant, gains)
     return AxisResult(
         axis,
         dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True)),
         1.0,
         step_metrics(y, plant.ts),
         stable,
-        direct_margins(plant, gains) if stable else None,
+        loop.margins if stable else None,
         y,
+        loop,
         most_delay(plant, gains),
     )
 
@@ -128,7 +130,7 @@ def _direct(
 def _whole(
     model: Model, gains: Mapping[str, PidGains], seconds: float, delay: int | None
 ) -> list[AxisResult]:
-    body = Body.ARX if model.arx is not None else Body.RIGID
+    body = body_of(model)
     found = []
     for axis, one in gains.items():
         index = AXES.index(axis)
@@ -137,8 +139,8 @@ def _whole(
         others = [gains.get(name, PidGains(0.0)) for name in AXES]
         long = run_whole(model, others, reference, body, delay=delay).angles[:, index]
         y = long[: round(seconds / SAMPLE_PERIOD_S)]
-        stable = _calms(long / WHOLE_STEP_RAD)
-        margins = whole_margins(model, one, axis, body, delay)
+        stable = calms(long / WHOLE_STEP_RAD)
+        loop = whole_loop(model, one, axis, body, delay)
         found.append(
             AxisResult(
                 axis,
@@ -146,8 +148,9 @@ def _whole(
                 WHOLE_STEP_RAD,
                 step_metrics(y, SAMPLE_PERIOD_S, WHOLE_STEP_RAD),
                 stable,
-                margins if stable else None,
+                loop.margins if stable else None,
                 y / WHOLE_STEP_RAD,
+                loop,
             )
         )
     return found
@@ -156,20 +159,21 @@ def _whole(
 def _firmware(plant: Plant, gains: Mapping[str, float], axis: str, seconds: float) -> AxisResult:
     step = STEP_RAD[axis]
     y = step_response(plant, gains, axis, seconds)
-    margins = cascade_margins(plant, gains, axis)
-    stable = _calms(step_response(plant, gains, axis, max(seconds, STEADY_S)))
+    loop = cascade_loop(plant, gains, axis)
+    stable = calms(step_response(plant, gains, axis, max(seconds, STEADY_S)))
     return AxisResult(
         axis,
         {n: gains.get(n, plant.firmware.stock[n]) for n in plant.firmware.gain_names(axis)},
         step,
         step_metrics(y * step, SAMPLE_PERIOD_S, step),
         stable,
-        margins if stable else None,
+        loop.margins if stable else None,
         y,
+        loop,
     )
 
 
-def _calms(response: Array) -> bool:
+def calms(response: Array) -> bool:
     """Whether a response over its step calms down: its last quarter swings little, or less than
     the one before, and about the reference."""
     parts: Sequence[Array] = np.array_split(response, 4)

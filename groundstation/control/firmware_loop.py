@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.firmwares import RELEASE_2014, Firmware
-from groundstation.control.margins import Margins, loop_margins
+from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.pid import AXES
 from groundstation.control.plant import Plant
 from groundstation.errors import BadInputError
@@ -229,8 +229,15 @@ def cascade_margins(
     plant: Plant, gains: Mapping[str, float], axis: str, supply_mv: float = SUPPLY_MV
 ) -> Margins:
     """Margins of an axis's loops, broken at the motors' input; meaningful where it is stable."""
+    return cascade_loop(plant, gains, axis, supply_mv).margins
+
+
+def cascade_loop(
+    plant: Plant, gains: Mapping[str, float], axis: str, supply_mv: float = SUPPLY_MV
+) -> LoopResponse:
+    """An axis's loops, broken at the motors' input."""
     omega = np.geomspace(0.05, math.pi / SAMPLE_PERIOD_S, 1500)
-    return loop_margins(loop_response(plant, gains, axis, omega, supply_mv), omega)
+    return LoopResponse(omega, loop_response(plant, gains, axis, omega, supply_mv))
 
 
 UNUSABLE = 4.0

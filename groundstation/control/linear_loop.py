@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.control.margins import Margins, loop_margins
+from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.dynamics.arx import angle_polynomial
@@ -136,11 +136,22 @@ def most_delay(plant: ArxAxis, gains: PidGains) -> int | None:
 
 def direct_margins(plant: ArxAxis, gains: PidGains) -> Margins:
     """Margins of the loop broken at the plant's input; meaningful where it is stable."""
+    return direct_loop(plant, gains).margins
+
+
+def direct_loop(plant: ArxAxis, gains: PidGains) -> LoopResponse:
+    """The loop broken at the plant's input."""
     omega = grid(plant.ts)
     z = np.exp(1j * omega * plant.ts)
+    return LoopResponse(omega, frequency_response(plant, z) * controller(gains, z, plant.ts))
+
+
+def controller(
+    gains: PidGains, z: NDArray[np.complex128], period_s: float
+) -> NDArray[np.complex128]:
+    """The thesis's PID at points z of the unit circle."""
     kp, ki, kd = gains.as_tuple()
-    controller = kp + ki * plant.ts / (z - 1) + kd / plant.ts * (1 - 1 / z)
-    return loop_margins(frequency_response(plant, z) * controller, omega)
+    return np.asarray(kp + ki * period_s / (z - 1) + kd / period_s * (1 - 1 / z))
 
 
 def grid(period_s: float, points: int = GRID) -> Array:

@@ -33,6 +33,29 @@ class Margins:
         return {k: v if math.isfinite(v) else None for k, v in asdict(self).items()}
 
 
+@dataclass(frozen=True, slots=True)
+class LoopResponse:
+    """A loop broken at one place: L (n,) at rising frequencies omega (n,) in rad/s."""
+
+    omega: NDArray[np.float64]
+    loop: Complex
+
+    @property
+    def margins(self) -> Margins:
+        return loop_margins(self.loop, self.omega)
+
+    @property
+    def sensitivities(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """|1/(1+L)| and |L/(1+L)|, (n,) each: what is left of a push, and what of a reference or
+        of noise comes through."""
+        import control
+
+        response = control.frd(self.loop, self.omega, smooth=False)
+        shown = [control.feedback(*pair) for pair in ((1, response), (response, 1))]
+        left, through = (np.abs(one.frdata[0, 0]) for one in shown)
+        return np.asarray(left), np.asarray(through)
+
+
 def loop_margins(loop: Complex, omega: NDArray[np.float64]) -> Margins:
     """Margins of a loop response L (n,) at rising frequencies omega (n,) in rad/s.
 

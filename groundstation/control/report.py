@@ -9,6 +9,7 @@ import numpy as np
 
 from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design
 from groundstation.control.evaluate import AxisResult
+from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
 from groundstation.control.thesis_tables import FINDING, PrintedCase
@@ -58,7 +59,15 @@ def evaluation_page(results: Sequence[AxisResult], title: str, loop: str) -> Pag
     page.table(METRICS_HEAD, [metrics_row(one) for one in results], DEFINITIONS)
     page.heading("Step responses")
     page.figure(step_figure(results), "Response over the step; the band is +-5 % of the step.")
+    add_loop_figures(page, {one.axis: one.loop for one in results}, BROKEN_AT[loop])
     return page
+
+
+BROKEN_AT = {
+    "direct": "the controller's output, u'",
+    "whole": "the controller's output, PWM counts",
+    "firmware": "the motors' input",
+}
 
 
 LOOP_NAMES = {

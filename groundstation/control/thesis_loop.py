@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.control.linear_loop import axis_plant, frequency_response, grid
-from groundstation.control.margins import Margins, loop_margins
+from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
+from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
 from groundstation.dynamics.arx import angle_polynomial, require_period
@@ -136,22 +136,50 @@ def whole_margins(
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> Margins:
-    """Margins of one axis, linear around hover and broken at the controller's output.
+    """Margins of one axis; meaningful where the loop is stable."""
+    return whole_loop(model, gains, axis, body, delay, supply_mv).margins
 
-    The rigid body is the grey box there. Meaningful where the loop is stable.
+
+def whole_loop(
+    model: Model,
+    gains: PidGains,
+    axis: str,
+    body: Body = Body.ARX,
+    delay: int | None = None,
+    supply_mv: float = SUPPLY_MV,
+) -> LoopResponse:
+    """One axis, linear around hover and broken at the controller's output.
+
+    The rigid body is the grey box there.
     """
+    omega = grid(SAMPLE_PERIOD_S)
+    z = np.exp(1j * omega * SAMPLE_PERIOD_S)
+    driven = counts_response(model, axis, omega, body, delay, supply_mv)
+    return LoopResponse(omega, driven * controller(gains, z, SAMPLE_PERIOD_S))
+
+
+def counts_response(
+    model: Model,
+    axis: str,
+    omega: Array,
+    body: Body = Body.ARX,
+    delay: int | None = None,
+    supply_mv: float = SUPPLY_MV,
+) -> NDArray[np.complex128]:
+    """Angle in rad per PWM count of an axis around hover, motors included, at omega (n,)."""
     if body is not Body.ARX:
         model = msgspec.structs.replace(model, arx=None)
         delay = None if delay is None else delay + 1  # the held double integrator's own
     plant = axis_plant(model, axis, delay)
-    omega = grid(plant.ts)
-    z = np.exp(1j * omega * plant.ts)
     pole = model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
-    kp, ki, kd = gains.as_tuple()
-    controller = kp + ki * plant.ts / (z - 1) + kd / plant.ts * (1 - 1 / z)
-    return loop_margins(frequency_response(plant, z) * motor * controller, omega)
+    return np.asarray(frequency_response(plant, np.exp(1j * omega * plant.ts)) * motor)
+
+
+def body_of(model: Model) -> Body:
+    """What the whole loop flies of a model: its polynomials where it has them."""
+    return Body.ARX if model.arx is not None else Body.RIGID
 
 
 def _plant(model: Model) -> Plant:

@@ -63,7 +63,7 @@ def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
         ):
             assert isinstance(one[key], float), key
         assert one["settling_s"] < 0.6 * other["settling_s"]
-    assert "<svg" in page.read_text()
+    assert page.read_text().count("<svg") == 4  # steps, Bode, Nyquist, sensitivity
     assert "roll" in pid("evaluate", "--model", BODY)
 
 
