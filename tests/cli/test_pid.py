@@ -31,7 +31,7 @@ def test_the_printed_tables_stand_beside_what_the_printed_gains_give(tmp_path):
     page = tmp_path / "thesis.html"
     report = json.loads(pid("evaluate", "--thesis", "--json", "--html", page))
     assert "P barely holds" in report["finding"]
-    assert len(report["cases"]) == 32
+    assert len(report["cases"]) == 40
     pi = next(
         case
         for case in report["cases"]
@@ -40,10 +40,10 @@ def test_the_printed_tables_stand_beside_what_the_printed_gains_give(tmp_path):
     assert pi["rms"] == pytest.approx(0.325, abs=0.001)
     assert pi["printed"] == {"rms": 0.3292, "overshoot_pct": 100.0, "settling_s": 0.4}
     assert pi["most_delay_samples"] == 5
-    assert page.read_text().count("<svg") == 4
+    assert page.read_text().count("<svg") == 5
     table = pid("evaluate", "--thesis", "--delay", "3")
     assert "stable up to samples" in table
-    assert len(table.splitlines()) == 1 + 16 + 2
+    assert len(table.splitlines()) == 1 + 20 + 2
 
 
 def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
