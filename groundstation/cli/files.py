@@ -68,13 +68,21 @@ def inspect(
 
 def convert(
     source: Path = typer.Argument(metavar="IN", help="Any readable recording."),
-    target: Path = typer.Argument(metavar="OUT", help="A new .mcap, .csv or .rrd file."),
+    target: Path = typer.Argument(metavar="OUT", help="A new .mcap, .csv, .parquet or .rrd file."),
     columns: str | None = COLUMNS,
     list_columns: bool = typer.Option(
         False, "--list-columns", is_eager=True, callback=_list_columns, help="Name the known maps."
     ),
     physical: bool = typer.Option(
         False, "--physical", help="CSV in physical units instead of the packet's integers."
+    ),
+    ros2: float = typer.Option(
+        0.0,
+        "--ros2",
+        metavar="HZ",
+        min=0.0,
+        max=1000.0,
+        help="MCAP for ROS 2's tools (profile ros2) with so many rows a second; 500: all.",
     ),
     as_json: bool = AS_JSON,
 ) -> None:
@@ -84,7 +92,7 @@ def convert(
     """
     from groundstation.recording.formats import writer_of
 
-    writer = writer_of(target, physical=physical)
+    writer = writer_of(target, physical=physical, ros2_hz=ros2)
     require_new(target)
     recording = _open(source, columns)
     with _progress(f"writing {target}"):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,12 @@ FORMATS = (
         mapped="ulog_file.read_ulog",
     ),
     Format(looks_like_mcap, "mcap_reader.read_mcap", ".mcap", "recording_file.write_mcap", True),
+    Format(
+        lambda head: head.startswith(b"PAR1"),
+        "parquet_file.read_parquet",
+        ".parquet",
+        "parquet_file.write_parquet",
+    ),
     Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
     Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
     Format(lambda head: head.startswith(_ZIP_MAGIC), "npz_file.read_npz", keeps_raw=True),
@@ -95,12 +102,19 @@ def read_mapped(path: Path, head: bytes, source: str | Path) -> Recording:
     raise BadInputError(f"{path}: not a CSV file, ROS 2 bag or ULog, so it takes no column map")
 
 
-def writer_of(path: Path, *, physical: bool = False) -> Callable[[Recording, Path], None]:
-    """What writes a new file of this name. physical: CSV in physical units.
+def writer_of(
+    path: Path, *, physical: bool = False, ros2_hz: float = 0.0
+) -> Callable[[Recording, Path], None]:
+    """What writes a new file of this name. physical: CSV in physical units. ros2_hz: MCAP with so
+    many rows a second for ROS 2's tools.
 
     Raises BadInputError where no format has its suffix.
     """
     suffix = path.suffix.lower()
+    if ros2_hz:
+        if suffix != ".mcap":
+            raise BadInputError(f"{path}: --ros2 is for MCAP files")
+        return partial(_function("recording_file.write_mcap"), ros2_hz=ros2_hz)
     if physical:
         if suffix != ".csv":
             raise BadInputError(f"{path}: --physical is for CSV files")

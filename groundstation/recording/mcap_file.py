@@ -46,7 +46,7 @@ class McapFile:
     ``abandon`` may follow.
     """
 
-    def __init__(self, path: Path, chunk_bytes: int = CHUNK_BYTES) -> None:
+    def __init__(self, path: Path, chunk_bytes: int = CHUNK_BYTES, *, profile: str = "") -> None:
         self.path = path
         self._stream = _Stream(_create(path))
         self._chunk_bytes = chunk_bytes
@@ -65,7 +65,7 @@ class McapFile:
         self._chunk_messages: dict[int, bytearray] = {}
         self._put(MCAP0_MAGIC)
         builder = RecordBuilder()
-        Header(profile="", library=LIBRARY).write(builder)
+        Header(profile=profile, library=LIBRARY).write(builder)
         self._put(builder.end())
 
     @property

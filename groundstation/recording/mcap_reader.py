@@ -161,7 +161,7 @@ class _Topics:
         """What takes the messages of ``channel``; None where nobody wants them."""
         topic = channel.topic
         if topic in self.entries:
-            self._require(channel, channel.message_encoding == "json")
+            self._require(channel, channel.message_encoding in ("json", "cdr"))
             entries = self.entries[topic]
             return lambda payload: entries.append(decode_entry(payload))
         schema = self._scan.schemas.get(channel.schema_id)

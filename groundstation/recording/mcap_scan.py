@@ -92,7 +92,7 @@ class McapScan:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.library = ""
+        self.library = self.profile = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: list[tuple[str, dict[str, str]]] = []
@@ -206,7 +206,7 @@ class McapScan:
             self.on_attachment(parse_attachment(body))
         elif opcode == Opcode.HEADER and offset == self._start:
             fields = Fields(body)
-            fields.text()
+            self.profile = fields.text()
             self.library = fields.text()
             fields.end()
         else:

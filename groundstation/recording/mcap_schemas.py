@@ -15,6 +15,16 @@ import numpy as np
 
 from groundstation.documents import decode_json
 from groundstation.recording.cdr import Definition
+from groundstation.recording.ros2_messages import (
+    LOG_DEFINITION,
+    LOG_TOPIC,
+    POSE_DEFINITION,
+    POSE_TOPIC,
+    ROW_DEFINITION,
+    ROW_TOPIC,
+    STRING_DEFINITION,
+    text_of,
+)
 from groundstation.recording.standard_messages import (
     BATTERY_DEFINITION,
     BATTERY_TOPIC,
@@ -130,6 +140,23 @@ TOPICS: dict[str, Topic] = {
 """Every topic of a recording, in the order of the channel ids 1, 2, ... it is given."""
 
 
+ROS2_TOPICS: dict[str, Topic] = {
+    topic.name: topic
+    for topic in (
+        *(
+            topic
+            if topic.message_encoding == "cdr"
+            else _cdr(topic.name, "std_msgs/msg/String", STRING_DEFINITION)
+            for topic in TOPICS.values()
+        ),
+        _cdr(ROW_TOPIC, "groundstation_msgs/msg/Row", ROW_DEFINITION),
+        _cdr(POSE_TOPIC, "geometry_msgs/msg/PoseStamped", POSE_DEFINITION),
+        _cdr(LOG_TOPIC, "rcl_interfaces/msg/Log", LOG_DEFINITION),
+    )
+}
+"""The same for the MCAP profile ``ros2``, which knows no JSON: its text is a string there."""
+
+
 def encode_raw(batch: RawBatch) -> bytes:
     """A ``groundstation_msgs/msg/RawPackets`` message."""
     return RAW_DEFINITION.encode({"host_time_ns": batch.host_time_ns, "packets": batch.packets})
@@ -155,8 +182,9 @@ def encode_entry(entry: dict[str, Any]) -> bytes:
 
 
 def decode_entry(payload: bytes | memoryview) -> dict[str, Any]:
-    """Inverse of ``encode_entry``. Raises ValueError where the payload is not a JSON object."""
-    return decode_json(payload, dict[str, Any])
+    """Inverse of ``encode_entry``, also where its text is a ``std_msgs/String``. Raises ValueError
+    where the payload is not a JSON object."""
+    return decode_json(text_of(payload), dict[str, Any])
 
 
 def metadata_checksum(name: str, items: Iterable[tuple[str, str]]) -> str:

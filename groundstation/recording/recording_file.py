@@ -22,15 +22,24 @@ from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     EVENTS_TOPIC,
     RAW_TOPIC,
+    ROS2_TOPICS,
     SAMPLES_TOPIC,
     STATISTICS_TOPIC,
     TOPICS,
     Topic,
+    decode_entry,
     encode_entry,
     encode_raw,
     encode_samples,
 )
 from groundstation.recording.mcap_tables import TableTopic
+from groundstation.recording.ros2_messages import (
+    LOG_TOPIC,
+    PROFILE,
+    log_message,
+    row_messages,
+    string_message,
+)
 from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import StandardMessages
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -49,21 +58,30 @@ one be damaged in a torn file, this is how the rest is still understood."""
 class RecordingFile:
     """Writes batches and entries as messages.
 
+    ros2_hz: rows a second that are also written for ROS 2's tools, with the profile ``ros2``;
+    0 for none, and JSON where that is smaller.
+
     Raises BadInputError where ``path`` exists and RecordingError where it cannot be created;
     every other method raises ``OSError`` where the disk fails.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        self.file = McapFile(path)
-        self._standard = StandardMessages()
+    def __init__(
+        self, path: Path, metadata: Mapping[str, Mapping[str, str]], *, ros2_hz: float = 0.0
+    ) -> None:
+        self._is_ros2 = ros2_hz > 0
+        self.file = McapFile(path, profile=PROFILE if self._is_ros2 else "")
+        self._standard = (
+            StandardMessages(ros2_hz, row_messages) if self._is_ros2 else StandardMessages()
+        )
+        topics = ROS2_TOPICS if self._is_ros2 else TOPICS
         self._channels: dict[str, int] = {}
         try:
             for name, items in metadata.items():
                 texts = {key: encodable(str(value)) for key, value in items.items()}
                 self.file.add_metadata(name, texts)
-            names = {str(number): name for number, name in enumerate(TOPICS, start=1)}
+            names = {str(number): name for number, name in enumerate(topics, start=1)}
             self.file.add_metadata(CHANNELS_METADATA, names)
-            for topic in TOPICS.values():
+            for topic in topics.values():
                 self.add_topic(topic)
             self.file.flush()
         except OSError as error:
@@ -94,7 +112,16 @@ class RecordingFile:
 
     def entry(self, topic: str, entry: dict[str, Any]) -> None:
         """Write a command, event or statistics entry; it has a ``time_ns``."""
-        self.add(topic, int(entry["time_ns"]), encode_entry(entry))
+        self.encoded(topic, int(entry["time_ns"]), encode_entry(entry))
+
+    def encoded(self, topic: str, time_ns: int, payload: bytes) -> None:
+        """Write an entry that ``encode_entry`` made."""
+        if not self._is_ros2:
+            self.add(topic, time_ns, payload)
+            return
+        self.add(topic, time_ns, string_message(payload))
+        if topic == EVENTS_TOPIC:
+            self.add(LOG_TOPIC, time_ns, log_message(decode_entry(payload)))
 
     def add(self, topic: str, time_ns: int, payload: bytes) -> None:
         self.file.add_message(self._channels[topic], time_ns, payload)
@@ -109,19 +136,19 @@ class RecordingFile:
             self.file.path.unlink()
 
 
-def write_mcap(recording: Recording, path: str | Path) -> None:
+def write_mcap(recording: Recording, path: str | Path, *, ros2_hz: float = 0.0) -> None:
     """Write a recording, from whatever file it came, as a new MCAP file.
 
-    Messages are in the order of their host times, so viewers can play the file. Leaves no
-    output behind where it fails. Raises BadInputError where ``path`` exists, RecordingError
-    where it cannot be written or a table does not hold numbers.
+    ros2_hz: as ``RecordingFile`` takes it. Messages are in the order of their host times, so
+    viewers can play the file. Leaves no output behind where it fails. Raises BadInputError where
+    ``path`` exists, RecordingError where it cannot be written or a table does not hold numbers.
     """
     path = Path(path)
     tables = [
         TableTopic(name, number, table)
         for number, (name, table) in enumerate(recording.tables.items(), start=1)
     ]
-    out = RecordingFile(path, recording.metadata)
+    out = RecordingFile(path, recording.metadata, ros2_hz=ros2_hz)
     try:
         for table in tables:
             out.add_topic(table.topic, table.metadata)

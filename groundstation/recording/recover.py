@@ -55,7 +55,7 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
     output behind.
     """
     output = output or path.with_name(f"{path.stem}.recovered.mcap")
-    report = _examine(path)
+    report, profile = _examine(path)
     if report.sound:
         return report
     if is_held(path):
@@ -64,7 +64,7 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
         raise RecordingError(f"{path}: nothing to recover: no message can be read")
     if output.exists():
         raise BadInputError(taken(output))
-    file = McapFile(output)
+    file = McapFile(output, profile=profile)
     try:
         with McapScan(path) as scan:
             _copy(scan, file)
@@ -89,10 +89,11 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
     )
 
 
-def _examine(path: Path) -> RecoveryReport:
+def _examine(path: Path) -> tuple[RecoveryReport, str]:
+    """What can be read, and the file's profile."""
     with McapScan(path) as scan:
         messages = sum(1 for _ in scan.messages())
-        return RecoveryReport(
+        report = RecoveryReport(
             path=path,
             sound=not scan.damage,
             output=None,
@@ -102,6 +103,7 @@ def _examine(path: Path) -> RecoveryReport:
             seconds_lost=sum(after - before for before, after in _lost_spans(scan)) / 1e9,
             damage=[damage.line(scan.start_ns) for damage in scan.damage],
         )
+        return report, scan.profile
 
 
 def _lost_spans(scan: McapScan) -> set[tuple[int, int]]:

@@ -39,9 +39,11 @@ MS_NS = 1_000_000
 
 
 def is_bag(head: bytes) -> bool:
-    """True for the first bytes of a ROS 2 bag's file."""
-    is_ros = head[_PROFILE_AT : _PROFILE_AT + len(_PROFILE)] == _PROFILE
-    return head.startswith(SQLITE_MAGIC) or (looks_like_mcap(head) and is_ros)
+    """True for the first bytes of a ROS 2 bag's file that another program wrote."""
+    library_at = _PROFILE_AT + len(_PROFILE)
+    is_ros = head[_PROFILE_AT:library_at] == _PROFILE
+    is_ours = head[library_at + 4 :].startswith(b"groundstation")
+    return head.startswith(SQLITE_MAGIC) or (looks_like_mcap(head) and is_ros and not is_ours)
 
 
 def is_bag_folder(path: Path) -> bool:

@@ -1,11 +1,11 @@
-"""Telemetry as the message types that any viewer knows: Imu and BatteryState at 50 Hz.
+"""Telemetry as the message types that any viewer knows: Imu and BatteryState, at 50 Hz or more.
 
 Both have a fixed size here, so a batch is one structured array, laid out as CDR lays it out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +19,26 @@ IMU_TOPIC = "/imu"
 BATTERY_TOPIC = "/battery"
 RATE_HZ = 50.0
 
-_SEPARATOR = "=" * 80
-_HEADER_DEFINITION = f"""\
-{_SEPARATOR}
+SEPARATOR = "=" * 80
+HEADER_DEFINITION = f"""\
+{SEPARATOR}
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
 """
-_TIME_DEFINITION = f"""\
-{_SEPARATOR}
+TIME_DEFINITION = f"""\
+{SEPARATOR}
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
+"""
+QUATERNION_DEFINITION = f"""\
+{SEPARATOR}
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
 """
 IMU_DEFINITION = f"""\
 std_msgs/Header header
@@ -40,18 +48,12 @@ geometry_msgs/Vector3 angular_velocity
 float64[9] angular_velocity_covariance
 geometry_msgs/Vector3 linear_acceleration
 float64[9] linear_acceleration_covariance
-{_SEPARATOR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-{_SEPARATOR}
+{QUATERNION_DEFINITION}{SEPARATOR}
 MSG: geometry_msgs/Vector3
 float64 x
 float64 y
 float64 z
-{_HEADER_DEFINITION}{_TIME_DEFINITION}"""
+{HEADER_DEFINITION}{TIME_DEFINITION}"""
 BATTERY_DEFINITION = f"""\
 uint8 POWER_SUPPLY_STATUS_UNKNOWN=0
 uint8 POWER_SUPPLY_HEALTH_UNKNOWN=0
@@ -72,7 +74,7 @@ float32[] cell_voltage
 float32[] cell_temperature
 string location
 string serial_number
-{_HEADER_DEFINITION}{_TIME_DEFINITION}"""
+{HEADER_DEFINITION}{TIME_DEFINITION}"""
 
 _FRAME = b"base_link\0"
 _LIPO = 3
@@ -85,7 +87,7 @@ _STAMP = {
 }
 
 
-def _layout(fields: dict[str, tuple[str, int]], size: int) -> np.dtype[np.void]:
+def layout(fields: dict[str, tuple[str, int]], size: int) -> np.dtype[np.void]:
     everything = {**_STAMP, **fields}
     return np.dtype(
         {
@@ -97,7 +99,7 @@ def _layout(fields: dict[str, tuple[str, int]], size: int) -> np.dtype[np.void]:
     )
 
 
-_IMU = _layout(
+_IMU = layout(
     {
         "orientation": ("(4,)<f8", 28),
         "orientation_covariance": ("(9,)<f8", 60),
@@ -108,7 +110,7 @@ _IMU = _layout(
     },
     324,
 )
-_BATTERY = _layout(
+_BATTERY = layout(
     {
         "voltage": ("<f4", 28),
         "unmeasured": ("(6,)<f4", 32),  # temperature ... percentage
@@ -121,13 +123,19 @@ _BATTERY = _layout(
 )
 
 
-class StandardMessages:
-    """Thins sample batches to one message per 20 ms of device time and topic.
+Maker = Callable[[SampleBatch], Iterator[tuple[str, int, bytes]]]
+"""Topic, log time (ns) and CDR payload of what rows come to."""
 
-    Remembers which 20 ms it has served, so that consecutive batches join without a seam.
+
+class StandardMessages:
+    """Thins sample batches to one message per topic in each period of device time.
+
+    Remembers which period it has served, so that consecutive batches join without a seam.
+    rate_hz: periods a second. more: what else is made of the rows that are chosen.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rate_hz: float = RATE_HZ, more: Maker | None = None) -> None:
+        self._rate_hz, self._more = rate_hz, more
         self._segment: int | None = None
         self._origin_s = 0.0
         self._slot = -1
@@ -150,14 +158,16 @@ class StandardMessages:
         ):
             if np.isfinite(volt):
                 yield BATTERY_TOPIC, time_ns, message.tobytes()
+        if self._more is not None:
+            yield from self._more(chosen)
 
     def _new(self, segment: int, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which samples of one segment are the first of their 20 ms."""
+        """Which samples of one segment are the first of their period."""
         if segment != self._segment:
             self._segment, self._origin_s, self._slot = segment, float(time_s[0]), -1
         since_s = time_s - self._origin_s
         # half a sample early, or the rounding of ticks decides which sample is first
-        slots = np.floor((since_s + SAMPLE_PERIOD_S / 2) * RATE_HZ).astype(np.int64)
+        slots = np.floor((since_s + SAMPLE_PERIOD_S / 2) * self._rate_hz).astype(np.int64)
         new = np.diff(slots, prepend=self._slot) != 0
         self._slot = int(slots[-1])
         return new
@@ -173,7 +183,7 @@ def _nothing_known(batch: SampleBatch) -> bool:
     return not any(bool(np.isfinite(channel).any()) for channel in channels)
 
 
-def _stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
+def stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
     out = np.zeros(len(batch), layout)
     out["cdr"] = HEADER
     times = np.maximum(batch.host_time_ns, 0)
@@ -185,7 +195,7 @@ def _stamped(layout: np.dtype[np.void], batch: SampleBatch) -> NDArray[np.void]:
 
 
 def _imu(batch: SampleBatch) -> NDArray[np.void]:
-    out = _stamped(_IMU, batch)
+    out = stamped(_IMU, batch)
     channels = (
         ("orientation", batch.attitude, quaternion),
         ("angular_velocity", batch.gyro, np.asarray),
@@ -200,7 +210,7 @@ def _imu(batch: SampleBatch) -> NDArray[np.void]:
 
 
 def _battery(batch: SampleBatch) -> NDArray[np.void]:
-    out = _stamped(_BATTERY, batch)
+    out = stamped(_BATTERY, batch)
     out["voltage"] = batch.battery_v
     out["unmeasured"] = np.nan
     out["technology"] = _LIPO

@@ -75,6 +75,14 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         float,
         _key("delete the oldest recordings beyond this, MiB; 0: never delete", ge=0, le=1e9),
     ] = 0.0
+    ros2_hz: Annotated[
+        float,
+        _key(
+            "rows a second also written for ROS 2's tools (profile ros2), 500: all; 0: none",
+            ge=0,
+            le=1000,
+        ),
+    ] = 0.0
 
 
 class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

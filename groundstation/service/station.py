@@ -112,6 +112,7 @@ class Station:
             Path(config.recording.folder),
             self._recorded,
             low_space_bytes=round(config.recording.low_space_mb * MEBIBYTE),
+            ros2_hz=config.recording.ros2_hz,
             on_fault=self._recorder_fault,
             clock=self.clock,
         )
