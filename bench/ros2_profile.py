@@ -1,4 +1,4 @@
-"""``python -m bench.ros2_profile``: what rows for ROS 2's tools cost a recording, in CPU and size."""
+"""``python -m bench.ros2_profile``: what rows for ROS 2 tools cost a recording, CPU and size."""
 
 from __future__ import annotations
 
