@@ -309,6 +309,24 @@ def test_text_can_be_read_in_both_themes(flying, visit, theme):
     assert not poor
 
 
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing_that_keeps_anybody_out(flying, visit, theme):
+    """WCAG's rules of levels A and AA and axe's own best practices, on every part."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    shutil.copy(RECORDINGS / FLIGHT, flying.sessions / f"{theme}.mcap")
+    page = visit(flying.address(), color_scheme=theme)
+    expect(page.locator("#live")).to_have_text("live")
+    for part in ("Now", "Flights", "Models"):
+        page.get_by_role("link", name=part, exact=True).click()
+        if part == "Flights":
+            expect(page.locator("#recordings")).to_contain_text(f"{theme}.mcap")
+        if part == "Models":
+            page.get_by_text("7 numbers").first.click()
+        judged = axe.run(page)
+        assert judged.response["passes"]
+        assert judged.violations_count == 0, f"{part}: {judged.generate_report()}"
+
+
 def test_nothing_is_cut_off_on_a_phone(flying, visit):
     page = visit(flying.address(), viewport={"width": 360, "height": 640})
     expect(page.locator("#live")).to_have_text("live")
