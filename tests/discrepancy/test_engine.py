@@ -12,9 +12,13 @@ from searched_flights import base_model, flights, samples
 
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
+from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
+from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.recordings import flights_of
 
 HIDDEN = {
@@ -65,6 +69,18 @@ def test_a_hidden_effect_is_named_and_nothing_else(name):
     assert [term.name for term in findings.model.effects] == [name]
     assert findings.base.effects == ()
     assert findings.residual.verdict == "white"
+
+
+def test_a_lasting_moment_without_a_name_bends_no_gain():
+    """Once c0 and c1 went to a tenth: a craft that answers to no torque is in balance."""
+    name = "centre_of_gravity_offset"
+    runs, _ = flights(1, {name: HIDDEN[name]})
+    model = base_model()
+    problem = Problem(prepare(runs), model, point_of(model))
+    screen(problem, problem.start)
+    fit = problem.fit(problem.start, problem.base_keys)
+    for constant in ("c0", "c1", "c2"):
+        assert fit.point[constant] == pytest.approx(problem.start[constant], rel=0.02)
 
 
 def test_two_effects_at_once_are_both_named():

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
+from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
@@ -38,9 +39,11 @@ from groundstation.identification.likelihood.spectra import (
     Vertical,
     leverage,
     quadratic,
+    settled,
     transform,
     whiten_by_own,
 )
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -64,6 +67,9 @@ STEPS, SETTLED = 6, 0.05
 TIMING_BOUNDS = (-1.0, 2.0)
 LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
+TRIM_SHARE = 0.03
+"""Of one rotor's moment in hover: the lasting moment that flights of one craft differ by. It is a
+battery pushed in a millimetre elsewhere, a propeller changed."""
 RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
 
 
@@ -116,6 +122,7 @@ class Problem:
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
+        self.trim = _trim(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
@@ -132,14 +139,27 @@ class Problem:
     def linear(self, point: Point, keys: Sequence[str], flights: Sequence[Flight]) -> Linear:
         """Evaluate flights at a point with the columns of ``keys``.
 
-        Spectra are divided by what the noise of their flight is to that of all (``shapes``).
+        Spectra are divided by what the noise of their flight is to that of all (``shapes``), and
+        each flight has a lasting moment of its own about every axis, its trim. Held to none, a
+        search buys an even balance with a gain that answers to no torque.
         """
         plain = linearise(flights, self.frame, point, keys)
         spectra: list[Spectrum] = []
         for s in plain.spectra:
             root = self.root(flights[s.flight], s.channel, s.hz)
-            spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
+            lasting = None if s.lasting is None else self.trim[s.channel] * s.lasting / root
+            scaled = replace(
+                s, residual=s.residual / root, columns=s.columns / root, lasting=lasting
+            )
+            spectra.append(self._trimmed(scaled, self.noise) if self.noise else scaled)
         return replace(plain, spectra=spectra)
+
+    def _trimmed(self, s: Spectrum, noise: Mapping[int, Noise]) -> Spectrum:
+        residual, columns = (
+            settled(rows, s.lasting, s.weight / noise[s.channel].at(s.hz))
+            for rows in (s.residual, s.columns)
+        )
+        return replace(s, residual=residual, columns=columns)
 
     def root(self, flight: Flight, channel: int, hz: Array) -> Array:
         """What spectra of a flight's channel are divided by, at frequencies ``hz``."""
@@ -153,8 +173,13 @@ class Problem:
         out of balance in one of them would leave none of them white, and in closed loop a wrong
         noise model is a wrong estimate. Returns ``linear`` divided by the new shapes.
         """
-        values = [s.residual for s in linear.spectra]
         used = [np.zeros(len(s.hz)) for s in linear.spectra]
+        if not self.noise:
+            # With any weights that are no prior at all the trim goes with the mean.
+            even = [settled(s.residual, s.lasting, s.weight * 1e9) for s in linear.spectra]
+            first = whiten_by_own(linear.spectra, even, used)
+            linear = replace(linear, spectra=[self._trimmed(s, first) for s in linear.spectra])
+        values = [s.residual for s in linear.spectra]
         for number in range(NOISE_ROUNDS if not self.noise else LATER_NOISE_ROUNDS):
             if self.noise and number == 0:
                 noise = self.noise
@@ -194,7 +219,10 @@ class Problem:
             power = ratio.power if before is None else ratio.power * before.power
             self.shapes[key] = Noise(ratio.hz, power)
             root = np.sqrt(ratio.at(s.hz))
-            spectra.append(replace(s, residual=s.residual / root, columns=s.columns / root))
+            lasting = None if s.lasting is None else s.lasting / root
+            spectra.append(
+                replace(s, residual=s.residual / root, columns=s.columns / root, lasting=lasting)
+            )
             left.append(residual / root)
         return replace(linear, spectra=spectra), left
 
@@ -365,6 +393,13 @@ def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
 
 
 Prior = tuple[tuple[str, ...], dict[str, float], Array]
+
+
+def _trim(vehicle: Vehicle) -> tuple[float, float, float]:
+    """Standard deviation of a flight's lasting moment about each axis, rad/s^2."""
+    square = STANDARD_GRAVITY / (4.0 * vehicle.thrust_per_mass)
+    roll, pitch, yaw = (TRIM_SHARE * abs(one) * square for one in vehicle.body_constants)
+    return roll, pitch, yaw
 
 
 def _sensor_lag(model: Model) -> float:

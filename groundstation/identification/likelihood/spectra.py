@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.residuals import ATTITUDE, Series
+from groundstation.identification.likelihood.residuals import ACCELEROMETER, ATTITUDE, Series
 
 Array = NDArray[np.float64]
 TAPER = 0.03
@@ -29,7 +29,8 @@ class Spectrum:
 
     hz, weight: (2 m,) frequencies and degrees of freedom, m real parts and then m imaginary
     ones. residual: (2 m,). columns: (k, 2 m) of the unknowns with numbers ``place`` (k,).
-    period_s: between two values of the channel.
+    period_s: between two values of the channel. lasting: (2 m,) of a signal that never changes, of
+    unit size or of the size that it is expected to have; None where none is.
     """
 
     flight: int
@@ -40,6 +41,7 @@ class Spectrum:
     columns: Array
     place: NDArray[np.int64]
     period_s: float = 0.0
+    lasting: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ def transform(
     for channel, residual in series.residual.items():
         touching = [key for key in keys if channel in series.columns.get(key, {})]
         rows = len(residual)
-        stack = np.empty((len(touching) + 1, rows))
+        stack = np.ones((len(touching) + 2, rows))
         stack[0] = residual
         for i, key in enumerate(touching):
             stack[i + 1] = series.columns[key][channel]
@@ -102,9 +104,10 @@ def transform(
                 hz,
                 weight,
                 spectra[0],
-                spectra[1:],
+                spectra[1:-1],
                 np.array([place[key] for key in touching], np.int64),
                 step,
+                spectra[-1] if channel < ACCELEROMETER else None,
             )
         )
     return found
@@ -210,6 +213,21 @@ def quadratic(
         gradient += scaled * row.residual
         value += (row.residual / row.sigma) ** 2
     return Quadratic(normal, gradient, value, parts)
+
+
+def settled(rows: Array, lasting: Array | None, scale: Array) -> Array:
+    """Rows (..., 2 m) as they count beside a lasting signal of unknown size.
+
+    lasting: (2 m,) of its expected size, the standard deviation of a normal prior. scale: (2 m,)
+    weights of squares. Sums of weighted squares and products of the result are those in which the
+    size has been integrated out.
+    """
+    if lasting is None:
+        return rows
+    own = scale * lasting
+    strength = float(own @ lasting)
+    share = (1.0 - (1.0 + strength) ** -0.5) / max(strength, 1e-300)
+    return np.asarray(rows - np.multiply.outer(share * (rows @ own), lasting))
 
 
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
