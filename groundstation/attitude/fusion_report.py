@@ -49,12 +49,12 @@ def fusion_page(fused: Fused, name: str) -> Page:
     )
     page.heading("Drift")
     page.figure(
-        _angles(fused, ("integrated", "reported")),
+        angles_figure(fused, ("integrated", "reported")),
         "The gyro integrated from the first row on, beside the reported angles.",
     )
     page.heading("Filters")
     page.figure(
-        _angles(fused, ("accelerometer", *FILTERS, "reported")),
+        angles_figure(fused, ("accelerometer", *FILTERS, "reported")),
         "The accelerometer's angle, what the two filters make of it and of the gyro, and what the"
         " craft reports.",
     )
@@ -63,7 +63,8 @@ def fusion_page(fused: Fused, name: str) -> Page:
     return page
 
 
-def _angles(fused: Fused, methods: tuple[str, ...]) -> Figure:
+def angles_figure(fused: Fused, methods: tuple[str, ...]) -> Figure:
+    """Angles by method in deg, one panel an axis."""
     made, every = figure(height=6.0, rows=3, sharex=True)
     for i, (axes, name) in enumerate(zip(every, AXES, strict=True)):
         for method in methods:

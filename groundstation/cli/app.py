@@ -21,6 +21,7 @@ from groundstation.cli import (
     pid,
     run,
     simulate,
+    thesis,
 )
 from groundstation.cli.terminal import show
 
@@ -73,6 +74,7 @@ for module in (
     attitude,
     fleet,
     demo,
+    thesis,
     install,
 ):
     module.add_commands(app)

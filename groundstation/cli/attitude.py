@@ -109,22 +109,29 @@ def _noise(text: str) -> KalmanNoise:
 
 def axes(
     recording: Path = typer.Argument(metavar="REC", help="A recording of the three hand turns."),
+    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
     """Are the axes right? Turn by hand: roll (left up), pitch (nose down), yaw (left) and back.
 
     Any other recording that turns about all axes still shows whether attitude and gyro agree.
 
-    Example: [bold]groundstation axes turned.mcap[/bold]
+    Example: [bold]groundstation axes turned.mcap --html axes.html[/bold]
     """
     from groundstation.attitude.axis_check import attitude_against_gyro, check_axes
 
+    if html is not None:
+        require_new(html)
     samples = open_one(recording).samples
     check = check_axes(samples)
     try:
         agreement = [str(finding) for finding in attitude_against_gyro(samples)]
     except BadInputError as error:
         agreement = [str(error)]
+    if html is not None:
+        from groundstation.attitude.axis_report import axis_page
+
+        axis_page(samples, check, agreement, recording.name).write(html)
     report = {
         "verdict": check.verdict,
         "faults": [str(finding) for finding in check.faults],
@@ -141,3 +148,4 @@ def axes(
     show("attitude against gyro:")
     for line in agreement:
         show(f"  {line}")
+    say_written(html)

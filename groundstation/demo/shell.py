@@ -27,7 +27,7 @@ PROGRAMS = {
 END_S = 40.0
 """A program that was asked to end is given so long; a daemon finishes its recording."""
 _SCRIPT_HEAD = """#!/bin/sh
-# What 'groundstation demo' ran, to be repeated by hand: sh {script} NEW_FOLDER
+# What '{by}' ran, to be repeated by hand: sh {script} NEW_FOLDER
 set -e
 here=$(dirname "$(realpath "$0")")
 mkdir "${{1:?give a new folder}}"
@@ -57,13 +57,17 @@ class Shell:
     """Runs commands in a folder that becomes theirs. A context: nothing is left running.
 
     folder: must not exist or be empty. inputs: name -> text of the files to begin with.
-    say: is given every command as it starts.
+    say: is given every command as it starts. by: whose commands they are, for the script.
 
     Programs run in process groups of their own: Ctrl-C is told them once, by us, and in order.
     """
 
     def __init__(
-        self, folder: Path, inputs: dict[str, str], say: Callable[[str], None] = print
+        self,
+        folder: Path,
+        inputs: dict[str, str],
+        say: Callable[[str], None] = print,
+        by: str = "groundstation demo",
     ) -> None:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise BadInputError(
@@ -77,9 +81,8 @@ class Shell:
                 (folder / name).write_text(text, encoding="utf-8")
             copied = " ".join(f'"$here/{name}"' for name in inputs)
             path = shlex.quote(str(Path(sys.executable).parent))
-            (folder / SCRIPT).write_text(
-                _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path), encoding="utf-8"
-            )
+            head = _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path, by=by)
+            (folder / SCRIPT).write_text(head, encoding="utf-8")
         except OSError as error:
             raise BadInputError(f"{folder}: cannot be written: {error.strerror}") from error
         self._log = (folder / LOG).open("ab")

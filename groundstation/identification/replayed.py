@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,3 +71,20 @@ def simulate_run(
         flown[at[real]] = True
     attitude = np.unwrap(attitude, axis=0)
     return Replayed(gyro, accelerometer, attitude, seen.drive.rotor_rev_s, flown)
+
+
+def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
+    """RMS (3,) of roll, pitch, yaw in rad of free runs of ``window_s``, over what was flown: the
+    errors of thesis Table 7.2, which does not say how long its runs were.
+
+    Raises BadInputError as ``simulate_run``, and where nothing was flown.
+    """
+    errors = []
+    for run in runs:
+        done = simulate_run(model, run, window_s)
+        turn = run.attitude[done.flown] - done.attitude[done.flown]
+        errors.append(np.angle(np.exp(1j * turn)))
+    every = np.vstack(errors)
+    if not len(every):
+        raise BadInputError("by the model's thrust the craft never leaves the ground")
+    return np.asarray(np.sqrt(np.mean(np.square(every), axis=0)))

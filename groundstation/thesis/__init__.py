@@ -1,0 +1,1 @@
+"""The thesis repeated: every table and figure with a counterpart, beside the printed one."""

@@ -1,0 +1,115 @@
+"""Figures that several entries share: channels over time, models beside them, correlations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.report.figure import (
+    BAD,
+    GOOD,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    SERIES,
+    figure,
+    thinned,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from groundstation.identification.arx.residual_tests import CorrelationTest
+
+Array = NDArray[np.float64]
+
+
+def lines(time_s: Array, channels: Mapping[str, Array], label: str) -> Figure:
+    """Channels (n,) by name over time, in one panel."""
+    made, (axes,) = figure(height=2.7)
+    for color, (name, values) in zip(SERIES, channels.items(), strict=False):
+        axes.plot(*thinned(time_s, values), color=color, label=name)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    if len(channels) > 1:
+        axes.legend(loc="upper right", ncols=len(channels))
+    return made
+
+
+def points(time_s: Array, values: Array, label: str) -> Figure:
+    """Readings that come singly."""
+    made, (axes,) = figure(height=2.7)
+    axes.plot(*thinned(time_s, values), ".", color=MEASURED, markersize=2)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    return made
+
+
+def overlay(
+    time_s: Array, measured: Array, modelled: Array, label: str, note: str = "modelled"
+) -> Figure:
+    """A measured channel and what a model makes of it."""
+    made, (axes,) = figure(height=2.7)
+    axes.plot(*thinned(time_s, measured), color=MEASURED, label="measured")
+    axes.plot(*thinned(time_s, modelled), color=MODELLED, label=note)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    axes.legend(loc="upper right", ncols=2)
+    return made
+
+
+def against(time_s: Array, angle_deg: Array, torque: Array, axis: str) -> Figure:
+    """An angle and, dashed on a scale of its own, the torque that turns it."""
+    made, (axes,) = figure(height=2.7)
+    axes.plot(*thinned(time_s, angle_deg), color=MEASURED)
+    axes.set_ylabel(f"{axis}, deg")
+    axes.set_xlabel("time, s")
+    other = axes.twinx()
+    other.plot(*thinned(time_s, torque), "--", color=MODELLED, linewidth=0.9)
+    other.set_ylabel("u', (rev/s)^2", color=MODELLED)
+    other.grid(visible=False)
+    return made
+
+
+def correlation(test: CorrelationTest, label: str) -> Figure:
+    """Correlation by lag with its bounds, what lies outside in another colour."""
+    made, (axes,) = figure(height=2.4)
+    axes.axhspan(-test.bound, test.bound, color=NEUTRAL, alpha=0.25, linewidth=0)
+    outside = np.abs(test.values) > test.bound
+    for mask, color in ((~outside, GOOD), (outside, BAD)):
+        axes.vlines(test.lags[mask], 0, test.values[mask], color=color, linewidth=2.2)
+    axes.axhline(0, color=MEASURED, linewidth=0.7)
+    axes.set_xlabel("input so many rows earlier")
+    axes.set_ylabel(label)
+    return made
+
+
+def both_steps(time_s: Array, output: Array, label: str) -> Figure:
+    """The answer to a lasting unit of u', one way and the other."""
+    made, (axes,) = figure(height=2.4)
+    axes.plot(time_s, output, color=SERIES[0], label="+1")
+    axes.plot(time_s, -output, color=SERIES[1], label="-1")
+    axes.axhline(0, color=NEUTRAL, linewidth=0.7)
+    axes.set_ylabel(label)
+    axes.set_xlabel("time, s")
+    axes.legend(loc="best")
+    return made
+
+
+def responses(panels: Mapping[str, Sequence[tuple[str, Array]]], period_s: float) -> Figure:
+    """Step responses, one panel an axis, several lines in each."""
+    made, every = figure(height=2.8, columns=len(panels), sharey=True)
+    for axes, (title, here) in zip(every, panels.items(), strict=True):
+        for color, (label, y) in zip(SERIES, here, strict=False):
+            clipped = np.clip(y, -3.0, 5.0)
+            axes.plot(period_s * np.arange(len(y)), clipped, color=color, label=label)
+        axes.axhline(1.0, color=NEUTRAL, linewidth=0.8)
+        axes.set_title(title)
+        axes.set_ylim(-0.5, 2.5)
+        axes.set_xlabel("s")
+        axes.legend(loc="lower right")
+    every[0].set_ylabel("response / step")
+    return made
