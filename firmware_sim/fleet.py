@@ -115,14 +115,16 @@ def _drawn(base: Vehicle, random: np.random.Generator) -> Vehicle:
     def near(value: float, name: str) -> float:
         return float(value * math.exp(random.normal(0.0, SPREAD[name])))
 
-    roll, pitch, yaw = (near(one, "inertia") for one in base.inertia_kg_m2)
+    # Second moments of the mass along each axis: whatever they are, a body can have them.
+    roll, pitch, yaw = base.inertia_kg_m2
+    x, y, z = (near(0.5 * (roll + pitch + yaw) - one, "inertia") for one in base.inertia_kg_m2)
     battery = msgspec.structs.replace(
         base.battery, internal_ohm=near(base.battery.internal_ohm, "internal_ohm")
     )
     return msgspec.structs.replace(
         base,
         mass_kg=near(base.mass_kg, "mass"),
-        inertia_kg_m2=(roll, pitch, yaw),
+        inertia_kg_m2=(y + z, x + z, x + y),
         thrust_n=near(base.thrust_n, "thrust"),
         drag_n_m=near(base.drag_n_m, "drag"),
         battery=battery,

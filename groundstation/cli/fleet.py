@@ -16,6 +16,9 @@ WORKERS = typer.Option(
 SCHEDULER = typer.Option(
     None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask scheduler instead."
 )
+VEHICLE = typer.Option(
+    None, "--vehicle", help="Profile of all crafts (default: what each recording says)."
+)
 CATALOGUE = typer.Argument(metavar="CATALOGUE", help="The folder that fleet index made.")
 
 
@@ -27,6 +30,8 @@ def add_commands(app: typer.Typer) -> None:
     )
     fleet.command("index")(index)
     fleet.command("fit")(fit)
+    fleet.command("discrepancy")(discrepancy)
+    fleet.command("twin")(twin)
     fleet.command("report")(report)
     app.add_typer(fleet, name="fleet")
 
@@ -71,9 +76,7 @@ def index(
 
 def fit(
     catalogue: Path = CATALOGUE,
-    vehicle: str | None = typer.Option(
-        None, "--vehicle", help="Profile of all crafts (default: what each recording says)."
-    ),
+    vehicle: str | None = VEHICLE,
     effects: str = typer.Option(
         "dead_time,rotor_acceleration_torque", "--with", help="Effects that every craft has."
     ),
@@ -109,25 +112,138 @@ def fit(
     )
 
 
-def report(catalogue: Path = CATALOGUE, html: Path | None = HTML, as_json: bool = AS_JSON) -> None:
-    """Say what changed since when, and which craft differs from the others.
+def discrepancy(
+    catalogue: Path = CATALOGUE,
+    model: str | None = typer.Option(
+        None, "--model", help="What every craft is held against (default: its own body fit)."
+    ),
+    vehicle: str | None = VEHICLE,
+    flights: int = typer.Option(6, "--flights", min=2, help="Of each craft, those that tell most."),
+    workers: int | None = WORKERS,
+    scheduler: str | None = SCHEDULER,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Find which effects each craft's model is missing, from several of its flights together.
+
+    Example: [bold]groundstation fleet discrepancy fleet --model body.json[/bold]
+    """
+    from dataclasses import asdict
+
+    from groundstation.cli.flights import model_for
+    from groundstation.fleet.engine import cores
+    from groundstation.fleet.parts import held
+    from groundstation.fleet.search import effects_table, search_all
+
+    loaded = None if model is None else model_for(model, vehicle)
+    with shown("looking") as progress, held(catalogue):
+        counts = search_all(
+            catalogue,
+            model=loaded,
+            vehicle=vehicle,
+            flights=flights,
+            workers=workers or cores(),
+            scheduler=scheduler,
+            progress=progress,
+        )
+        rows = effects_table(catalogue).rows()
+    if as_json:
+        show_json({**asdict(counts), "crafts": list(rows.values())})
+        return
+    show(
+        f"{catalogue}: {counts.searched} crafts searched, {counts.refused} of them told nothing;"
+        f" {counts.unchanged} were searched already, {counts.few} have fewer than two flights"
+    )
+    for craft, row in rows.items():
+        if row["reason"] is not None:
+            show(f"  {craft}: not searched: {row['reason']}")
+            continue
+        named = ", ".join(row["effects"]) or "nothing named"
+        show(f"  {craft}: {named}; gap {row['gap_before']:.2f} -> {row['gap_after']:.2f}")
+
+
+def twin(
+    catalogue: Path = CATALOGUE,
+    model: str = typer.Option(..., "--model", help="The model that every flight is held against."),
+    vehicle: str | None = VEHICLE,
+    workers: int | None = WORKERS,
+    scheduler: str | None = SCHEDULER,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Fly a model beside every flight, as the live twin does, and list where they disagree.
+
+    Example: [bold]groundstation fleet twin fleet --model body.json[/bold]
+    """
+    from dataclasses import asdict
+
+    from groundstation.cli.flights import model_for
+    from groundstation.fleet.engine import cores
+    from groundstation.fleet.parts import held
+    from groundstation.fleet.twin import twin_table, watch_all
+
+    loaded = model_for(model, vehicle)
+    with shown("looking") as progress, held(catalogue):
+        counts = watch_all(
+            catalogue,
+            loaded,
+            asked=vehicle is not None,
+            workers=workers or cores(),
+            scheduler=scheduler,
+            progress=progress,
+        )
+        rows = twin_table(catalogue).rows()
+    if as_json:
+        show_json({**asdict(counts), "flights": list(rows.values())})
+        return
+    show(
+        f"{catalogue}: {counts.watched} flights watched, {counts.refused} of them could not be;"
+        f" {counts.unchanged} were watched already, {counts.short} too short;"
+        f" {counts.disagreeing} disagree"
+    )
+    for address, row in rows.items():
+        for line in row["told"] or ():
+            show(f"  {address}: {line}")
+
+
+def report(
+    catalogue: Path = CATALOGUE,
+    compare_before: str | None = typer.Option(
+        None, "--compare-before", metavar="DATE", help="Did it help: all crafts before and since."
+    ),
+    html: Path | None = HTML,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Say what changed since when, which craft differs from the others, and what to fly next.
 
     Example: [bold]groundstation fleet report fleet --html fleet.html[/bold]
     """
+    from dataclasses import asdict
+
+    from groundstation.fleet.before_after import parse_date, shifts
     from groundstation.fleet.findings import findings_of
     from groundstation.fleet.fit import fits_table
     from groundstation.fleet.index import recordings_of
+    from groundstation.fleet.report_sections import to_fly
+    from groundstation.fleet.search import effects_table
+    from groundstation.fleet.twin import twin_table
 
     if html is not None:
         require_new(html)
+    date = None if compare_before is None else parse_date(compare_before)
     recordings, fits = recordings_of(catalogue), fits_table(catalogue).rows()
     fleet = findings_of(recordings, fits)
+    effects, watched = effects_table(catalogue).rows(), twin_table(catalogue).rows()
+    since = () if date is None else shifts(fleet.series, date)
+    needed = to_fly(fleet, effects)
     if html is not None:
+        from groundstation.fleet.report import More
         from groundstation.fleet.report import report as page
 
-        page(fleet, recordings, fits, catalogue.name).write(html)
+        more = More(effects, watched, needed, compare_before, since)
+        page(fleet, recordings, fits, catalogue.name, more).write(html)
     if as_json:
-        show_json(fleet.as_dict())
+        known = {"effects": list(effects.values()), "twin": list(watched.values())}
+        compared = None if date is None else [asdict(one) for one in since]
+        show_json({**fleet.as_dict(), **known, "to_fly": needed, "since": compared})
         return
     crafts = {one.craft for one in fleet.series}
     show(f"{catalogue}: {len(crafts)} crafts, {len(recordings)} recordings, {fleet.tests} tests")
@@ -135,4 +251,13 @@ def report(catalogue: Path = CATALOGUE, html: Path | None = HTML, as_json: bool 
         show(f"  {one.text}")
     if not fleet.findings:
         show("  no craft changed or differs" if crafts else "  nothing is fitted: fleet fit first")
+    if date is not None:
+        none = "" if since else " no craft has two fitted flights on both sides"
+        show(f"since {compare_before}:{none}")
+        for shift in since:
+            show(f"  {shift.text}")
+    for craft, row in effects.items():
+        show(f"  {craft} lacks {', '.join(row['effects'] or ()) or 'nothing that has a name'}")
+    for craft, lines in needed.items():
+        show(f"  to fly with {craft}: {'; '.join(lines)}")
     say_written(html)

@@ -35,13 +35,14 @@ def model_for(source: str, vehicle: str | None) -> Model:
     import msgspec
 
     from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
+    from groundstation.recording.craft_family import other_vehicle
 
     model = fitted_model(source)
     if vehicle is None:
         return model
     profile = load_vehicle(vehicle)
     if profile.name != model.vehicle:
-        raise _other_vehicle(f"--vehicle {vehicle}", profile.name, model)
+        raise other_vehicle(f"--vehicle {vehicle}", profile.name, model)
     if vehicle in BUILT_IN:
         return model
     return msgspec.structs.replace(model, vehicle_profile=profile)
@@ -63,16 +64,13 @@ def read_flights(paths: Sequence[Path], model: Model, vehicle: str | None) -> li
     unless ``vehicle`` says the contrary, and where nothing lasts 5 s.
     """
     from groundstation.identification.recordings import flights_of
-    from groundstation.recording.craft_family import require_family
+    from groundstation.recording.craft_family import require_craft_of
 
     found = []
     for path in paths:
         recording = open_one(path)
-        recorded = recording.metadata.get("vehicle", {}).get("profile", model.vehicle)
-        if vehicle is None and recorded != model.vehicle:
-            raise _other_vehicle(path.name, recorded, model)
         if vehicle is None:
-            require_family(recording, model.vehicle, model)
+            require_craft_of(recording, model)
         runs = flights_of(recording.samples, path.name)
         found.append(Flights(path.name, runs, recording.events))
     return found
@@ -143,10 +141,3 @@ def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:
                 " not fitted"
             )
         seen[content] = path
-
-
-def _other_vehicle(what: str, recorded: str, model: Model) -> BadInputError:
-    return BadInputError(
-        f"{what}: the vehicle is {recorded!r}, the model is for {model.vehicle!r}; fit a model to"
-        f" this vehicle, or, if the recording's label is wrong, say --vehicle {model.vehicle}"
-    )

@@ -58,6 +58,14 @@ class Left:
     band_hz: tuple[float, float]
     share: float
 
+    @property
+    def words(self) -> str:
+        """``gyro_x: 1.40 times noise, 80 % of the excess 0.5 to 2 Hz``."""
+        low, high = self.band_hz
+        where = f"above {low:g} Hz" if low == BANDS_HZ[-2] else f"{low:g} to {high:g} Hz"
+        share = f"{100.0 * self.share:.0f} % of the excess {where}"
+        return f"{self.channel}: {self.gap:.2f} times noise, {share}"
+
 
 class HeldOut:
     """The given model on rows that no fit saw, and others beside it, each predicted once."""

@@ -17,7 +17,7 @@ from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import Candidate, Findings, Reason
-from groundstation.discrepancy.proof import BANDS_HZ, Left, Proof, what_is_left
+from groundstation.discrepancy.proof import Proof, what_is_left
 from groundstation.dynamics.model import Estimate
 
 Array = NDArray[np.float64]
@@ -324,7 +324,7 @@ def discrepancy_report(
             left.channel, list(left.frequencies_hz), left.signal, left.excess
         ),
         left=[
-            LeftOver(one.channel, one.gap, one.band_hz, one.share, _left_words(one))
+            LeftOver(one.channel, one.gap, one.band_hz, one.share, one.words)
             for one in what_is_left(proof.after)
         ],
         candidates=[
@@ -347,13 +347,6 @@ def discrepancy_report(
         created_by=created_by,
         stretches=[stretch_report(*one) for one in found.stretches],
     )
-
-
-def _left_words(left: Left) -> str:
-    low, high = left.band_hz
-    where = f"above {low:g} Hz" if low == BANDS_HZ[-2] else f"{low:g} to {high:g} Hz"
-    share = f"{100.0 * left.share:.0f} % of the excess {where}"
-    return f"{left.channel}: {left.gap:.2f} times noise, {share}"
 
 
 def _reason(candidate: Candidate, findings: Findings) -> str:

@@ -20,8 +20,8 @@ from groundstation.errors import BadInputError
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+Task = TypeVar("Task")
 Result = TypeVar("Result")
-Work = Callable[[str], Result]
 
 MOST_AT_ONCE = 3
 """Batches under way for each worker: the next is there when one is done."""
@@ -38,41 +38,46 @@ def cores() -> int:
 
 
 def carried_out(
-    work: Work[Result], addresses: Sequence[str], *, workers: int, scheduler: str | None = None
-) -> Iterator[tuple[str, Result | None]]:
-    """(address, result) as they arrive, in any order; None for one that workers die of.
+    work: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    *,
+    workers: int,
+    scheduler: str | None = None,
+) -> Iterator[tuple[Task, Result | None]]:
+    """(task, result) as they arrive, in any order; None for one that workers die of.
 
-    work: a function of a module, called once for each address; it must not raise. workers: 1 is
-    this process alone, without Dask. scheduler: ``tcp://HOST:PORT`` of a running one, whose
-    workers must be able to read the addresses.
+    tasks: a recording's address, or whatever else is small and can be pickled. work: a function of
+    a module, called once for each; it must not raise. workers: 1 is this process alone, without
+    Dask. scheduler: ``tcp://HOST:PORT`` of a running one, whose workers must be able to read the
+    recordings.
 
     Raises BadInputError where Dask is missing or the scheduler does not answer.
     """
-    if scheduler is None and (workers == 1 or len(addresses) <= 1):
-        for address in addresses:
-            yield address, work(address)
+    if scheduler is None and (workers == 1 or len(tasks) <= 1):
+        for task in tasks:
+            yield task, work(task)
         return
     with _client(workers, scheduler) as client:
         count = max(1, sum(client.nthreads().values()))
-        size = min(LARGEST_BATCH, max(1, math.ceil(len(addresses) / (8 * count))))
-        yield from _batched(client, work, _batches(addresses, size), MOST_AT_ONCE * count)
+        size = min(LARGEST_BATCH, max(1, math.ceil(len(tasks) / (8 * count))))
+        yield from _batched(client, work, _batches(tasks, size), MOST_AT_ONCE * count)
 
 
-def _batches(addresses: Sequence[str], size: int) -> Iterator[list[str]]:
-    rest = iter(addresses)
+def _batches(tasks: Sequence[Task], size: int) -> Iterator[list[Task]]:
+    rest = iter(tasks)
     while batch := list(islice(rest, size)):
         yield batch
 
 
 def _batched(
-    client: Client, work: Work[Result], batches: Iterable[list[str]], most: int
-) -> Iterator[tuple[str, Result | None]]:
+    client: Client, work: Callable[[Task], Result], batches: Iterable[list[Task]], most: int
+) -> Iterator[tuple[Task, Result | None]]:
     from distributed import KilledWorker, as_completed
 
     waiting = iter(batches)
-    under_way: dict[Future, list[str]] = {}
+    under_way: dict[Future, list[Task]] = {}
 
-    def begin(batch: list[str]) -> Future:
+    def begin(batch: list[Task]) -> Future:
         future = client.submit(_each, work, batch, pure=False)
         under_way[future] = batch
         return future
@@ -86,8 +91,8 @@ def _batched(
         except KilledWorker:
             if len(batch) == 1:
                 yield batch[0], None
-            for address in batch if len(batch) > 1 else ():
-                arriving.add(begin([address]))
+            for task in batch if len(batch) > 1 else ():
+                arriving.add(begin([task]))
         else:
             yield from zip(batch, results, strict=True)
         future.release()
@@ -95,8 +100,8 @@ def _batched(
             arriving.add(begin(batch))
 
 
-def _each(work: Work[Result], batch: list[str]) -> list[Result]:
-    return [work(address) for address in batch]
+def _each(work: Callable[[Task], Result], batch: list[Task]) -> list[Result]:
+    return [work(task) for task in batch]
 
 
 @contextmanager

@@ -24,8 +24,8 @@ _SUFFIX = ".parquet"
 class Parts:
     """Rows by key in a folder.
 
-    columns: name -> kind (text, number, count, texts); any value may be None. key: the column
-    that tells rows apart.
+    columns: name -> kind (text, number, count, texts, numbers); any value may be None. key: the
+    column that tells rows apart.
     """
 
     def __init__(self, folder: Path, columns: Mapping[str, str], key: str) -> None:
@@ -83,6 +83,7 @@ class Parts:
             "number": pa.float64(),
             "count": pa.int64(),
             "texts": pa.list_(pa.string()),
+            "numbers": pa.list_(pa.float64()),
         }
         return pa.schema([(name, kinds[kind]) for name, kind in self._columns.items()])
 

@@ -50,7 +50,25 @@ def scatter_variance(series: Sequence[tuple[Array, Array]]) -> tuple[float, floa
     steps = np.concatenate([np.diff(values) for values, _ in series] or [np.zeros(0)])
     known = [errors[1:] ** 2 + errors[:-1] ** 2 for _, errors in series]
     noise = np.concatenate(known or [np.zeros(0)])
-    return 0.5 * _excess(steps, noise), max(1.0, EFFICIENCY * len(steps))
+    return 0.5 * excess_variance(steps, noise), max(1.0, EFFICIENCY * len(steps))
+
+
+def excess_variance(deviations: Array, noise: Array) -> float:
+    """The variance that must be added to ``noise`` for squared deviations to have the median of
+    normal ones; never negative."""
+    from scipy.optimize import brentq
+
+    if len(deviations) == 0:
+        return 0.0
+    squares = deviations**2
+
+    def beyond(extra: float) -> float:
+        return float(np.median(squares / np.maximum(noise + extra, 1e-300))) - MEDIAN_CHI2
+
+    most = float(squares.max()) / MEDIAN_CHI2
+    if most == 0.0 or beyond(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(beyond, 0.0, most))
 
 
 def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
@@ -114,7 +132,7 @@ def population(levels: Array, variance: Array) -> Population | None:
     if count < LEAST_CRAFTS:
         return None
     middle = float(np.median(levels))
-    between = _excess(levels - middle, variance)
+    between = excess_variance(levels - middle, variance)
     total = variance + between
     middle_variance = MEDIAN_STDERR**2 / float((1.0 / total).sum())
     z = (levels - middle) / np.sqrt(total + middle_variance)
@@ -141,24 +159,6 @@ def discoveries(p: Array, share: float) -> NDArray[np.bool_]:
     if below.any():
         believed[order[: int(np.flatnonzero(below)[-1]) + 1]] = True
     return believed
-
-
-def _excess(deviations: Array, noise: Array) -> float:
-    """The variance that must be added to ``noise`` for squared deviations to have the median of
-    normal ones; never negative."""
-    from scipy.optimize import brentq
-
-    if len(deviations) == 0:
-        return 0.0
-    squares = deviations**2
-
-    def beyond(extra: float) -> float:
-        return float(np.median(squares / np.maximum(noise + extra, 1e-300))) - MEDIAN_CHI2
-
-    most = float(squares.max()) / MEDIAN_CHI2
-    if most == 0.0 or beyond(0.0) <= 0.0:
-        return 0.0
-    return float(brentq(beyond, 0.0, most))
 
 
 def _step(values: Array, variance: Array, at: int) -> tuple[float, float, float]:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from groundstation.fleet.before_after import Shift
 from groundstation.fleet.findings import FALSE_SHARE, Finding, Fleet, Series, scale, told
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.parts import Row
+from groundstation.fleet.report_sections import (
+    LISTED,
+    add_effects,
+    add_shifts,
+    add_to_fly,
+    add_twin,
+)
 from groundstation.report.figure import BAD, MEASURED, MODELLED, NEUTRAL, figure
 from groundstation.report.page import Page
 
@@ -18,12 +27,25 @@ if TYPE_CHECKING:
 
 DRAWN = 12
 """Findings with a figure of their own, the clearest first."""
-LISTED = 50
 CLEAR_Z = 4.0
 """Where the colours of the map end."""
 
 
-def report(fleet: Fleet, recordings: Sequence[Row], fits: dict[str, Row], name: str) -> Page:
+@dataclass(frozen=True, slots=True)
+class More:
+    """What else a catalogue may hold: tables ``effects`` and ``twin``, shifts since ``date``, and
+    what to fly next."""
+
+    effects: Mapping[str, Row]
+    watched: Mapping[str, Row]
+    to_fly: Mapping[str, Sequence[str]]
+    date: str | None = None
+    shifts: Sequence[Shift] = ()
+
+
+def report(
+    fleet: Fleet, recordings: Sequence[Row], fits: dict[str, Row], name: str, more: More
+) -> Page:
     """The page of a catalogue called ``name``."""
     crafts = sorted({one.craft for one in fleet.series})
     fitted = sum(1 for one in fits.values() if one["reason"] is None)
@@ -42,6 +64,11 @@ def report(fleet: Fleet, recordings: Sequence[Row], fits: dict[str, Row], name: 
         f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
         " expected to be chance."
     )
+    if more.date is not None:
+        add_shifts(page, more.date, more.shifts)
+    add_effects(page, more.effects)
+    add_twin(page, more.watched, {one["address"]: one["craft"] for one in recordings})
+    add_to_fly(page, more.to_fly)
     if fleet.populations:
         page.heading("Crafts among crafts")
         page.figure(

@@ -103,3 +103,20 @@ def require_family(recording: Recording, vehicle: str | None, model: Model | Non
             f"{recording.path}: of a Crazyflie {family} ({why}), not of {vehicle!r}; say which"
             f" with --vehicle {listed}, or a TOML profile"
         )
+
+
+def require_craft_of(recording: Recording, model: Model) -> None:
+    """Raises BadInputError where a recording says, or shows, that it is of another vehicle than the
+    model's."""
+    recorded = recording.metadata.get("vehicle", {}).get("profile", model.vehicle)
+    if recorded != model.vehicle:
+        raise other_vehicle(recording.path.name, recorded, model)
+    require_family(recording, model.vehicle, model)
+
+
+def other_vehicle(what: str, recorded: str, model: Model) -> BadInputError:
+    """What to say where ``what`` is of another vehicle than the model."""
+    return BadInputError(
+        f"{what}: the vehicle is {recorded!r}, the model is for {model.vehicle!r}; fit a model to"
+        f" this vehicle, or, if the recording's label is wrong, say --vehicle {model.vehicle}"
+    )

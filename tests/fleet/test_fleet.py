@@ -91,6 +91,48 @@ def test_what_is_fitted_is_not_fitted_again(fitted, tmp_path):
     assert fits(tmp_path / "fleet") == fits(fitted / "fleet")
 
 
+@pytest.fixture(scope="module")
+def sound(fitted, tmp_path_factory):
+    """A catalogue of one craft of which nothing became, searched on three of its flights."""
+    ill = {one["craft"] for one in json.loads((fitted / "truth.json").read_text())}
+    craft = min({f"cf{number:02d}" for number in range(1, CRAFTS + 1)} - ill)
+    folder = tmp_path_factory.mktemp("sound")
+    answer(folder, "index", str(fitted / "flights" / craft), "-o", "one", "--workers", "1")
+    told = answer(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
+    assert (told["searched"], told["refused"]) == (1, 0)
+    return folder, told["crafts"][0]
+
+
+def test_a_craft_is_searched_on_its_flights_together_and_whole_flights_are_held_out(sound):
+    folder, row = sound
+    assert (len(row["fitted"]), len(row["held_out"])) == (2, 1)
+    assert {"rotor_acceleration_torque", "dead_time"} <= set(row["effects"])
+    assert row["gap_after"] < row["gap_before"]
+    sizes = dict(zip(row["parameters"], row["values"], strict=True))
+    assert sizes["rotor_acceleration_torque.rotor_inertia_kg_m2"] == pytest.approx(4e-8, rel=0.1)
+    again = answer(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
+    assert (again["searched"], again["unchanged"]) == (0, 1)
+
+
+def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sound):
+    folder, row = sound
+    (folder / "found.json").write_text(row["model"])
+    assert answer(folder, "twin", "one", "--model", "found.json", "--workers", "1")["watched"] == (
+        FLIGHTS
+    )
+    told = answer(folder, "twin", "one", "--model", "thesis", "--workers", "1")
+    assert (told["watched"], told["disagreeing"]) == (FLIGHTS, FLIGHTS)
+    report = answer(folder, "report", "one", "--compare-before", "2026-01-06", "--html", "one.html")
+    assert [one["craft"] for one in report["effects"]] == [row["craft"]]
+    assert len(report["twin"]) == FLIGHTS
+    assert set(report["to_fly"]) <= {row["craft"]}
+    page = (folder / "one.html").read_text()
+    for heading in ("Effects", "Beside the model", "Before and after 2026-01-06"):
+        assert f">{heading}</h2>" in page
+    refused = fleet(folder, "report", "one", "--compare-before", "yesterday")
+    assert "not a date" in require_failure(refused)
+
+
 def test_a_report_of_what_is_not_fitted_says_what_to_do(flown, tmp_path):
     answer(tmp_path, "index", str(flown / "flights" / "cf02"), "-o", "fleet", "--workers", "1")
     done = fleet(tmp_path, "report", "fleet")

@@ -1,0 +1,144 @@
+"""Every craft of a catalogue searched once for the effects that its model is missing."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from groundstation.dynamics.model import Model
+from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, searching
+from groundstation.fleet.findings import findings_of
+from groundstation.fleet.fit import LEAST_AIR_S, fits_table
+from groundstation.fleet.gather import gathered
+from groundstation.fleet.index import recordings_of
+from groundstation.fleet.parts import Parts, Row
+from groundstation.identification.fit_record import Progress, silent
+
+FLIGHTS = 6
+"""Of each craft, unless asked otherwise: a search takes its memory and time by rows."""
+HELD_OUT_EVERY = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """Counts of one run, in crafts. refused: searches that told nothing; few: crafts with fewer
+    than two flights that are long enough."""
+
+    searched: int
+    refused: int
+    unchanged: int
+    few: int
+
+
+def effects_table(catalogue: Path) -> Parts:
+    return Parts(catalogue / "effects", COLUMNS, KEY)
+
+
+def search_all(
+    catalogue: Path,
+    *,
+    model: Model | None,
+    vehicle: str | None,
+    flights: int = FLIGHTS,
+    workers: int,
+    scheduler: str | None = None,
+    progress: Progress = silent,
+) -> Searched:
+    """Search what no earlier run has searched with the same flights and settings.
+
+    model: what every craft is held against; None: its own fit. flights: of each craft at most.
+
+    Raises BadInputError where there is no catalogue.
+    """
+    recordings = recordings_of(catalogue)
+    fits = fits_table(catalogue).rows()
+    begins = last_changes(recordings, fits)
+    by_craft: dict[str, list[Row]] = {}
+    for row in recordings:
+        if row["state"] not in ("damaged", "bad") and (row["airborne_s"] or 0.0) >= LEAST_AIR_S:
+            by_craft.setdefault(row["craft"], []).append(row)
+    described = "own fit" if model is None else model_digest(model)
+    tasks = [
+        task
+        for craft, rows in sorted(by_craft.items())
+        if (task := chosen(craft, rows, begins.get(craft, ""), flights, described)) is not None
+    ]
+    table = effects_table(catalogue)
+    known = table.rows()
+    fresh = [
+        task
+        for task in tasks
+        if task.craft not in known or known[task.craft]["settings"] != task.settings
+    ]
+    rows_found = gathered(
+        *(table, searching(model, vehicle), fresh, _deadly),
+        at_once=1,
+        doing="searching craft",
+        workers=workers,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    refused = sum(row["reason"] is not None for row in rows_found)
+    table.compact([task.craft for task in tasks])
+    return Searched(len(fresh), refused, len(tasks) - len(fresh), len(by_craft) - len(tasks))
+
+
+def model_digest(model: Model) -> str:
+    """What tells one model from another, in a row's settings."""
+    import msgspec
+
+    return "model " + hashlib.sha256(msgspec.json.encode(model)).hexdigest()[:16]
+
+
+def last_changes(recordings: Sequence[Row], fits: Mapping[str, Row]) -> dict[str, str]:
+    """Craft -> date since which it is what it is now, of crafts that changed: flights from before
+    are of another craft."""
+    found: dict[str, str] = {}
+    for one in findings_of(recordings, dict(fits)).findings:
+        if one.kind == "change":
+            found[one.craft] = max(one.since, found.get(one.craft, ""))
+    return found
+
+
+def chosen(
+    craft: str, rows: Sequence[Row], begun: str, most: int, described: str
+) -> CraftFlights | None:
+    """The flights that tell most, not older than ``begun``; every third of them, by date, is held
+    out. None for a craft with fewer than two."""
+    young = [row for row in rows if row["begun"] >= begun]
+    best = sorted(young, key=lambda row: (-_liveliness(row), row["address"]))[: max(2, most)]
+    if len(best) < 2:
+        return None
+    best.sort(key=lambda row: (row["begun"], row["address"]))
+    held = {one["address"] for one in best[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]}
+    held = held or {best[-1]["address"]}
+    told = hashlib.sha256(" ".join(one["sha256"] for one in best).encode()).hexdigest()[:16]
+    return CraftFlights(
+        craft,
+        tuple(one["address"] for one in best if one["address"] not in held),
+        tuple(one["address"] for one in best if one["address"] in held),
+        f"{described}, flights {told}",
+    )
+
+
+def _liveliness(row: Row) -> float:
+    """How far all axes are turned over a flight: the mean log rate, weighed by its length."""
+    rates = [row[f"{axis}_rate_rms_dps"] or 1e-3 for axis in ("roll", "pitch", "yaw")]
+    return sum(math.log(max(rate, 1e-3)) for rate in rates) / 3.0 + 0.5 * math.log(
+        row["airborne_s"]
+    )
+
+
+def _deadly(task: CraftFlights) -> Row:
+    """The row of a craft that every process dies of."""
+    row: Row = dict.fromkeys(COLUMNS)
+    return row | {
+        KEY: task.craft,
+        "settings": task.settings,
+        "fitted": list(task.fitted),
+        "held_out": list(task.held_out),
+        "reason": "the process that searches it dies, again and again; it is set aside",
+    }
