@@ -26,6 +26,7 @@ from groundstation.links.factory import (
     make_link,
     serve_commands,
 )
+from groundstation.service.batteries import Batteries
 from groundstation.service.commander import Commander, Motors
 from groundstation.service.config import (
     DEFAULT_VEHICLE,
@@ -133,6 +134,12 @@ class Station:
         self.page = PageService(config.page, socket_path(config.control.socket))
         self.jobs = Jobs(
             lambda: self.sessions.folder, lambda kind, text: self.note(kind, text, source="jobs")
+        )
+        self.batteries = Batteries(
+            Path(config.recording.folder),
+            # a simulated cell is another one than the real craft's
+            lambda: f"{self.link.name.partition(':')[0]} {self._recorded['vehicle']['profile']}",
+            lambda kind, text: self.note(kind, text, source="battery"),
         )
         self.devices = DeviceList(self._flies_by_dongle)
         self.models = Models(self.jobs.entries)
@@ -322,6 +329,7 @@ class Station:
             },
             "vehicle": self._recorded["vehicle"]["profile"],
             "recording": self.recordings.status(),
+            "battery": self.batteries.status(),
             "viewer": self.viewer.status(),
             "page": self.page.status(),
             "command": self.commander.status(),
@@ -465,6 +473,7 @@ class Station:
 
     def _split(self) -> None:
         self.sessions.split()
+        self.batteries.split()
         self.twin.split()
 
     def _show_twin(self, shown: Shown) -> None:
@@ -473,6 +482,7 @@ class Station:
 
     def _take_samples(self, samples: SampleBatch) -> None:
         self._newest = samples
+        self.batteries.samples(samples)
         self.twin.samples(samples)
         self.sessions.samples(samples)
         self.viewer.show_samples(samples)

@@ -119,7 +119,17 @@ function showStatus(status) {
     : command.armed ? "yes" : "no");
   at("connect").hidden = connected;
   at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
+  showBattery(status.battery);
   showRecording(recording);
+}
+
+function showBattery({ flown_s: flown, left_s: left, known }) {
+  const spell = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
+  const as = known === 1 ? "the battery before it" : `the last ${known} batteries`;
+  const less = !left ? (known ? "time left not known yet"
+    : "time left not known: no battery of this craft was flown until low here")
+    : left[1] <= 0 ? "low: land" : `${spell(left[0])} to ${spell(left[1])} min left, as ${as}`;
+  write("battery-left", `${spell(flown)} min flown; ${less}`);
 }
 
 function showRecording(recording) {

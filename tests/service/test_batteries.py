@@ -1,0 +1,49 @@
+"""Batteries that were flown until they were low are remembered, by craft."""
+
+import asyncio
+
+import numpy as np
+
+from groundstation.service.batteries import FILE, Batteries
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.packet import encode
+from groundstation.telemetry.samples import RawBatch
+
+ROWS = 30_000
+
+
+def flown(first_v, last_v):
+    """A minute of hovering while the voltage falls evenly."""
+    none = np.zeros((ROWS, 3), np.int16)
+    volts = np.linspace(1e3 * first_v, 1e3 * last_v, ROWS).round()
+    packets = encode(
+        np.arange(ROWS) * 2000 * 72 // 73, volts, np.full((ROWS, 4), 2400), none, none, none,
+        np.zeros(ROWS, np.uint32),
+    )  # fmt: skip
+    samples, *_ = decode_all(RawBatch(packets, np.arange(ROWS, dtype=np.int64) * 2_000_000))
+    return samples
+
+
+def test_the_next_daemon_knows_how_long_a_battery_of_this_craft_flew(tmp_path):
+    told = []
+
+    def batteries(craft):
+        return Batteries(tmp_path, lambda: craft, lambda kind, text: told.append(text))
+
+    async def first_daemon():
+        craft = batteries("usb crazyflie1")
+        assert craft.status() == {"flown_s": 0.0, "left_s": None, "known": 0}
+        craft.samples(flown(3.8, 3.1))
+        assert craft.status()["left_s"] == (0.0, 0.0)
+
+    asyncio.run(first_daemon())
+    again = batteries("usb crazyflie1")
+    again.samples(flown(3.8, 3.5)[: ROWS // 2])
+    least, most = again.status()["left_s"]
+    assert 0 < least < most <= 60
+    other = batteries("stand-in crazyflie1")
+    other.samples(flown(3.8, 3.5))
+    assert other.status()["left_s"] is None
+    (tmp_path / FILE).write_text("no JSON")
+    assert batteries("usb crazyflie1").status()["known"] == 0
+    assert told == []
