@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 import numpy as np
@@ -18,6 +18,9 @@ from groundstation.identification.arx.residual_tests import (
     whiteness_test,
 )
 from groundstation.identification.estimate import Estimates
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -77,6 +80,14 @@ class Step:
     chosen: bool
 
 
+class Preparation(Protocol):
+    """What was made of the recordings before the fit."""
+
+    def figures(self) -> list[tuple[Figure, str]]:
+        """Figures with what one sees in them."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What the report draws. estimates: by title."""
@@ -85,6 +96,7 @@ class Evidence:
     traces: Sequence[Trace] = ()
     residuals: Sequence[ResidualTest] = ()
     steps: Sequence[Step] = ()
+    preparation: Preparation | None = None
 
 
 @dataclass(frozen=True, slots=True)

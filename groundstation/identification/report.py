@@ -47,6 +47,10 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     for trace in evidence.traces:
         page.figure(_trace(trace), f"{trace.channel}: {trace.note}.")
     _held_out(page, account)
+    if evidence.preparation is not None:
+        page.heading("Before the fit")
+        for drawn, words in evidence.preparation.figures():
+            page.figure(drawn, words)
     if evidence.steps:
         page.heading("Step responses")
         page.figure(
@@ -167,6 +171,16 @@ def _held_out(page: Page, account: dict[str, Any]) -> None:
         page.table(
             ["held-out run", "fit %", "RMS, rev/s"],
             [[one["recording"], one["rotor_fit_percent"], one["rotor_rms_rev_s"]] for one in held],
+        )
+    if account.get("free_run_angles"):
+        page.table(
+            ["free runs of", "data", *(f"{axis}, rad" for axis in ("roll", "pitch", "yaw"))],
+            [
+                [f"{one['window_s']:g} s", one["data"], *one["rms_rad"]]
+                for one in account["free_run_angles"]
+            ],
+            "RMS of the angles in free runs from measured rates and angles (thesis Table 7.2, which"
+            " does not say how long its runs were).",
         )
     if "naive_free_run" in account:
         page.table(

@@ -33,7 +33,8 @@ padding:4px 0;caption-side:bottom;max-width:95ch}
 figure{margin:14px 0}figure svg{width:100%;height:auto}
 .verdict{padding:10px 14px;border-left:5px solid;background:#f7f8fa;font-size:16px;margin:14px 0}
 .good{border-color:#009e73}.bad{border-color:#cc3311}.neutral{border-color:#8a8f98}
-pre{overflow-x:auto;background:#f7f8fa;padding:8px 12px;font-size:12.5px;line-height:1.45}
+pre{white-space:pre-wrap;overflow-wrap:anywhere;background:#f7f8fa;padding:8px 12px;
+font-size:12.5px;line-height:1.45}
 nav a{display:inline-block;color:inherit;margin-right:14px;font-size:13px}
 @media print{body{background:#fff}main{padding:0;max-width:none}figure,table{break-inside:avoid}}
 """

@@ -80,15 +80,16 @@ def _fit(axis: str, part: str, with_roll: bool = False) -> Callable[[Workshop], 
         done = workshop.once(("replayed", part), lambda: simulate_run(model, run, max(WINDOWS_S)))
         error = _rms(workshop, axis, part, max(WINDOWS_S))
         words = " by roll's constant" if with_roll else ""
-        measured = np.unwrap(run.attitude, axis=0)
+        measured = np.unwrap(run.attitude, axis=0)[rows, index]
+        apart = np.angle(np.exp(1j * (measured - done.attitude[rows, index])))
         return Made(
             f"Free runs of {max(WINDOWS_S):g} s each{words}: RMS {error:.3f} rad over the flight,"
             f" printed {BODY_RMS[axis, part]:.4f}.",
             figures=[
                 overlay(
                     run.time_s[rows],
-                    np.degrees(measured[rows, index]),
-                    np.degrees(done.attitude[rows, index]),
+                    np.degrees(measured),
+                    np.degrees(measured - apart),
                     f"{axis}, deg",
                     "free run",
                 )

@@ -124,8 +124,8 @@ def _whole(workshop: Workshop) -> Made:
         "The whole simulation: reference, PID, +-4096 counts, power distribution (8.3), battery,"
         " motors, mixer, ARX bodies (7.32 to 7.34), here with 2 rows of delay. Its gains are the"
         " printed PD's (Table 8.3) in counts per rad, by what a count does to u' at hover; a step"
-        " of 0.2 rad. Roll and pitch are thrown from limit to limit: the printed tables belong to"
-        " a loop without motors and limits.",
+        " of 0.2 rad. Roll and pitch stand at their limits at once and are lost: the printed"
+        " tables belong to a loop without motors and limits.",
         [Table(["axis", "kp, counts/rad", "kd", "RMS, rad"], rows)],
         [responses(drawn, SAMPLE_PERIOD_S)],
     )

@@ -1,4 +1,4 @@
-"""Figures that several entries share: channels over time, models beside them, correlations."""
+"""Figures that several entries share: models beside what was measured, correlations, steps."""
 
 from __future__ import annotations
 
@@ -27,27 +27,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def lines(time_s: Array, channels: Mapping[str, Array], label: str) -> Figure:
-    """Channels (n,) by name over time, in one panel."""
-    made, (axes,) = figure(height=2.7)
-    for color, (name, values) in zip(SERIES, channels.items(), strict=False):
-        axes.plot(*thinned(time_s, values), color=color, label=name)
-    axes.set_ylabel(label)
-    axes.set_xlabel("time, s")
-    if len(channels) > 1:
-        axes.legend(loc="upper right", ncols=len(channels))
-    return made
-
-
-def points(time_s: Array, values: Array, label: str) -> Figure:
-    """Readings that come singly."""
-    made, (axes,) = figure(height=2.7)
-    axes.plot(*thinned(time_s, values), ".", color=MEASURED, markersize=2)
-    axes.set_ylabel(label)
-    axes.set_xlabel("time, s")
-    return made
-
-
 def overlay(
     time_s: Array, measured: Array, modelled: Array, label: str, note: str = "modelled"
 ) -> Figure:
@@ -57,20 +36,7 @@ def overlay(
     axes.plot(*thinned(time_s, modelled), color=MODELLED, label=note)
     axes.set_ylabel(label)
     axes.set_xlabel("time, s")
-    axes.legend(loc="upper right", ncols=2)
-    return made
-
-
-def against(time_s: Array, angle_deg: Array, torque: Array, axis: str) -> Figure:
-    """An angle and, dashed on a scale of its own, the torque that turns it."""
-    made, (axes,) = figure(height=2.7)
-    axes.plot(*thinned(time_s, angle_deg), color=MEASURED)
-    axes.set_ylabel(f"{axis}, deg")
-    axes.set_xlabel("time, s")
-    other = axes.twinx()
-    other.plot(*thinned(time_s, torque), "--", color=MODELLED, linewidth=0.9)
-    other.set_ylabel("u', (rev/s)^2", color=MODELLED)
-    other.grid(visible=False)
+    axes.legend(loc="best", ncols=2)
     return made
 
 

@@ -13,7 +13,7 @@ from groundstation.identification.fit_record import liveliest
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch, stretches_of
 from groundstation.identification.torque import rotor_squares
-from groundstation.thesis.drawing import against, lines
+from groundstation.report.channels import against, lines
 from groundstation.thesis.entry import Entry, Made
 from groundstation.thesis.workshop import Workshop
 
@@ -105,8 +105,9 @@ def _example(axis: int) -> Callable[[Workshop], Made]:
                 against(
                     run.time_s[rows],
                     np.degrees(run.attitude[rows, axis]),
+                    f"{AXES[axis]}, deg",
                     torque(workshop, run)[rows, axis],
-                    AXES[axis],
+                    "u', (rev/s)^2",
                 )
             ],
         )

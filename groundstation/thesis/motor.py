@@ -12,8 +12,9 @@ from groundstation.identification.airborne import turning_parts
 from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.runs import Run
+from groundstation.report.channels import lines, points
 from groundstation.report.page import Cell
-from groundstation.thesis.drawing import lines, overlay, points
+from groundstation.thesis.drawing import overlay
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.printed import MOTOR_FIT
 from groundstation.thesis.workshop import Workshop
@@ -40,7 +41,7 @@ def _periods(workshop: Workshop) -> Made:
     return Made(
         "Half a revolution, as the optical gate times it, over the 8 s that are fitted:"
         f" {100 * gate.glitches:.1f} % of the readings are missed or doubled passages.",
-        figures=[points(run.time_s, 1e3 * run.debug_s, "half period, ms")],
+        figures=[points(run.time_s, {"gate": 1e3 * run.debug_s}, "half period, ms")],
     )
 
 
@@ -51,7 +52,7 @@ def _filtered(workshop: Workshop) -> Made:
     return Made(
         "Readings that differ by more than 10 % from the median of those around them are left out"
         " (the thesis does not say how its filter works), and nothing is put in their place.",
-        figures=[points(run.time_s[kept], 500.0 / gate.rev_s[kept], "half period, ms")],
+        figures=[points(run.time_s[kept], {"kept": 500.0 / gate.rev_s[kept]}, "half period, ms")],
     )
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.report.channels import lines
 from groundstation.report.page import Cell
 from groundstation.telemetry.packet import PACKET_DTYPE
-from groundstation.thesis.drawing import lines
 from groundstation.thesis.entry import Entry, Made, Table
 from groundstation.thesis.printed import PACKET as PRINTED
 from groundstation.thesis.workshop import Workshop

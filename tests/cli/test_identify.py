@@ -261,7 +261,10 @@ def test_axes_names_an_inverted_pitch(files, tmp_path):
         turned.append(",".join(cells))
     wrong = tmp_path / "inverted.csv"
     wrong.write_text("\n".join(turned) + "\n")
-    report = json.loads(run("axes", wrong, "--json"))
+    page = tmp_path / "axes.html"
+    report = json.loads(run("axes", wrong, "--html", page, "--json"))
+    assert "attitude pitch is inverted" in page.read_text()
+    assert page.read_text().count("<figure") == 1
     assert report["verdict"] == "wrong_axes"
     assert report["faults"] == ["attitude pitch is inverted"]
     assert "attitude pitch is inverted" in report["attitude_against_gyro"]

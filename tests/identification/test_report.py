@@ -39,7 +39,7 @@ def pages():
     }
 
 
-@pytest.mark.parametrize(("kind", "figures"), [("motor", 3), ("body", 8), ("arx", 10)])
+@pytest.mark.parametrize(("kind", "figures"), [("motor", 6), ("body", 13), ("arx", 10)])
 def test_each_figure_is_drawn(pages, kind, figures):
     _, text = pages[kind]
     drawings = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
@@ -86,6 +86,24 @@ def test_arx_tables_of_all_axes_and_the_step_responses_are_there(pages):
     steps = found.evidence.steps
     assert {step.axis for step in steps} == {"roll", "pitch", "yaw"}
     assert sum(step.chosen for step in steps) == 3
+
+
+def test_what_the_recordings_became_before_the_fit_is_drawn(pages):
+    for kind, words in (
+        ("motor", ("left out as missed or doubled passages", "Armature voltage")),
+        ("body", ("Armature voltages", "Rotor speeds", "Roll and, dashed, its torque")),
+    ):
+        after = pages[kind][1].partition("Before the fit</h2>")[2]
+        assert all(one in after for one in words)
+
+
+def test_errors_of_the_angles_grow_with_the_length_of_a_free_run(pages):
+    found, text = pages["body"]
+    runs = found.account["free_run_angles"]
+    held = [one["rms_rad"] for one in runs if one["data"] == "validation"]
+    assert [one["window_s"] for one in runs[::2]] == [0.5, 1.0, 2.0]
+    assert held[0][0] < held[1][0] < held[2][0]
+    assert f">{held[2][0]:.4g}<" in text
 
 
 def test_warnings_come_first(pages):

@@ -38,6 +38,8 @@ from groundstation.identification.fit_record import (
     with_effects,
 )
 from groundstation.identification.motor.supply import SupplyEstimate, supply_terms, undo_supply
+from groundstation.identification.preparation import flight_preparation
+from groundstation.identification.replayed import angle_rms
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, split, stretches_of
@@ -46,6 +48,7 @@ from groundstation.identification.torque import AXES, mostly_saturated
 Array = NDArray[np.float64]
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
+FREE_RUNS_S, LEAST_FREE_S = (0.5, 1.0, 2.0), 1.0
 OF_THE_MOTORS = (*SUPPLY_EFFECTS, "motor_dead_voltage", "motor_braking_asymmetry")
 
 
@@ -137,7 +140,26 @@ def identify_body(
     terms = [*_terms(fit), *supply_terms(supplied, supplies, _profile(before, vehicle))]
     model = with_motor(before, quicker(before.motor, fit.pace[0]))
     model = msgspec.structs.replace(model, body=fit.body, effects=with_effects(before, terms))
-    return Identified(model, account, Evidence({"body": fit.estimates}, traces, residuals))
+    if not measured:
+        account["free_run_angles"] = _free_run_angles(model, fit_on, validate_on)
+    prepared = flight_preparation(fit_on, vehicle.configuration)
+    evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
+    return Identified(model, account, evidence)
+
+
+def _free_run_angles(
+    model: Model, fit_on: Sequence[Stretch], validate_on: Sequence[Stretch]
+) -> list[dict[str, Any]]:
+    """RMS of roll, pitch, yaw by length of run (Table 7.2); nothing where angles are missing."""
+    found = []
+    for window in FREE_RUNS_S:
+        for part, stretches in (("identification", fit_on), ("validation", validate_on)):
+            flown = [one.run[one.rows] for one in stretches]
+            flown = [run for run in flown if run.seconds > window + LEAST_FREE_S]
+            if flown and all(np.isfinite(run.attitude).all() for run in flown):
+                rms = angle_rms(model, flown, window)
+                found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
+    return found
 
 
 def motor_covariance(model: Model) -> Array | None:

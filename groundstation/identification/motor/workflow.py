@@ -41,6 +41,7 @@ from groundstation.identification.motor.supply import (
     fit_motor_and_supply,
     supply_terms,
 )
+from groundstation.identification.preparation import bench_preparation
 from groundstation.identification.runs import Run, hold_out
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.spans import spans
@@ -136,7 +137,9 @@ def identify_motor(
     model = msgspec.structs.replace(
         with_motor(before, fit.motor), effects=with_effects(before, terms)
     )
-    return Identified(model, account, Evidence({"motor": fit.estimates}, traces, residuals))
+    prepared = bench_preparation(fit_on, motor)
+    evidence = Evidence({"motor": fit.estimates}, traces, residuals, (), prepared)
+    return Identified(model, account, evidence)
 
 
 def _parts(runs: list[Run], held: list[Run]) -> tuple[list[Run], list[Run]]:

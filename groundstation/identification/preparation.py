@@ -1,0 +1,103 @@
+"""What a recording becomes before anything is fitted to it (thesis 7.2.2, 7.3.4), as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.dynamics.mixer import Configuration
+from groundstation.dynamics.motor import armature_mv
+from groundstation.identification.fit_record import liveliest
+from groundstation.identification.motor.rotor_speed import speed_from_gate
+from groundstation.identification.runs import Run
+from groundstation.identification.stretches import Stretch
+from groundstation.identification.torque import AXES
+from groundstation.report.channels import against, lines, points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+BENCH_S, FLOWN_S = 8.0, 4.0
+TORQUE = "u', (rev/s)^2"
+
+
+@dataclass(frozen=True, slots=True)
+class BenchPreparation:
+    """A run of the motor bench. motor: which one carries the gate, from 0."""
+
+    run: Run
+    motor: int
+
+    def figures(self) -> list[tuple[Figure, str]]:
+        """Half periods with the glitches that were left out, rotor speed, armature voltage."""
+        volts = armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3
+        rows = liveliest(volts, self.run.period_s, BENCH_S)
+        run, volts, name = self.run[rows], volts[rows], f"M{self.motor + 1}"
+        gate = speed_from_gate(run)
+        kept = np.isfinite(gate.rev_s)
+        periods = {"left out": np.where(kept, np.nan, 1e3 * run.debug_s)}
+        periods["kept"] = np.where(kept, 1e3 * run.debug_s, np.nan)
+        return [
+            (
+                points(run.time_s, periods, "half period, ms"),
+                f"Half a revolution as the gate times it: {100 * gate.glitches:.1f} % of the fresh"
+                " readings are left out as missed or doubled passages; those that repeat the one"
+                " before are no readings.",
+            ),
+            (lines(run.time_s[kept], {name: gate.rev_s[kept]}, "rev/s"), "Rotor speed."),
+            (
+                lines(run.time_s, {name: volts, "battery": run.supply_v}, "V"),
+                "Armature voltage: duty times the reported battery voltage (3.84).",
+            ),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPreparation:
+    """A stretch of flight, with the rotors behind it."""
+
+    stretch: Stretch
+    configuration: Configuration
+
+    def figures(self) -> list[tuple[Figure, str]]:
+        """Armature voltages, rotor speeds, and each angle with the torque that turns it."""
+        run, squares = self.stretch.run, self.stretch.squares
+        inside = self.stretch.rows
+        torque = squares.mixed(self.configuration)
+        lively = liveliest(np.abs(torque[inside]).sum(axis=1), run.period_s, FLOWN_S)
+        rows = slice(inside.start + lively.start, inside.start + lively.stop)
+        time = run.time_s[rows] - run.recording_start_s
+        volts = armature_mv(run.duty[rows], run.supply_v[rows]) / 1e3
+        speeds = np.sqrt(squares.end[rows])
+        found = [
+            (lines(time, _by_motor(volts), "V"), "Armature voltages (3.84)."),
+            (lines(time, _by_motor(speeds), "rev/s"), "Rotor speeds behind the torques."),
+        ]
+        for axis, name in enumerate(AXES):
+            angle = np.degrees(run.attitude[rows, axis])
+            if np.isfinite(angle).all():
+                made = against(time, angle, f"{name}, deg", torque[rows, axis], TORQUE)
+                found.append((made, f"{name.capitalize()} and, dashed, its torque (7.19)."))
+        return found
+
+
+def _by_motor(values: Array) -> dict[str, Array]:
+    return {f"M{i + 1}": values[:, i] for i in range(4)}
+
+
+def bench_preparation(runs: Sequence[Run], motor: int) -> BenchPreparation:
+    """Of the longest run."""
+    return BenchPreparation(max(runs, key=len), motor)
+
+
+def flight_preparation(
+    stretches: Sequence[Stretch], configuration: Configuration
+) -> FlightPreparation:
+    """Of the longest stretch."""
+    return FlightPreparation(max(stretches, key=len), configuration)
