@@ -240,6 +240,14 @@ def _impossible(archive: Archive, limits: Limits) -> str:
     if len(judgements) == 0:
         return f"no gains make this model stable ({wanted}): the delay is too long for it"
     best = float(judgements[:, SENSITIVITY].min())
+    if best <= limits.sensitivity:
+        robust = judgements[judgements[:, SENSITIVITY] <= limits.sensitivity]
+        least = robust.min(axis=0)
+        return (
+            f"no gains keep the limits ({wanted}) on this model: those robust enough leave"
+            f" {100 * least[OFFSET]:.1f} % of the step at least, or ask {least[EFFORT]:.3g} of the"
+            f" motors where {limits.effort:.3g} is the most"
+        )
     return (
         f"no gains keep the limits ({wanted}) on this model: the smallest maximum sensitivity"
         f" found is {best:.2f}; allow more (--sensitivity), or know the model better"

@@ -51,10 +51,10 @@ def firmware_report(
     limits: Limits,
 ) -> dict[str, Any]:
     """``pid design --json`` for the firmware's loops."""
-    notes = [_limits_line(limits)]
+    notes = [limits_line(limits)]
     axes = {}
     for one in designs:
-        entry = _entry(one.nominal, one.margins, one.design, tuple(one.gains))
+        entry = axis_entry(one.nominal, one.margins, one.design, tuple(one.gains))
         entry["gains"] = one.gains
         entry["reasons"] = list(one.reasons)
         stock = one.stock_margins
@@ -101,11 +101,12 @@ def _of_95_percent(values: Array) -> float | None:
     return bound if math.isfinite(bound) else None
 
 
-def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any]:
-    """``pid design --json`` for PIDs on u'."""
+def thesis_report(found: Found, limits: Limits, rounding: bool, printed: bool) -> dict[str, Any]:
+    """``pid design --json`` for PIDs on u'. printed: the model is the thesis's, so that its figures
+    may stand beside."""
     axes = {}
     for axis, (gains, design, margins, plant) in found.items():
-        entry = _entry(design.judgement, margins, design, DIRECT)
+        entry = axis_entry(design.judgement, margins, design, DIRECT)
         entry["gains"] = dict(zip(DIRECT, gains.as_tuple(), strict=True))
         entry["delay_samples"] = plant.nk
         entry["reasons"] = _reasons(gains, plant, limits)
@@ -115,17 +116,18 @@ def thesis_report(found: Found, limits: Limits, rounding: bool) -> dict[str, Any
         ]
         beyond = [
             f"{name} ({overshoot:.0f} %, {settling:g} s)"
-            for name, overshoot, settling in _printed(axis)
+            for name, overshoot, settling in (_printed(axis) if printed else ())
             if overshoot < design.calmest or settling < design.fastest
         ]
         if beyond:
             entry["notes"].append("beyond that bound as printed: " + ", ".join(beyond))
         axes[axis] = entry
-    notes = [_limits_line(limits)]
+    notes = [limits_line(limits)]
     if rounding:
         notes.append("the worst of the corners of the printed digits counts")
     return {
         "form": "thesis",
+        "printed": printed,
         "max_sensitivity": limits.sensitivity,
         "axes": axes,
         "notes": notes,
@@ -154,7 +156,7 @@ def firmware_page(
     page.verdict(
         "; ".join(_verdict(one, old) for one, old in zip(ours, stock, strict=True)), "good"
     )
-    page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
+    page.table(DESIGN_HEAD, [design_row(axis, e) for axis, e in report["axes"].items()])
     page.figure(step_figure(ours, stock), "Step responses: designed, and stock gains in grey.")
     loops = {one.axis: one.loop for one in ours}
     add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
@@ -179,14 +181,16 @@ def firmware_page(
 def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     """The design of PIDs on u' for people."""
     page = Page(f"PID on u' for {name}", LOOP_NAMES["direct"])
-    page.table(DESIGN_HEAD, [_design_row(axis, e) for axis, e in report["axes"].items()])
+    page.table(DESIGN_HEAD, [design_row(axis, e) for axis, e in report["axes"].items()])
     loops = {axis: direct_loop(plant, gains) for axis, (gains, _, _, plant) in found.items()}
     add_loop_figures(page, loops, BROKEN_AT["direct"], report["max_sensitivity"])
     for axis, (_, design, _, plant) in found.items():
         page.heading(f"{axis}, {plant.nk} samples of delay")
         page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])
         page.figure(
-            front_figure(axis, design, design.judgement, _printed(axis)),
+            front_figure(
+                axis, design, design.judgement, _printed(axis) if report["printed"] else ()
+            ),
             "Gains that no others beat in overshoot, settling and maximum sensitivity at once.",
         )
     page.bullets(report["notes"])
@@ -205,7 +209,7 @@ DESIGN_HEAD = (
 )
 
 
-def _design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
+def design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
     return [
         axis,
         entry["rms"],
@@ -218,7 +222,7 @@ def _design_row(axis: str, entry: dict[str, Any]) -> list[Any]:
     ]
 
 
-def _entry(
+def axis_entry(
     judgement: Any, margins: Margins, design: Design, names: tuple[str, ...]
 ) -> dict[str, Any]:
     """names: of the gains, in the design's order."""
@@ -265,13 +269,13 @@ def _reasons(gains: PidGains, plant: ArxAxis, limits: Limits) -> list[str]:
         rows[2, index] *= 0.8
         _, more, less = judge(rows)
         lines.append(
-            f"{name} = {values[index]:.4g}: {purpose}; 25 % more: {_outcome(more, limits)};"
-            f" 20 % less: {_outcome(less, limits)}"
+            f"{name} = {values[index]:.4g}: {purpose}; 25 % more: {outcome(more, limits)};"
+            f" 20 % less: {outcome(less, limits)}"
         )
     return lines
 
 
-def _outcome(judgement: Any, limits: Limits) -> str:
+def outcome(judgement: Any, limits: Limits) -> str:
     if not np.isfinite(judgement[RMS]):
         return "unstable"
     settles = f"settles in {judgement[SETTLING]:.3f} s"
@@ -288,7 +292,7 @@ def _printed(axis: str) -> list[tuple[str, float, float]]:
     return [(name, RESULTS[name][axis][1], RESULTS[name][axis][2]) for name in GAINS]
 
 
-def _limits_line(limits: Limits) -> str:
+def limits_line(limits: Limits) -> str:
     return (
         f"limits: maximum sensitivity {limits.sensitivity:g}, {1e3 * limits.delay_s:g} ms of spare"
         f" delay, steady-state error {100 * limits.offset:g} % of the step"

@@ -206,7 +206,7 @@ def loop_response(
     s = 1j * omega
     base, hold, lean, integral, derivative, sharp, _ = _loop_parts(plant, index, s, supply_mv)
     f = firmware_of(gains, quirks, firmware=plant.firmware)[0]
-    fast, slow = _quirk_ratios(plant.firmware, quirks)
+    fast, slow = quirk_ratios(plant.firmware, quirks)
     rate = f["rate_kp"][index] + fast * f["rate_ki"][index] * integral
     slope = 0.0
     if plant.firmware.is_today or not quirks.clamp_macro:
@@ -218,7 +218,7 @@ def loop_response(
     return np.asarray(base * (rate * (hold + angle * lean) + slope * hold))
 
 
-def _quirk_ratios(firmware: Firmware, quirks: Quirks) -> tuple[float, float]:
+def quirk_ratios(firmware: Firmware, quirks: Quirks) -> tuple[float, float]:
     """What the integrals of the rate and of the angle loops are multiplied by."""
     if firmware.is_today:
         return 1.0, 1.0
@@ -282,7 +282,7 @@ class CascadeJudge:
         self._parts = [_loop_parts(plant, self._index, s, supply_mv) for plant in plants]
         firmware = plants[0].firmware
         self._rest = firmware_of({}, firmware=firmware)
-        self._ratios = _quirk_ratios(firmware, AS_RELEASED)
+        self._ratios = quirk_ratios(firmware, AS_RELEASED)
         names = [f"{group}.{axis}_{k}" for group, ks in COLUMNS.items() for k in ks]
         self._stock = np.zeros(len(names))
         for name in names:
@@ -333,7 +333,7 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
     (angle gains) lean) + rate derivative hold); derivative and sharp are those of angle and rate,
     push what a push of 1 rad/s^2 moves without a controller."""
     damping = plant.slopes(index)[0]
-    base = math.degrees(1) * _rate_per_pwm(plant, index, s, supply_mv)
+    base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
     base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
     leak = 0.4 if plant.fusion and index < 2 else 0.0
     lean = 1 / (s + leak)
@@ -344,14 +344,15 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
         lean = np.zeros_like(s)  # no heading is held
     integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
     sharp = (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
-    return base, _hold(s, SAMPLE_PERIOD_S), lean, integral, derivative, sharp, push
+    return base, hold_response(s, SAMPLE_PERIOD_S), lean, integral, derivative, sharp, push
 
 
-def _hold(s: Complex, period_s: float) -> Complex:
+def hold_response(s: Complex, period_s: float) -> Complex:
+    """A value held for a period, at s (n,) in 1/s."""
     return np.asarray((1 - np.exp(-period_s * s)) / (period_s * s))
 
 
-def _rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
+def rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
     """rad/s of the craft per unit of the controller's output, of 16-bit PWM or thrust."""
     motor = {key: float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2")}
     pole = motor["a1"] + 2 * motor["a2"] * plant.hover_rev_s

@@ -23,6 +23,8 @@ from groundstation.documents import decode_toml, explained, read_document, seems
 from groundstation.errors import BadInputError
 
 FIRMWARE = "firmware"
+LOOP = "loop"
+BY_AXIS = ("direct", "whole")
 UNNAMED: Release = "2014"
 
 
@@ -35,6 +37,7 @@ def load_gains(path: str | Path) -> dict[str, PidGains] | dict[str, float]:
     where = f"gains {path}"
     table = _read(path, where)
     _named(table.pop(FIRMWARE, None), where)
+    _loop(table.pop(LOOP, None), where)
     if not table:
         raise BadInputError(f"{where}: holds no gains")
     if any(name in table for name in AXES):
@@ -59,6 +62,15 @@ def firmware_of_gains(path: str | Path) -> Release | None:
     return _named(_read(path, where).get(FIRMWARE), where)
 
 
+def loop_of_gains(path: str | Path) -> str | None:
+    """The loop, direct or whole, that a file of gains by axis is for; None where it names none.
+
+    Raises as ``load_gains``.
+    """
+    where = f"gains {path}"
+    return _loop(_read(path, where).get(LOOP), where)
+
+
 def require_gains_of(
     path: str | Path, release: Release, whose: str, *, said: str | None = None
 ) -> None:
@@ -80,10 +92,13 @@ def require_gains_of(
 
 
 def gains_text(
-    gains: Mapping[str, PidGains] | Mapping[str, float], release: Release | None = None
+    gains: Mapping[str, PidGains] | Mapping[str, float],
+    release: Release | None = None,
+    loop: str | None = None,
 ) -> str:
-    """What ``load_gains`` reads back to the same numbers. release: whose gains they are."""
-    lines = [] if release is None else [f'{FIRMWARE} = "{release}"']
+    """What ``load_gains`` reads back to the same numbers. release, loop: whose gains they are."""
+    lines = [f'{FIRMWARE} = "{release}"'] if release else []
+    lines += [f'{LOOP} = "{loop}"'] if loop else []
     for name, value in gains.items():
         if isinstance(value, PidGains):
             lines += [
@@ -111,6 +126,12 @@ def _named(value: Any, where: str) -> Release | None:
     if value is not None:
         raise BadInputError(f"{where}: {FIRMWARE} is {value!r}, there are {', '.join(RELEASES)}")
     return None
+
+
+def _loop(value: Any, where: str) -> str | None:
+    if value is not None and value not in BY_AXIS:
+        raise BadInputError(f"{where}: {LOOP} is {value!r}, there are {', '.join(BY_AXIS)}")
+    return None if value is None else str(value)
 
 
 def _of_axis(value: Any, where: str) -> PidGains:

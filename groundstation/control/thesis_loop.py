@@ -10,13 +10,15 @@ PWM counts per rad here. The printed gains are not: they act on u' in (rev/s)^2,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.control.firmware_loop import hold_response, rate_per_pwm
+from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.pid import AXES, AntiWindup, PidGains
@@ -148,10 +150,7 @@ def whole_loop(
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> LoopResponse:
-    """One axis, linear around hover and broken at the controller's output.
-
-    The rigid body is the grey box there.
-    """
+    """One axis, linear around hover and broken at the controller's output."""
     omega = grid(SAMPLE_PERIOD_S)
     z = np.exp(1j * omega * SAMPLE_PERIOD_S)
     driven = counts_response(model, axis, omega, body, delay, supply_mv)
@@ -166,15 +165,26 @@ def counts_response(
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> NDArray[np.complex128]:
-    """Angle in rad per PWM count of an axis around hover, motors included, at omega (n,)."""
+    """Angle in rad per PWM count of an axis around hover, motors included, at omega (n,) rad/s.
+
+    The rigid body with its model's damping and rotor torques; of the others, the settled motors'
+    slope and their lag before the body.
+    """
+    if body is Body.RIGID:
+        plant = replace(_plant(model), firmware=RELEASE_2014)  # its controller's output is PWM
+        own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S) if delay is None else delay
+        s = 1j * omega
+        late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
+        rate = rate_per_pwm(plant, AXES.index(axis), s, supply_mv)
+        return np.asarray(FULL / PWM_FULL * rate / s * late)
     if body is not Body.ARX:
         model = msgspec.structs.replace(model, arx=None)
         delay = None if delay is None else delay + 1  # the held double integrator's own
-    plant = axis_plant(model, axis, delay)
+    polynomials = axis_plant(model, axis, delay)
     pole = model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
-    return np.asarray(frequency_response(plant, np.exp(1j * omega * plant.ts)) * motor)
+    return np.asarray(frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor)
 
 
 def body_of(model: Model) -> Body:

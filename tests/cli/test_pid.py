@@ -9,7 +9,9 @@ from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.cli.pid_fly import _judge
+from groundstation.control import whole_design
 from groundstation.control.programme import Programme
+from groundstation.control.search import Budget
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
@@ -137,9 +139,49 @@ def test_a_design_is_written_explained_and_never_overwritten(tmp_path):
         pid("design", "--model", "thesis", "--form", "thesis", "-o", gains)
 
 
+def test_a_design_for_the_whole_loop_becomes_what_a_craft_flies(tmp_path, monkeypatch):
+    monkeypatch.setattr(whole_design, "BUDGET", Budget(first=80, population=10, generations=5))
+    whole, page = tmp_path / "whole.toml", tmp_path / "whole.html"
+    design = ("design", "--model", BODY, "--loop", "whole", "--axis", "roll")
+    report = json.loads(pid(*design, "-o", whole, "--html", page, "--json"))
+    roll = report["axes"]["roll"]
+    assert roll["max_sensitivity"] <= 2.0
+    assert [line.split(" = ")[0] for line in roll["reasons"]] == ["kp", "ki", "kd"]
+    assert page.read_text().count("<svg") == 5
+    assert "printed" not in page.read_text()
+    flown = json.loads(pid("evaluate", "--model", BODY, "--gains", whole, "--json"))
+    assert flown["loop"] == "whole"
+    assert flown["axes"]["roll"]["settling_s"] == pytest.approx(roll["settling_s"])
+    with pytest.raises(BadInputError, match="holds gains of the whole loop"):
+        pid("evaluate", "--model", BODY, "--gains", whole, "--loop", "direct")
+    gains, back = tmp_path / "gains.toml", tmp_path / "back.toml"
+    made = pid("convert", whole, "--model", BODY, "--to", "firmware", "-o", gains)
+    assert "pid_attitude.roll_kp = " in made
+    cascade = json.loads(pid("evaluate", "--model", BODY, "--gains", gains, "--json"))
+    assert cascade["axes"]["roll"]["max_sensitivity"] == pytest.approx(
+        roll["max_sensitivity"], rel=0.1
+    )
+    told = json.loads(pid("convert", gains, "--model", BODY, "--to", "whole", "-o", back, "--json"))
+    assert told["gains"]["roll"] == pytest.approx(roll["gains"])
+    with pytest.raises(BadInputError, match="exists already"):
+        pid("convert", gains, "--model", BODY, "--to", "whole", "-o", back)
+
+
+def test_a_design_on_u_that_no_motor_follows_is_refused_on_a_fitted_model(tmp_path):
+    with pytest.raises(BadInputError, match=r"lag of 102 ms.* Design with the motors: --loop"):
+        pid("design", "--model", BODY, "--loop", "direct", "--axis", "yaw", "-o", tmp_path / "no")
+    assert not (tmp_path / "no").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
+        (("design", "--model", BODY, "--loop", "outer"), "--loop outer: there are firmware, dir"),
+        (("convert", GAINS, "--model", BODY, "--to", "outer", "-o", "new.toml"), "--to outer"),
+        (
+            ("convert", GAINS, "--model", BODY, "--to", "whole", "-o", "new", "--from", "direct"),
+            "holds gains of the firmware loop",
+        ),
         (("evaluate", "--loop", "outer"), "--loop outer: there are direct"),
         (("evaluate", "--model", "thesis", "--loop", "direct"), "needs gains by axis"),
         (("evaluate", "--model", BODY, "--gains", GAINS, "--loop", "whole"), "needs gains by axis"),

@@ -1,0 +1,320 @@
+"""``pid design``: gains by optimisation, for one of three loops; ``pid convert`` between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from groundstation.cli.model_files import AS_JSON, HTML, fitted_model, require_new, say_written
+from groundstation.cli.progress import shown
+from groundstation.cli.terminal import show, show_json
+from groundstation.errors import BadInputError
+from groundstation.paths import taken
+
+if TYPE_CHECKING:
+    from groundstation.control.design import Design
+    from groundstation.control.firmware_design import AxisDesign, Robustness
+    from groundstation.control.firmwares import Release
+    from groundstation.control.pid import PidGains
+    from groundstation.dynamics.model import Model
+
+MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
+DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
+FIRMWARE = typer.Option(
+    None, "--firmware", help="2014 or 2.x: whose loops and gains (default: the vehicle's)."
+)
+AXIS = typer.Option(None, "--axis", help="roll, pitch or yaw; repeatable (default: all).")
+FORMS = {"firmware": "firmware", "direct": "thesis", "whole": "whole"}
+"""What a design for each loop is called in its report."""
+
+
+def design(
+    model: str = MODEL,
+    output: Path | None = typer.Option(None, "-o", "--output", help="A new TOML file of gains."),
+    form: str = typer.Option(
+        "firmware", help="firmware (cascaded) or thesis (a PID on u'): as --loop direct."
+    ),
+    loop: str = typer.Option(
+        "", "--loop", help="firmware, direct (u' in (rev/s)^2) or whole (a PID in PWM counts)."
+    ),
+    firmware: str | None = FIRMWARE,
+    axis: list[str] | None = AXIS,
+    sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
+    spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
+    draws: int = typer.Option(1000, help="Models drawn from the fit's covariance to try it on."),
+    delay: int | None = DELAY,
+    rounding: bool = typer.Option(
+        False, "--rounding", help="Thesis form: hold for all that the printed digits stand for."
+    ),
+    seed: int = typer.Option(0, help="Of the search and the draws."),
+    html: Path | None = HTML,
+    as_json: bool = AS_JSON,
+) -> None:
+    """Gains by optimisation: the best tracking that the stated robustness allows.
+
+    Example: [bold]groundstation pid design --model body.json -o gains.toml
+    --html design.html[/bold]
+    """
+    from groundstation.control.pid import AXES
+
+    for path in (output, html):
+        if path is not None:
+            require_new(path)
+    axes = tuple(axis or AXES)
+    for one in axes:
+        if one not in AXES:
+            raise BadInputError(f"--axis {one}: there are {', '.join(AXES)}")
+    if not 1.1 <= sensitivity <= 10.0:
+        raise BadInputError(f"--sensitivity {sensitivity}: must be 1.1..10")
+    if not 0.0 <= spare_ms <= 100.0:
+        raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
+    if draws < 0:
+        raise BadInputError(f"--draws {draws}: must not be negative")
+    if loop and loop not in FORMS:
+        raise BadInputError(f"--loop {loop}: there are {', '.join(FORMS)}")
+    form = FORMS[loop] if loop else form
+    loaded = fitted_model(model, attitude=form != "firmware")
+    gains: dict[str, float] | dict[str, PidGains]
+    release: Release | None = None
+    if form == "firmware":
+        tell_polynomials_rest(loaded, "--form thesis")
+        release = release_of(loaded, firmware)
+        report, gains, page = _design_firmware(
+            loaded, release, axes, sensitivity, spare_ms / 1e3, draws, seed, model
+        )
+    elif form == "thesis":
+        report, gains, page = _design_thesis(
+            loaded, axes, sensitivity, spare_ms / 1e3, delay, rounding, seed, model
+        )
+    elif form == "whole":
+        report, gains, page = _design_whole(
+            loaded, axes, sensitivity, spare_ms / 1e3, delay, seed, model
+        )
+    else:
+        raise BadInputError(f"--form {form}: there are firmware, thesis")
+    from groundstation.control.gains_file import gains_text
+
+    if output is not None:
+        _write_new(output, gains_text(gains, release, "whole" if form == "whole" else None))
+        report["output"] = str(output)
+    if html is not None:
+        page.write(html)
+    if as_json:
+        show_json(report)
+        return
+    _print_design(report)
+    if output is not None and form == "firmware":
+        show(f"{output}: to fly them: pid fly --model {model} --gains {output}")
+    elif output is not None:
+        show(f"{output}: 'pid convert --to firmware' makes of them what a craft flies")
+    say_written(html)
+
+
+def _design_firmware(
+    model: Model,
+    release: Release,
+    axes: tuple[str, ...],
+    sensitivity: float,
+    spare_s: float,
+    draws: int,
+    seed: int,
+    name: str,
+) -> tuple[dict[str, Any], dict[str, float], Any]:
+    from groundstation.control.design_report import firmware_page, firmware_report
+    from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
+
+    done: dict[str, float] = {}
+    with shown("designing") as show:
+
+        def progress(axis: str, share: float) -> None:
+            done[axis] = share
+            show(0.9 * sum(done.values()) / len(axes), f"designing {axis}")
+
+        limits = cascade_limits(sensitivity, spare_s)
+        designs: list[AxisDesign] = design_cascade(
+            model, axes, limits, seed, progress=progress, release=release
+        )
+        gains = {key: value for one in designs for key, value in one.gains.items()}
+        show(0.9, f"trying {draws} models")
+        tried: Robustness | None = (
+            robustness(model, gains, axes, draws, seed, release=release) if draws else None
+        )
+    report = firmware_report(model, release, designs, tried, limits)
+    return report, gains, firmware_page(model, name, designs, tried, report)
+
+
+def _design_thesis(
+    model: Model,
+    axes: tuple[str, ...],
+    sensitivity: float,
+    spare_s: float,
+    delay: int | None,
+    rounding: bool,
+    seed: int,
+    name: str,
+) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
+    from groundstation.control.design import Limits, design_direct, rounding_corners
+    from groundstation.control.design_report import thesis_design_page, thesis_report
+    from groundstation.control.linear_loop import axis_plant
+    from groundstation.dynamics.model import THESIS
+
+    found: dict[str, tuple[PidGains, Design, Any, Any]] = {}
+    limits = Limits(sensitivity=sensitivity, delay_s=spare_s)
+    with shown("designing") as show:
+        for number, axis in enumerate(axes):
+            plant = axis_plant(model, axis, delay)
+            plants = rounding_corners(plant) if rounding else [plant]
+
+            def progress(share: float, number: int = number, axis: str = axis) -> None:
+                show((number + share) / len(axes), f"designing {axis}")
+
+            gains, one, margins = design_direct(plants, limits, seed=seed, progress=progress)
+            found[axis] = gains, one, margins, plant
+    printed = model.arx == THESIS.arx
+    if not printed:
+        _require_followed(model, {axis: gains for axis, (gains, *_) in found.items()}, delay)
+    report = thesis_report(found, limits, rounding, printed)
+    chosen = {axis: gains for axis, (gains, *_) in found.items()}
+    return report, chosen, thesis_design_page(name, found, report)
+
+
+def _require_followed(model: Model, found: dict[str, PidGains], delay: int | None) -> None:
+    """Raises BadInputError for gains on u' that the model's motors cannot follow."""
+    from groundstation.control.actuators import reason_not_followed
+
+    reasons = [reason_not_followed(model, gains, axis, delay) for axis, gains in found.items()]
+    beyond = "; ".join(reason for reason in reasons if reason)
+    if beyond:
+        raise BadInputError(
+            f"no motor follows these gains. {beyond}. Design with the motors: --loop whole"
+        )
+
+
+def _design_whole(
+    model: Model,
+    axes: tuple[str, ...],
+    sensitivity: float,
+    spare_s: float,
+    delay: int | None,
+    seed: int,
+    name: str,
+) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
+    from groundstation.control.whole_design import design_whole, whole_limits
+    from groundstation.control.whole_report import whole_page, whole_report
+
+    done: dict[str, float] = {}
+    with shown("designing") as show:
+
+        def progress(axis: str, share: float) -> None:
+            done[axis] = share
+            show(sum(done.values()) / len(axes), f"designing {axis}")
+
+        limits = whole_limits(sensitivity, spare_s)
+        designs = design_whole(model, axes, limits, seed, delay, progress=progress)
+    report = whole_report(model, designs, limits)
+    gains = {one.axis: one.gains for one in designs}
+    return report, gains, whole_page(model, name, designs, report, delay)
+
+
+def _print_design(report: dict[str, Any]) -> None:
+    for axis, one in report["axes"].items():
+        show(f"{axis}: " + ", ".join(f"{k} {v:.6g}" for k, v in one["gains"].items()))
+        settling = one["settling_s"]
+        show(
+            f"  settles in {settling:.3f} s, overshoot {one['overshoot_pct']:.1f} %,"
+            f" RMS {one['rms']:.3f} of the step, maximum sensitivity {one['max_sensitivity']:.2f},"
+            f" gain x{one['gain_up'] or float('inf'):.1f},"
+            f" delay +{1e3 * one['delay_margin_s']:.1f} ms"
+        )
+        for line in (*one["reasons"], *one["notes"]):
+            show(f"  {line}")
+    for line in report["notes"]:
+        show(line)
+
+
+def _write_new(path: Path, text: str) -> None:
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise BadInputError(taken(path)) from error
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def convert(
+    gains: Path = typer.Argument(..., help="TOML file of gains."),
+    model: str = MODEL,
+    to: str = typer.Option(..., "--to", help="direct, whole or firmware (2014's)."),
+    output: Path = typer.Option(..., "-o", "--output", help="A new TOML file of gains."),
+    source: str = typer.Option(
+        "", "--from", help="What they are, where the file does not say: direct or whole."
+    ),
+    supply_v: float = typer.Option(3.7, help="Battery at which the motors are taken, V."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Gains of one loop as those of another: u' in (rev/s)^2, PWM counts, the firmware's cascade.
+
+    Example: [bold]groundstation pid convert whole.toml --model body.json --to firmware
+    -o gains.toml[/bold]
+    """
+    from groundstation.control.gain_conversion import FORMS as KNOWN
+    from groundstation.control.gain_conversion import convert_gains
+    from groundstation.control.gains_file import (
+        gains_text,
+        load_gains,
+        loop_of_gains,
+        require_gains_of,
+    )
+    from groundstation.control.pid import PidGains
+
+    require_new(output)
+    if to not in KNOWN:
+        raise BadInputError(f"--to {to}: there are {', '.join(KNOWN)}")
+    if not 2.5 <= supply_v <= 20.0:
+        raise BadInputError(f"--supply-v {supply_v:g}: must be 2.5..20 V")
+    given, named = load_gains(gains), loop_of_gains(gains)
+    if not any(isinstance(value, PidGains) for value in given.values()):
+        named = "firmware"
+        require_gains_of(gains, "2014", "what can be converted")
+    if source and named and source != named:
+        raise BadInputError(f"--from {source}: {gains} holds gains of the {named} loop")
+    kind = source or named or "direct"
+    if kind not in KNOWN:
+        raise BadInputError(f"--from {source}: there are direct, whole")
+    if kind == "firmware" and named != "firmware":
+        raise BadInputError(f"--from firmware: {gains} holds gains by axis")
+    made = convert_gains(given, kind, to, fitted_model(model, attitude=True), 1e3 * supply_v)
+    release: Release | None = "2014" if to == "firmware" else None
+    _write_new(output, gains_text(made, release, to if to == "whole" else None))
+    if as_json:
+        told = {k: dict(zip(("kp", "ki", "kd"), g.as_tuple(), strict=True))
+                if isinstance(g, PidGains) else g for k, g in made.items()}  # fmt: skip
+        show_json({"from": kind, "to": to, "gains": told, "output": str(output)})
+        return
+    for name, value in made.items():
+        if isinstance(value, PidGains):
+            show(f"{name}: kp {value.kp:.6g}, ki {value.ki:.6g}, kd {value.kd:.6g}")
+        else:
+            show(f"{name} = {value:.6g}")
+    say_written(output)
+
+
+def tell_polynomials_rest(model: Model, instead: str) -> None:
+    """Says so where a model has polynomials that the firmware's loops leave alone."""
+    if model.arx is not None:
+        show(
+            "the firmware's loops are closed around the model's body; its ARX polynomials rest"
+            f" ({instead} closes loops around them)",
+            error=True,
+        )
+
+
+def release_of(model: Model, said: str | None) -> Release:
+    """Whose loops fly the craft of a model, or what the user says instead."""
+    from groundstation.control.firmwares import firmware_of_vehicle
+    from groundstation.dynamics.model import model_vehicle
+
+    return firmware_of_vehicle(model_vehicle(model), said).name
