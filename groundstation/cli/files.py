@@ -12,7 +12,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import DamagedRecordingError
+from groundstation.errors import BadInputError, DamagedRecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def add_commands(app: typer.Typer) -> None:
 def inspect(
     file: Path = typer.Argument(help="A recording, or another program's log."),
     columns: str | None = COLUMNS,
+    thumbnail: Path | None = typer.Option(None, help="A new small SVG picture of the flight."),
     as_json: bool = AS_JSON,
 ) -> None:
     """What is in a recording, its quality and its gaps.
@@ -57,7 +58,11 @@ def inspect(
     """
     from groundstation.recording.quality import inspect_recording
 
+    if thumbnail is not None:
+        require_new(thumbnail)
     recording = _open(file, columns)
+    if thumbnail is not None:
+        _draw(recording, thumbnail)
     report = inspect_recording(recording)
     if as_json:
         show_json(report)
@@ -143,6 +148,16 @@ def _open(path: Path, columns: str | None) -> Recording:
 
     with _progress(f"reading {path}"):
         return open_recording(path, raw=True, column_map=columns)
+
+
+def _draw(recording: Recording, path: Path) -> None:
+    from groundstation.recording.thumbnail import thumbnail
+
+    try:
+        with path.open("x") as file:
+            file.write(thumbnail(recording.samples))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _warn_of_zeros(recording: Recording) -> None:

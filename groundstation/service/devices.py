@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import signal
-import sys
 import time
 from collections.abc import Callable
 
 import msgspec
 
 from groundstation.errors import GroundStationError
+from groundstation.service.commands import run_command
 
 FRESH_S = 5.0
 """Asked again within so long, the answer is the one before: each look costs a second."""
 PATIENCE_S = 30.0
-_COMMAND = ("-c", "from groundstation.cli.main import main; main()", "devices", "--json")
 
 
 class Device(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,22 +54,8 @@ class DeviceList:
             return self._found
 
     async def _ask(self) -> Devices:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            *_COMMAND,
-            *(["--no-craft"] if self._busy() else []),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
-        try:
-            async with asyncio.timeout(PATIENCE_S):
-                out, err = await process.communicate()
-        except TimeoutError as error:
-            raise GroundStationError(f"devices: no answer within {PATIENCE_S:g} s") from error
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(signal.SIGKILL)
-        if process.returncode:
-            raise GroundStationError(f"devices: {err.decode(errors='replace').strip()}")
+        away = ["--no-craft"] if self._busy() else []
+        status, out, said = await run_command("devices", "--json", *away, patience_s=PATIENCE_S)
+        if status:
+            raise GroundStationError(f"devices: {said}")
         return msgspec.json.decode(out, type=Devices)

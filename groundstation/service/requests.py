@@ -85,6 +85,18 @@ class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 File = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
 
 
+class RecordingName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file of the recordings folder."""
+
+    file: File
+
+
+class Thumbnail(msgspec.Struct, frozen=True, kw_only=True):
+    """svg: motors as an area, roll and pitch as lines, over the whole recording."""
+
+    svg: str
+
+
 class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Work on recordings, files of the recordings folder; a design of a controller takes a model
     and none. validate: those that no fit sees. model: the id of a fit that is done, or thesis;

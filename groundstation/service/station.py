@@ -50,6 +50,7 @@ from groundstation.service.requests import Telemetry
 from groundstation.service.sessions import Sessions
 from groundstation.service.stream import Stream
 from groundstation.service.supervisor import Supervisor
+from groundstation.service.thumbnails import Thumbnails
 from groundstation.service.twin import BEGAN, SOURCE, TwinService
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -142,6 +143,7 @@ class Station:
             lambda kind, text: self.note(kind, text, source="battery"),
         )
         self.devices = DeviceList(self._flies_by_dongle)
+        self.thumbnails = Thumbnails(lambda: self.sessions.folder)
         self.models = Models(self.jobs.entries)
         self.twin = TwinService(
             config.twin.model,

@@ -237,6 +237,8 @@ def test_a_recording_is_found_inspected_and_fitted_and_the_report_read(flying, v
     row = page.locator("#recordings tr", has_text=FLIGHT)
     expect(row).to_contain_text("31.0 s")
     expect(row).to_contain_text("complete")
+    drawn = row.get_by_alt_text("Motors, roll and pitch of")
+    until(lambda: drawn.evaluate("one => one.complete && one.naturalWidth"), "the picture", 120)
     with page.expect_download() as download:
         row.get_by_role("link", name=f"Download of {FLIGHT}").click()
     assert download.value.path().read_bytes() == (RECORDINGS / FLIGHT).read_bytes()

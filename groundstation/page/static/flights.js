@@ -4,6 +4,7 @@ const ASK_MS = 2000;
 const at = (id) => document.getElementById(id);
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
 
+const pictures = new Map(); // of files
 let shown = "";
 
 /** change: asks for an operation of the control API; what it answered, or null. */
@@ -56,10 +57,22 @@ function recordingRow(one, use) {
   select.append(...["–", "use", "hold out"].map((name) => new Option(name)));
   select.value = use ?? "–";
   const when = one.start_ns ? new Date(one.start_ns / 1e6).toLocaleString() : "";
-  return row(select, when, one.file,
+  return row(select, when, one.state === "recording" ? "" : picture(one), one.file,
     one.duration_s === null ? "" : `${one.duration_s.toFixed(1)} s`, one.link ?? "",
     `${(one.bytes / 1e6).toFixed(1)} MB`, WORDS[one.state] ?? one.state,
     link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file));
+}
+
+function picture(one) {
+  if (pictures.has(one.file)) return pictures.get(one.file); // rows are made anew, these are not
+  const made = document.createElement("img");
+  made.loading = "lazy"; // drawn by the daemon when somebody looks
+  made.width = 160;
+  made.height = 40;
+  made.alt = `Motors, roll and pitch of ${one.file}`;
+  pictures.set(one.file, made);
+  made.src = `file/thumbnail/${encodeURIComponent(one.file)}`;
+  return made;
 }
 
 function jobRow(job, change) {
