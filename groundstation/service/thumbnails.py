@@ -43,7 +43,7 @@ class Thumbnails:
 def _is_fresh(picture: Path, recording: Path) -> bool:
     try:
         return picture.stat().st_mtime_ns >= recording.stat().st_mtime_ns
-    except OSError:
+    except (OSError, ValueError):  # no such name can be
         return False
 
 
