@@ -68,23 +68,28 @@ class FlightPreparation:
     def figures(self) -> list[tuple[Figure, str]]:
         """Armature voltages, rotor speeds, and each angle with the torque that turns it."""
         run, squares = self.stretch.run, self.stretch.squares
-        inside = self.stretch.rows
         torque = squares.mixed(self.configuration)
-        lively = liveliest(np.abs(torque[inside]).sum(axis=1), run.period_s, FLOWN_S)
-        rows = slice(inside.start + lively.start, inside.start + lively.stop)
-        time = run.time_s[rows] - run.recording_start_s
-        volts = armature_mv(run.duty[rows], run.supply_v[rows]) / 1e3
-        speeds = np.sqrt(squares.end[rows])
+        speeds = np.sqrt(squares.end)
+        volts = armature_mv(run.duty, run.supply_v) / 1e3
+        time = run.time_s - run.recording_start_s
+        rows = self._liveliest(np.asarray(speeds.max(axis=1) - speeds.min(axis=1)))
         found = [
-            (lines(time, _by_motor(volts), "V"), "Armature voltages (3.84)."),
-            (lines(time, _by_motor(speeds), "rev/s"), "Rotor speeds behind the torques."),
+            (lines(time[rows], _by_motor(volts[rows]), "V"), "Armature voltages (3.84)."),
+            (lines(time[rows], _by_motor(speeds[rows]), "rev/s"), "Speeds of the rotors."),
         ]
         for axis, name in enumerate(AXES):
+            rows = self._liveliest(torque[:, axis])
             angle = np.degrees(run.attitude[rows, axis])
             if np.isfinite(angle).all():
-                made = against(time, angle, f"{name}, deg", torque[rows, axis], TORQUE)
+                made = against(time[rows], angle, f"{name}, deg", torque[rows, axis], TORQUE)
                 found.append((made, f"{name.capitalize()} and, dashed, its torque (7.19)."))
         return found
+
+    def _liveliest(self, values: Array) -> slice:
+        """The rows of the stretch in which a channel of the run (n,) moves most."""
+        first = self.stretch.first
+        rows = liveliest(values[self.stretch.rows], self.stretch.run.period_s, FLOWN_S)
+        return slice(first + rows.start, first + rows.stop)
 
 
 def _by_motor(values: Array) -> dict[str, Array]:

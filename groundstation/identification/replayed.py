@@ -13,7 +13,7 @@ from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run
-from groundstation.prediction.prediction import fly_ahead, observe_run
+from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 
 Array = NDArray[np.float64]
 
@@ -75,14 +75,17 @@ def simulate_run(
 
 def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
     """RMS (3,) of roll, pitch, yaw in rad of free runs of ``window_s``, over what was flown: the
-    errors of thesis Table 7.2, which does not say how long its runs were.
+    errors of thesis Table 7.2, which does not say how long its runs were. The first of each
+    recording is left out: the state it starts from is not observed yet.
 
     Raises BadInputError as ``simulate_run``, and where nothing was flown.
     """
     errors = []
     for run in runs:
         done = simulate_run(model, run, window_s)
-        turn = run.attitude[done.flown] - done.attitude[done.flown]
+        rows = np.flatnonzero(done.flown)
+        rows = rows[rows > max(window_s, SETTLE_S) / run.period_s]
+        turn = run.attitude[rows] - done.attitude[rows]
         errors.append(np.angle(np.exp(1j * turn)))
     every = np.vstack(errors)
     if not len(every):

@@ -58,8 +58,9 @@ def _table(workshop: Workshop) -> Made:
     return Made(
         "RMS of the angles in rad when the fitted body runs freely from measured rates and angles;"
         " pitch by roll's constant, as in the thesis. How long a run lasts decides what is read"
-        " off, which the thesis does not say: an unstable plant's free run measures how"
-        " disturbances add up. The fit itself predicts rates one row ahead, with a noise model.",
+        " off, which the thesis does not say: runs of 2 s come near the printed errors of roll and"
+        " yaw. An unstable plant's free run measures how disturbances add up. The fit itself"
+        " predicts rates one row ahead, with a noise model.",
         [
             Table(["data fit", "printed", *(f"runs of {w:g} s" for w in WINDOWS_S)], rows),
             Table(

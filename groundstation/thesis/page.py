@@ -25,7 +25,7 @@ COMMANDS_TEXT = (
 
 def page(done: Sequence[Done], seconds: float) -> Page:
     """One page, a section for each number."""
-    made = Page(TITLE, f"{len(done)} tables and figures, made in {seconds:.0f} s")
+    made = Page(TITLE, f"{len(done)} entries, made in {seconds:.0f} s")
     made.text(INTRODUCTION)
     for one in done:
         made.heading(one.entry.number)

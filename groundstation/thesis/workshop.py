@@ -42,6 +42,11 @@ RECIPES = {
     f" --with {','.join(FITTED)} -o body.json",
     "arx.json": f"groundstation fit arx flight.csv {HELD} --model body.json {ORDERS} -o arx.json"
     " --html arx.html",
+    "rates.json": f"groundstation fit arx flight.csv {HELD} --model body.json --gyro --decimate 4"
+    " -o rates.json",
+    "by_body.json": "groundstation compare held.csv --model body.json --json > by_body.json",
+    "by_arx.json": "groundstation compare held.csv --model arx.json --json > by_arx.json",
+    "by_rates.json": "groundstation compare held.csv --model rates.json --json > by_rates.json",
     "controllers.json": "groundstation pid evaluate --thesis --json > controllers.json",
     "limits.json": "groundstation pid design --model thesis --form thesis --delay 2 --axis roll"
     " --json > limits.json",

@@ -91,7 +91,7 @@ def test_arx_tables_of_all_axes_and_the_step_responses_are_there(pages):
 def test_what_the_recordings_became_before_the_fit_is_drawn(pages):
     for kind, words in (
         ("motor", ("left out as missed or doubled passages", "Armature voltage")),
-        ("body", ("Armature voltages", "Rotor speeds", "Roll and, dashed, its torque")),
+        ("body", ("Armature voltages", "Speeds of the rotors", "Roll and, dashed, its torque")),
     ):
         after = pages[kind][1].partition("Before the fit</h2>")[2]
         assert all(one in after for one in words)

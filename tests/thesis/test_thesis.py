@@ -30,7 +30,7 @@ def expanded(text):
 def test_every_table_and_figure_has_a_counterpart_or_the_reason_why_not():
     printed = {f"Figure {c}.{n}" for c, last in FIGURES.items() for n in range(1, last + 1)}
     printed |= {f"Table {c}.{n}" for c, last in TABLES.items() for n in range(1, last + 1)}
-    made = [one.number for one in ENTRIES]
+    made = [one.number for one in ENTRIES if not one.number.startswith("Section")]
     without = [number for text, _ in WITHOUT for number in expanded(text)]
     assert len(set(made + without)) == len(made + without)
     assert set(made + without) == printed

@@ -155,7 +155,7 @@ def _free_run_angles(
     for window in FREE_RUNS_S:
         for part, stretches in (("identification", fit_on), ("validation", validate_on)):
             flown = [one.run[one.rows] for one in stretches]
-            flown = [run for run in flown if run.seconds > window + LEAST_FREE_S]
+            flown = [run for run in flown if run.seconds > 2.0 * window + LEAST_FREE_S]
             if flown and all(np.isfinite(run.attitude).all() for run in flown):
                 rms = angle_rms(model, flown, window)
                 found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
