@@ -9,6 +9,7 @@ BATTERY_LOW_V, BATTERY_EMPTY_V = 3.3, 3.1
 """Of one lithium-polymer cell that carries the craft: land soon, land now."""
 LOSS_MOST_PCT = 2.0
 DISK_LOW_MB = 1024.0
+VIEW_BEHIND_S = 2.0
 
 Alarm = dict[str, str]
 """level: ``alarm`` (act) or ``warning`` (look); text."""
@@ -41,6 +42,9 @@ def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
     statistics = status["statistics"]
     if streaming and statistics is not None and statistics["loss_pct"] > LOSS_MOST_PCT:
         yield _warning(f"{statistics['loss_pct']:.0f} % of the rows of the last second are lost")
+    viewer = status["viewer"]
+    if viewer["behind_s"] > VIEW_BEHIND_S:
+        yield _warning(f"A live view is {viewer['behind_s']:.0f} s behind; it is sent less often")
     twin = status["twin"]
     if twin is not None and twin["state"] == "failed":
         yield _warning(f"The twin has failed: {twin['text']}")

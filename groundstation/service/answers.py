@@ -54,12 +54,15 @@ class BatteryStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class ViewerStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The live view. urls: how to open it."""
+    """The live view. viewers: connections that look at it. behind_s: age of the oldest that the
+    slowest of them has not read; it is sent less often then. urls: how to open it."""
 
     state: Literal["off", "starting", "serving", "restarting", "failed"]
     sent: int
     dropped: int
     restarts: int
+    viewers: int
+    behind_s: float
     urls: list[str]
 
 

@@ -4,7 +4,7 @@ Stands between viewers and the rerun server. Of rerun 0.41 one reader that lags 
 memory holds up everybody, and pages of any origin may read. The relay reads for everybody at
 once, drops who does not take what waits for it, lets in programs of its own user (and root) only,
 and a browser's page only where it came from this server. Each line on stderr is something to be
-told, or empty: a sign of life.
+told, or a sign of life that says how far the slowest viewer is behind: ``behind VIEWERS SECONDS``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -30,6 +31,7 @@ CLIENTS_MOST = 32
 TELL_S = 5.0
 WATCH_S = 0.5
 PIECE = 1 << 18
+BEHIND = "behind"
 _CONNECTIONS = Path("/proc/self/net/tcp")
 """The kernel's table: ends of each connection, its state, whose it is."""
 _ESTABLISHED = "01"
@@ -49,6 +51,8 @@ class Relay:
         self._hosts = {f"{host}:{port}".encode() for host in _HOSTS}
         self._allowed = {origin.encode() for origin in allowed}
         self._upstream = upstream
+        self.behind_s = 0.0
+        """How old what the slowest viewer takes is: of the last round of watching."""
         self._clients: dict[asyncio.StreamWriter, _Progress] = {}
         self._told: dict[str, float] = {}
 
@@ -93,6 +97,18 @@ class Relay:
             await asyncio.sleep(WATCH_S)
             now_s = time.monotonic()
             waiting = {one: one.transport.get_write_buffer_size() for one in self._clients}
+            held = _held_by_kernel() if self._clients else {}
+            self.behind_s = max(
+                (
+                    # of a native viewer the server holds back what it does not read
+                    max(
+                        progress.behind_s(now_s, waiting[one] + _held(held, one)),
+                        WATCH_S * progress.pings,
+                    )
+                    for one, progress in self._clients.items()
+                ),
+                default=0.0,
+            )
             for client, progress in self._clients.items():
                 if progress.stalled_s(now_s, waiting[client]) > STALL_S:
                     self._drop(client, f"it took nothing for {STALL_S:g} s")
@@ -104,6 +120,11 @@ class Relay:
                     progress.written += len(_PING)
             if sum(waiting.values()) > WAITING_MOST:
                 self._drop(max(waiting, key=waiting.__getitem__), "it is too slow")
+
+    @property
+    def viewers(self) -> int:
+        """Connections that something was sent to."""
+        return sum(one.written > 0 for one in self._clients.values())
 
     async def _admitted(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
@@ -201,6 +222,25 @@ def _stranger(writer: asyncio.StreamWriter) -> str | None:
     return None if owners[0] in (0, os.getuid()) else f"user {owners[0]}"
 
 
+def _held_by_kernel() -> dict[tuple[str, str], tuple[int, int]]:
+    """(one end, other end) -> bytes that were not acknowledged, and that nobody has read."""
+    held = {}
+    for line in _CONNECTIONS.read_text().splitlines()[1:]:
+        _, ours, theirs, _, queues, *_ = line.split()
+        sent, _, received = queues.partition(":")
+        held[ours, theirs] = int(sent, 16), int(received, 16)
+    return held
+
+
+def _held(held: dict[tuple[str, str], tuple[int, int]], writer: asyncio.StreamWriter) -> int:
+    """Bytes on their way between us and the other end's program, which is on this machine."""
+    ends = [writer.get_extra_info(name) for name in ("sockname", "peername")]
+    if None in ends:
+        return 0
+    ours, theirs = map(_in_table, ends)
+    return held.get((ours, theirs), (0, 0))[0] + held.get((theirs, ours), (0, 0))[1]
+
+
 def _in_table(address: tuple[str, int]) -> str:
     """As the kernel prints an IPv4 address: a number in the machine's own order, and the port."""
     number = int.from_bytes(socket.inet_aton(address[0]), sys.byteorder)
@@ -216,7 +256,20 @@ class _Progress:
         self.frames: _Frames | None = None
         self.pings = 0
         self._taken = 0
-        self._moved_s = time.monotonic()
+        self._moved_s = self._looked_s = time.monotonic()
+        self._marks: deque[tuple[float, int]] = deque()  # since when, and how much was written then
+
+    def behind_s(self, now_s: float, waiting: int) -> float:
+        """Age of the oldest byte that its program has not read, at most: it came after the look
+        before the one that found it."""
+        marks = self._marks
+        if self.written > (marks[-1][1] if marks else 0):
+            marks.append((self._looked_s, self.written))
+        self._looked_s = now_s
+        taken = self.written - waiting
+        while len(marks) > 1 and marks[0][1] <= taken:
+            marks.popleft()
+        return now_s - marks[0][0] if marks and marks[0][1] > taken else 0.0
 
     def stalled_s(self, now_s: float, waiting: int) -> float:
         """How long nothing of what waits has been taken."""
@@ -235,16 +288,16 @@ async def relay(live: socket.socket, web: socket.socket, upstream: str, *ports: 
     ]
     servers = [await asyncio.start_server(one.serve, sock=listening) for listening, one in both]
     await asyncio.gather(
-        _beat(),
+        _beat(both[0][1]),
         *(server.serve_forever() for server in servers),
         *(one.watch() for _, one in both),
     )
 
 
-async def _beat() -> None:
-    """An empty line each half second: alive."""
+async def _beat(live: Relay) -> None:
+    """A line each half second: alive, and how far viewers are behind."""
     while True:
-        print(file=sys.stderr, flush=True)
+        print(BEHIND, live.viewers, f"{live.behind_s:.1f}", file=sys.stderr, flush=True)
         await asyncio.sleep(WATCH_S)
 
 

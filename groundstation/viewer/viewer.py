@@ -35,12 +35,17 @@ from groundstation.viewer.messages import (
 )
 from groundstation.viewer.mode import ViewerMode
 from groundstation.viewer.outbox import Outbox
+from groundstation.viewer.relay import BEHIND
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown
 
 SEND_PERIOD_S = 0.08
 """Each message costs rerun about 15 kB whatever it holds: 12 a second look smooth."""
+SLOW_SEND_PERIOD_S = 1.0
+"""While a viewer is behind: a twelfth of the bytes, all rows."""
+SLOW_FROM_S, SLOW_UNTIL_S = 2.0, 0.6
+"""A viewer that is so far behind is sent less, until it is nearly up again."""
 SILENCE_S = 3.0
 START_S = 20.0
 """A feeder that has not been ready for so long is started again (importing rerun is slow)."""
@@ -88,6 +93,8 @@ class Viewer:
         self._server: Child | None = None
         self._relay: Child | None = None
         self._relay_heard_at = 0.0
+        self._viewers, self._behind_s = 0, 0.0
+        self._is_thin, self._flushed_at = False, 0.0
         self._inner = ("", 0)  # the rerun server's address and port
         self._listening: list[socket.socket] = []
         self._feeder: Child | None = None
@@ -153,6 +160,8 @@ class Viewer:
             "sent": self._outbox.sent,
             "dropped": self._outbox.dropped,
             "restarts": self._restarts,
+            "viewers": self._viewers,
+            "behind_s": self._behind_s,
             "urls": [] if self.mode is ViewerMode.OFF else self._urls(),
         }
 
@@ -203,7 +212,7 @@ class Viewer:
                 return
             for line in self._relay.new_lines():
                 self._relay_heard_at = now
-                if line:
+                if not self._is_alive(line):
                     self._on_event("viewer", line)
             if now - self._relay_heard_at > (START_S if self._ready_at is None else SILENCE_S):
                 self._fail(now, f"the viewers' relay was silent for {SILENCE_S:g} s", server=True)
@@ -225,9 +234,25 @@ class Viewer:
             if self._ready_at is not None:
                 if now - self._ready_at > SETTLED_S:
                     self._failures = 0
-                with contextlib.suppress(ConnectionError):  # a feeder just ended: seen next time
-                    self._outbox.flush(self._channel)
+                if now - self._flushed_at >= (SLOW_SEND_PERIOD_S if self._is_thin else 0.0):
+                    self._flushed_at = now
+                    # a feeder that has just ended is seen next time
+                    with contextlib.suppress(ConnectionError):
+                        self._outbox.flush(self._channel)
             self._watch_window()
+
+    def _is_alive(self, line: str) -> bool:
+        """Whether a line of the relay's is a sign of life, which is taken over."""
+        match line.split():
+            case [word, viewers, behind_s] if word == BEHIND:
+                self._viewers, self._behind_s = int(viewers), float(behind_s)
+            case _:
+                return False
+        if self._behind_s > SLOW_FROM_S:
+            self._is_thin = True
+        elif self._behind_s < SLOW_UNTIL_S:
+            self._is_thin = False
+        return True
 
     def _launch(self, now: float) -> None:
         if self._server is None:
@@ -283,6 +308,7 @@ class Viewer:
         self._outbox.new_reader()
         self._drop("_feeder")
         if server:
+            self._viewers, self._behind_s, self._is_thin = 0, 0.0, False
             self._drop("_server", "_relay", "_window")
             self._cut_viewers = True
         self._on_event("fault", f"{text}; starting it again in {wait_s:g} s")

@@ -7,6 +7,7 @@ GOOD = {
     "health": {"problems": []},
     "recording": {"wanted": True, "free_mb": 50_000.0},
     "statistics": {"loss_pct": 0.1},
+    "viewer": {"behind_s": 0.0},
     "twin": None,
 }
 
@@ -42,6 +43,11 @@ def test_the_battery_is_told_before_it_is_empty_and_only_of_a_craft_that_is_ther
 def test_a_battery_that_is_changed_is_no_fault():
     resting = changed(link={"state": "silent", "pauses": True, "doing": "back in 7 s"})
     assert told(resting, battery_v=3.0) == [("warning", "The stand-in pauses: back in 7 s")]
+
+
+def test_a_live_view_that_is_behind_is_told():
+    said = "A live view is 12 s behind; it is sent less often"
+    assert told(changed(viewer={"behind_s": 12.2})) == [("warning", said)]
 
 
 def test_the_worst_comes_first():

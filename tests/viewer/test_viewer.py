@@ -237,8 +237,12 @@ def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_pat
                 ),
                 "the other viewer receives",
             )
+            await s.flow_until(lambda: s.viewer.status()["viewers"] == 1, "it is counted")
             other.send_signal(signal.SIGSTOP)
             server = child(SERVER)
+            await s.flow_until(
+                lambda: s.viewer.status()["behind_s"] >= 1.5, "how far it is behind is told"
+            )
 
             def push():
                 s.show(1000)

@@ -103,6 +103,7 @@ function showStatus(status) {
   write("loss", statistics ? `${statistics.loss_pct.toFixed(2)} % lately, ${link.lost} in all` : "–");
   write("late", fixed(link.latency_ms, 1, "ms"));
   write("vehicle", status.vehicle);
+  showViewer(status.viewer);
   write("doing", link.doing);
   at("doing").hidden = at("doing-title").hidden = !link.doing;
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
@@ -121,6 +122,21 @@ function showStatus(status) {
   at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
   showBattery(status.battery);
   showRecording(recording);
+}
+
+function showViewer({ state, viewers, behind_s: behind, urls }) {
+  const text = state !== "serving" ? state : !viewers ? "nobody looks"
+    : behind > LIVE_S ? `${behind.toFixed(0)} s behind` : "live";
+  if (at("viewer").dataset.shown === text + urls[0]) return;
+  at("viewer").dataset.shown = text + urls[0];
+  at("viewer").replaceChildren(text);
+  if (state !== "serving") return;
+  const open = document.createElement("a");
+  open.href = urls[0];
+  open.target = "_blank";
+  open.rel = "noreferrer";
+  open.textContent = "open it";
+  at("viewer").append(" · ", open);
 }
 
 function showBattery({ flown_s: flown, left_s: left, known }) {
