@@ -78,7 +78,7 @@ def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
     errors of thesis Table 7.2, which does not say how long its runs were. The first of each
     recording is left out: the state it starts from is not observed yet.
 
-    Raises BadInputError as ``simulate_run``, and where nothing was flown.
+    Raises BadInputError as ``simulate_run``, and where nothing was flown or a run diverges.
     """
     errors = []
     for run in runs:
@@ -86,6 +86,8 @@ def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
         rows = np.flatnonzero(done.flown)
         rows = rows[rows > max(window_s, SETTLE_S) / run.period_s]
         turn = run.attitude[rows] - done.attitude[rows]
+        if not np.isfinite(turn).all():
+            raise BadInputError(f"{run.name}: free runs of {window_s:g} s end nowhere")
         errors.append(np.angle(np.exp(1j * turn)))
     every = np.vstack(errors)
     if not len(every):

@@ -10,7 +10,7 @@ from stand_in_flights import recorded, truth_of
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
-from groundstation.identification.replayed import simulate_run
+from groundstation.identification.replayed import angle_rms, simulate_run
 from groundstation.identification.runs import runs_of
 
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])
@@ -45,6 +45,15 @@ def test_longer_windows_drift_further(quiet):
         return np.sqrt(np.mean(gap[500:, 0] ** 2))
 
     assert error(0.1) < error(0.5) < error(2.0)
+
+
+def test_the_errors_of_angles_are_those_of_runs_whose_start_is_known(quiet):
+    run, _ = quiet
+    true, wrong = (angle_rms(model, [run], 0.5) for model in (MODEL, with_c0(1.1)))
+    assert np.degrees(true.max()) < 0.4
+    assert wrong[0] > 2.0 * true[0]
+    with pytest.raises(BadInputError, match="never leaves the ground"):
+        angle_rms(MODEL, [run[:200]], 0.5)
 
 
 def with_c0(factor):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -150,15 +151,20 @@ def identify_body(
 def _free_run_angles(
     model: Model, fit_on: Sequence[Stretch], validate_on: Sequence[Stretch]
 ) -> list[dict[str, Any]]:
-    """RMS of roll, pitch, yaw by length of run (Table 7.2); nothing where angles are missing."""
+    """RMS of roll, pitch, yaw by length of run (Table 7.2).
+
+    Nothing where angles are missing, or where the model cannot be flown on the recording: what was
+    fitted stands without it.
+    """
     found = []
     for window in FREE_RUNS_S:
         for part, stretches in (("identification", fit_on), ("validation", validate_on)):
             flown = [one.run[one.rows] for one in stretches]
             flown = [run for run in flown if run.seconds > 2.0 * window + LEAST_FREE_S]
             if flown and all(np.isfinite(run.attitude).all() for run in flown):
-                rms = angle_rms(model, flown, window)
-                found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
+                with contextlib.suppress(BadInputError):
+                    rms = angle_rms(model, flown, window)
+                    found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
     return found
 
 
