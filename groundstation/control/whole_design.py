@@ -49,10 +49,10 @@ AT_STOPS_S = 0.01
 row or two."""
 UNUSABLE = 4.0
 """Maximum sensitivity beyond which a loop is not flown."""
-SLOWEST = np.array([0.1, 0.001, 0.1])
-QUICKEST = np.array([2e3, 1e4, 100.0])
-"""Where gains are searched over the acceleration of a unit: 0.3 to 45 rad/s, about the motors'."""
-BUDGET = Budget(first=200, population=20, generations=20)
+SLOWEST = np.array([1.0, 0.01, 1.0])
+QUICKEST = np.array([1500.0, 500.0, 80.0])
+"""Where gains are searched over the acceleration of a unit: 1 to 39 rad/s, about the motors'."""
+BUDGET = Budget(first=400, population=24, generations=24)
 SEARCH_GRID = 200
 
 
