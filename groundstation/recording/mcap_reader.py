@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from groundstation.errors import RecordingError
+from groundstation.recording.catalogue import is_held
 from groundstation.recording.cdr import Definition
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (
@@ -44,18 +46,24 @@ def read_mcap(path: Path, *, raw: bool = False) -> Recording:
     """Read a recording: decoded samples and entries, with ``raw`` the packets as received too.
 
     Every chunk is checked against its CRC. A torn or damaged file gives what is good, with a
-    line in ``damage`` for each thing that is not. Device ticks of a different length than the
+    line in ``damage`` for each thing that is not; that one which is being written has no end yet is
+    none. Device ticks of a different length than the
     file's first (another link took over) are rescaled to it and rounded, at most half a tick.
 
     Raises BadInputError where there is no such file; RecordingError where it cannot be read,
     is empty, is no MCAP file, or is one of another program.
     """
+    being_written = _is_held(path)
     with McapScan(path) as scan:
         topics = _Topics(scan, raw)
         for channel_id, _, _, payload in scan.messages():
             topics.add(channel_id, payload)
         topics.require_ours()
-        damage = [damage.line(scan.start_ns) for damage in scan.damage]
+        damage = [
+            one.line(scan.start_ns)
+            for one in scan.damage
+            if not (being_written and scan.is_at_end(one))
+        ]
     metadata: dict[str, dict[str, str]] = {}
     for name, items in scan.metadata:
         if name != CHANNELS_METADATA:
@@ -71,7 +79,14 @@ def read_mcap(path: Path, *, raw: bool = False) -> Recording:
         tables={name: columns.table() for name, columns in topics.tables.items()},
         metadata=metadata,
         damage=damage + topics.damage(),
+        being_written=being_written,
     )
+
+
+def _is_held(path: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return is_held(path)
+    return False
 
 
 class RawStream:

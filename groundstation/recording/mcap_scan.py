@@ -162,6 +162,10 @@ class McapScan:
             offset += RECORD.size + len(body)
         self._note(Damage(size, 0, "the recording was not finished: it ends without an index"))
 
+    def is_at_end(self, damage: Damage) -> bool:
+        """Whether it is only that the file ends there, as one that is being written does."""
+        return damage.offset + damage.length >= self._file.size
+
     def _check_start(self) -> int:
         """The offset of the first record."""
         if not self._file.size:

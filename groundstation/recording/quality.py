@@ -90,9 +90,11 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
         "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
+        "being_written": recording.being_written,
     }
     faults = list(_faults(report, samples))
-    report["verdict"] = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
+    verdict = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
+    report["verdict"] = f"being recorded, so far {verdict}" if recording.being_written else verdict
     return report
 
 

@@ -35,6 +35,7 @@ class Recording:
     tables: further series by name; for a microSD log every event of the file, all values.
     metadata: name -> key -> text.
     damage: one line for each thing that could not be read; empty for a sound file.
+    being_written: by a recorder, when it was read: more will come.
     """
 
     path: Path
@@ -48,6 +49,7 @@ class Recording:
     tables: dict[str, Table] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     damage: list[str] = field(default_factory=list)
+    being_written: bool = False
 
     def __repr__(self) -> str:
         more = f", {len(self.damage)} damaged places" if self.damage else ""

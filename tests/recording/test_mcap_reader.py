@@ -143,7 +143,10 @@ def test_a_recording_that_is_still_growing_reads(path):
     out.file.flush()
     recording = read_mcap(path)
     assert_same_samples(recording.samples, flight(0, 50)[1])
-    assert recording.damage == [
+    assert (recording.damage, recording.being_written) == ([], True)
+    left = path.with_name("left.mcap")  # as a killed recorder leaves it
+    left.write_bytes(path.read_bytes())
+    assert read_mcap(left).damage == [
         f"byte {path.stat().st_size}: the recording was not finished: it ends without an index, "
         "after 0.098 s of the recording"
     ]

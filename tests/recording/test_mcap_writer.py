@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_reader import read_mcap
 from groundstation.recording.mcap_writer import McapRecorder
+from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recording_file import session_metadata
 from groundstation.recording.recover import recover
 from groundstation.recording.standard_messages import quaternion
@@ -215,6 +217,20 @@ def test_finish_may_be_called_twice_and_later_data_are_counted_as_dropped(path):
     second = recorder.finish()
     assert (first.state, second.state) == ("finished", "finished")
     assert (second.dropped_samples, second.dropped_packets, second.dropped_entries) == (10, 40, 1)
+
+
+def test_a_file_that_is_being_written_is_being_recorded_and_not_torn(path):
+    with McapRecorder(path, METADATA, flush_s=0.01) as recorder:
+        record_flight(recorder, ROWS)
+        began_s = time.monotonic()
+        while len((live := read_mcap(path)).samples) < ROWS:
+            assert time.monotonic() - began_s < 30
+        assert (live.damage, live.being_written) == ([], True)
+        assert inspect_recording(live)["verdict"].startswith("being recorded, so far good")
+    assert not read_mcap(path).being_written
+    cut = path.with_name("cut.mcap")
+    cut.write_bytes(path.read_bytes()[:-100])
+    assert read_mcap(cut).damage
 
 
 def test_an_existing_file_is_never_overwritten(path):
