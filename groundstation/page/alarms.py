@@ -27,7 +27,7 @@ def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
     for problem in status["health"]["problems"]:
         yield _alarm(problem[:1].upper() + problem[1:])
     link = status["link"]
-    streaming = link["state"] == "streaming"
+    streaming = link["state"] == "streaming" and not link["pauses"]
     if link["pauses"]:
         yield _warning(f"The stand-in pauses: {link['doing']}")
     if streaming and battery_v is not None and battery_v < BATTERY_EMPTY_V:

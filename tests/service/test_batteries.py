@@ -3,8 +3,13 @@
 import asyncio
 
 import numpy as np
+from installed import until
+from served_station import serve
 
+from groundstation.page.alarms import alarms
 from groundstation.service.batteries import FILE, Batteries
+from groundstation.service.client import ask
+from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import encode
 from groundstation.telemetry.samples import RawBatch
@@ -47,3 +52,30 @@ def test_the_next_daemon_knows_how_long_a_battery_of_this_craft_flew(tmp_path):
     (tmp_path / FILE).write_text("no JSON")
     assert batteries("usb crazyflie1").status()["known"] == 0
     assert told == []
+
+
+def test_a_stand_in_whose_battery_is_changed_says_so_and_is_no_alarm(tmp_path):
+    config = Config(
+        link=LinkConfig(speed=10.0),
+        recording=RecordingConfig(folder=str(tmp_path), enabled=False),
+        stand_in={"charge": 0.12, "recharge_s": 30.0, "program": "hover"},
+    )
+    control = tmp_path / "control.sock"
+
+    def conversation(station):
+        seen = []
+
+        def back():
+            seen.append(ask(control, "GET", "/status"))
+            return seen[-1]["link"]["doing"] == "it flies, with battery 2"
+
+        until(back, "the second battery", every_s=0.1)
+        pausing = [one for one in seen if one["link"]["pauses"]]
+        assert any(one["link"]["state"] == "silent" for one in pausing)
+        for one in pausing:
+            assert "its battery is changed" in one["link"]["doing"]
+            assert {told["level"] for told in alarms(one, "", 3.0)} == {"warning"}
+        assert seen[-1]["battery"]["known"] == 1
+
+    serve(config, control, conversation)
+    assert (tmp_path / FILE).is_file()
