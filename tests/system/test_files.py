@@ -85,7 +85,7 @@ def test_nothing_is_ever_overwritten(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "mentions"),
     [
-        ((EXCERPT, "out.txt"), "must end in .csv, .mcap or .rrd"),
+        ((EXCERPT, "out.txt"), "must end in .csv, .mcap, .parquet or .rrd"),
         ((EXCERPT, "out.mcap", "--physical"), "--physical is for CSV files"),
         ((RECORDINGS / "README.md", "out.csv"), "--columns"),
         ((RECORDINGS / "thesis_excerpt.mcap", "out.csv", "--columns", EXCERPT), "column map"),
