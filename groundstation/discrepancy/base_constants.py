@@ -10,8 +10,9 @@ from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
-from groundstation.identification.likelihood.problem import Fit, Problem, bounded
+from groundstation.identification.likelihood.problem import Fit, Problem, bounded, linearise
 
 Group = tuple[str, ...]
 """Constants that change or stay together."""
@@ -57,6 +58,30 @@ def not_improved(
                 rest, changed = back, given
                 held.update(group)
     return held, rest.point
+
+
+def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
+    """Of c0, c1 and c2 the one whose change the rates about its axis speak for least, where that
+    is less than keeps an effect; None where all changes stand.
+
+    They are asked as the body's fit asks them, with noise that is free at every frequency: what the
+    search has no name for bends a constant otherwise.
+    """
+    found: list[tuple[float, str]] = []
+    for axis, key in enumerate(BODY_KEYS[:3]):
+        if key in fit.keys and fit.point[key] != problem.start[key]:
+            back = {**fit.point, key: problem.start[key]}
+            costs = [_free_cost(problem, point, axis) for point in (back, fit.point)]
+            found.append((costs[0] - costs[1], key))
+    gain, key = min(found, default=(KEEP, ""))
+    return (key,) if gain < KEEP else None
+
+
+def _free_cost(problem: Problem, point: Point, axis: int) -> float:
+    """-2 log L of the rate about an axis, each flight's spectrum at its best."""
+    linear = linearise(problem.flights, problem.frame, point, (), (axis,))
+    left = [s.residual for s in linear.spectra]
+    return cost_of(linear.spectra, smoothed(linear.spectra, left), left)
 
 
 def _cost_of_going_back(fit: Fit, group: Group, start: Point) -> float:

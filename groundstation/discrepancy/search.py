@@ -19,7 +19,7 @@ from groundstation.discrepancy.acceptance import (
     plausible,
     refusal,
 )
-from groundstation.discrepancy.base_constants import groups, not_improved
+from groundstation.discrepancy.base_constants import groups, not_improved, unconfirmed
 from groundstation.discrepancy.evidence import Evidence, by_parts, gather
 from groundstation.discrepancy.findings import Leftover, Reason, Refusal
 from groundstation.discrepancy.prediction_gate import (
@@ -58,6 +58,8 @@ RIVAL = 12.0
 ROUGHLY = 0.5
 """Drop of -2 log L at which a joint fit of a candidate ends."""
 MOST_ROUNDS = 16
+TRIM_ROUNDS = 6
+"""How often the trims of flights and what explains them settle on each other."""
 
 
 @dataclass(slots=True)
@@ -106,6 +108,9 @@ class Search:
         self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
         self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]
+        self.trim = problem.trim
+        self.trims: dict[frozenset[str], tuple[float, float, float]] = {}
+        """Of flights beside the effects of these names; beside others, as far as ``trim``."""
         self.held: set[str] = set()
         self.errors: dict[str, float] = {}
         self.accepted: list[Accepted] = []
@@ -137,6 +142,7 @@ class Search:
                 break
         self.now = self.problem.fit(self.now.point, self.now.keys)
         residual = self.drop_drowned()
+        self.settle_trim()
         self.hold_base()
         self.name_base_changes()
         judge = self._judged if self.judge else None
@@ -338,6 +344,13 @@ class Search:
                 self.beside.append(one.variant)
         return left
 
+    def settle_trim(self) -> None:
+        """Learn how far the trims of flights differ beside what was found, and fit with that."""
+        for _ in range(TRIM_ROUNDS):
+            self.problem.learn_trim(self.now.point)
+            self.now = self.problem.fit(self.now.point, self.now.keys)
+        self.trims = {self._names(): self.problem.trim}
+
     def _predicted(self, one: Accepted) -> float:
         """Share of the squared excess over noise that predictions lose with an effect."""
         rest = [other for other in self.accepted if other is not one]
@@ -362,6 +375,9 @@ class Search:
         self.held, point = not_improved(self.problem, self.now, self.groups, self.validation)
         if self.held:
             self.now = replace(self.now, point=point)
+            self.now = self.refit(self.accepted, self.held)
+        while group := unconfirmed(self.problem, self.now):
+            self.held.update(group)
             self.now = self.refit(self.accepted, self.held)
 
     def name_base_changes(self) -> None:
@@ -411,6 +427,8 @@ class Search:
 
     def refit(self, accepted: Sequence[Accepted], held: set[str]) -> Fit:
         """The joint fit of some effects, with the constants ``held`` as they were given."""
+        # Without what explains a trim, none is too large: a constant would make room for it.
+        self.problem.trim = self.trims.get(_names(accepted), self.trim)
         fitted = (*(one.variant for one in accepted), *self.beside)
         keys = (*self.base_keys, *(key for variant in fitted for key in variant.keys))
         start = self.problem.start
@@ -424,7 +442,11 @@ class Search:
         return {key: number for key, number in self.now.point.items() if key in keys}
 
     def _names(self, *more: str) -> frozenset[str]:
-        return frozenset([*more, *(one.variant.label for one in self.accepted)])
+        return _names(self.accepted) | {*more}
+
+
+def _names(accepted: Sequence[Accepted]) -> frozenset[str]:
+    return frozenset(one.variant.label for one in accepted)
 
 
 def _shares(variant: Variant, other: Variant) -> bool:

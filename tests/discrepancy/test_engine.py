@@ -10,6 +10,7 @@ from affected_flights import flown
 from scipy.signal import lfilter
 from searched_flights import base_model, flights, samples
 
+from groundstation.discrepancy.base_constants import unconfirmed
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.screening import screen
@@ -18,7 +19,7 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import point_of
-from groundstation.identification.likelihood.problem import Problem
+from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.recordings import flights_of
 
 HIDDEN = {
@@ -81,6 +82,24 @@ def test_a_lasting_moment_without_a_name_bends_no_gain():
     fit = problem.fit(problem.start, problem.base_keys)
     for constant in ("c0", "c1", "c2"):
         assert fit.point[constant] == pytest.approx(problem.start[constant], rel=0.02)
+
+
+def test_flights_that_agree_tell_a_centre_of_gravity_to_a_few_micrometres():
+    (effect,) = searched_alone("centre_of_gravity_offset").effects
+    for estimate in effect.parameters.values():
+        assert estimate.stderr < 5e-6
+
+
+def test_a_change_of_a_constant_stands_only_where_its_own_axis_confirms_it():
+    runs, _ = flights(3, {}, torque_noise=6.0, sensor_noise=2.0)
+    model = base_model()
+    problem = Problem(prepare(runs), model, point_of(model))
+    c0, c1 = problem.start["c0"], problem.start["c1"]
+    problem.start["c0"] = 0.8 * c0  # a given model that is wrong about roll
+    point = {**problem.start, "c0": c0, "c1": 0.25 * c1}
+    moved = Fit(point, ("c0", "c1"), 0.0, np.eye(2))
+    assert unconfirmed(problem, moved) == ("c1",)
+    assert unconfirmed(problem, dataclasses.replace(moved, point={**point, "c1": c1})) is None
 
 
 def test_two_effects_at_once_are_both_named():

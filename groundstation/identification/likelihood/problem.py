@@ -166,6 +166,28 @@ class Problem:
         shape = self.shapes.get((id(flight), channel))
         return np.ones(len(hz)) if shape is None else np.sqrt(shape.at(hz))
 
+    def learn_trim(self, point: Point) -> None:
+        """Expect no larger trims than what a point leaves of them, nor than were expected.
+
+        Where an effect explains them (a centre of gravity off its place, say), flights hardly
+        differ: what they then say together of its size counts again.
+        """
+        plain = linearise(self.flights, self.frame, point, (), range(ACCELEROMETER))
+        squares: dict[int, list[float]] = {}
+        for s in plain.spectra:
+            assert s.lasting is not None
+            root = self.root(self.flights[s.flight], s.channel, s.hz)
+            own = s.lasting * s.weight / self.noise[s.channel].at(s.hz) / root**2
+            strength = float(own @ s.lasting)
+            left = float(own @ s.residual) / strength
+            squares.setdefault(s.channel, []).append(left**2 + 1.0 / strength)
+        found = (
+            min(most, float(np.sqrt(np.mean(squares.get(axis, [most**2])))))
+            for axis, most in enumerate(self.trim)
+        )
+        roll, pitch, yaw = found
+        self.trim = roll, pitch, yaw
+
     def learn_noise(self, linear: Linear) -> Linear:
         """Noise spectra from what a fit of every column at once leaves.
 
