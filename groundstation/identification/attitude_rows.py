@@ -56,7 +56,9 @@ class Gaps:
 class AttitudeRows:
     """Everything (m, 3) unless said otherwise, one row per new attitude after the first.
 
-    stride: rows of the run between two of them; first: the run's row of the first. to_euler:
+    stride: rows of the run between two of them; first: the run's row of the first. told: (m,)
+    whether every row of the stride was received: over a gap the angles turn by what nobody knows of
+    the gyro, and a jump of that would be a hundred times their own rounding. to_euler:
     (m, 3, 3) from body to Euler rates (thesis eq. 3.11). rate: measured Euler rates. gyro: mean
     of the gyro over the stride. timing: its last row less that mean. slope: its mean slope,
     rad/s^2. lean: the rate by which a Mahony filter would turn the estimate, over its
@@ -65,13 +67,17 @@ class AttitudeRows:
 
     stride: int
     first: int
-    gaps: Gaps
+    told: NDArray[np.bool_]
     to_euler: Array
     rate: Array
     gyro: Array
     timing: Array
     slope: Array
     lean: Array
+
+    def where_told(self, rates: Array) -> Array:
+        """Rates (m, ...) of data or model, nothing over a gap."""
+        return np.where(self.told.reshape(-1, *(1,) * (rates.ndim - 1)), rates, 0.0)
 
 
 def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> AttitudeRows | None:
@@ -90,14 +96,16 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
     )
     ends = rows[1:]
     seconds = stride * run.period_s
+    told = np.ones(len(ends), np.bool_)
     mean = np.zeros((len(ends), 3))
     for back in range(stride + 1):
         mean += (0.5 if back in (0, stride) else 1.0) / stride * run.gyro[ends - back]
+        told &= known[ends - back]
     now = run.gyro[ends]
     return AttitudeRows(
         stride,
         int(ends[0]),
-        Gaps(~there[1:]),
+        told,
         _to_euler(0.5 * (angles[1:] + angles[:-1])),
         np.diff(angles, axis=0) / seconds,
         mean,

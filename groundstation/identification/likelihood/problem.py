@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -70,6 +71,9 @@ LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
 TRIM_SHARE = 0.03
 """Of one rotor's moment in hover: the lasting moment that flights of one craft differ by. It is a
 battery pushed in a millimetre elsewhere, a propeller changed."""
+GYRO_COUNT_RAD_S = math.radians(2000.0) / 32768.0
+"""Of the gyro's lasting offset between flights: the firmware takes it off in whole counts when it
+starts, and the sensor warms up after that."""
 RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
 
 
@@ -122,7 +126,7 @@ class Problem:
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
-        self.trim = _trim(model_vehicle(model))
+        self.lasting = _lasting(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
@@ -140,14 +144,15 @@ class Problem:
         """Evaluate flights at a point with the columns of ``keys``.
 
         Spectra are divided by what the noise of their flight is to that of all (``shapes``), and
-        each flight has a lasting moment of its own about every axis, its trim. Held to none, a
-        search buys an even balance with a gain that answers to no torque.
+        each flight has a lasting moment of its own about every axis, its trim, and a lasting
+        offset of its gyro. Held to none, a search buys an even balance with a gain that answers to
+        no torque, and an offset that flights of one craft share.
         """
         plain = linearise(flights, self.frame, point, keys)
         spectra: list[Spectrum] = []
         for s in plain.spectra:
             root = self.root(flights[s.flight], s.channel, s.hz)
-            lasting = None if s.lasting is None else self.trim[s.channel] * s.lasting / root
+            lasting = None if s.lasting is None else self.lasting[s.channel] * s.lasting / root
             scaled = replace(
                 s, residual=s.residual / root, columns=s.columns / root, lasting=lasting
             )
@@ -417,11 +422,12 @@ def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
 Prior = tuple[tuple[str, ...], dict[str, float], Array]
 
 
-def _trim(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Standard deviation of a flight's lasting moment about each axis, rad/s^2."""
+def _lasting(vehicle: Vehicle) -> dict[int, float]:
+    """Channel -> standard deviation of what lasts for a flight and is another in the next: a moment
+    about each axis, rad/s^2, and the gyro's offset, rad/s, between it and the reported angles."""
     square = STANDARD_GRAVITY / (4.0 * vehicle.thrust_per_mass)
-    roll, pitch, yaw = (TRIM_SHARE * abs(one) * square for one in vehicle.body_constants)
-    return roll, pitch, yaw
+    moments = [TRIM_SHARE * abs(one) * square for one in vehicle.body_constants]
+    return dict(enumerate(moments)) | {ATTITUDE + i: GYRO_COUNT_RAD_S for i in range(3)}
 
 
 def _sensor_lag(model: Model) -> float:

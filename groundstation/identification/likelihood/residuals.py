@@ -245,7 +245,7 @@ class _Evaluation:
         rows = flight.attitude
         if rows is not None:
             turning = np.einsum("nij,nj->ni", rows.to_euler, self._turning(self.sensors, self.lean))
-            euler = rows.rate - rows.gaps.spread(turning)
+            euler = rows.where_told(rows.rate - turning)
             residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
         columns = {key: self._column(key) for key in keys}
         return Series(residual, columns, self._vertical(keys), self._lift(columns), self.rate_error)
@@ -294,7 +294,7 @@ class _Evaluation:
     def _put_attitude(self, out: Columns, rates: Array, step: float = math.inf) -> None:
         rows, least = self.flight.attitude, ROUNDING / abs(step)
         assert rows is not None
-        euler = rows.gaps.spread(np.einsum("nij,nj->ni", rows.to_euler, rates))
+        euler = rows.where_told(np.einsum("nij,nj->ni", rows.to_euler, rates))
         for axis in range(3):
             if (np.abs(euler[:, axis]) > least).any():
                 out[ATTITUDE + axis] = euler[:, axis]

@@ -107,7 +107,7 @@ def transform(
                 spectra[1:-1],
                 np.array([place[key] for key in touching], np.int64),
                 step,
-                spectra[-1] if channel < ACCELEROMETER else None,
+                None if ACCELEROMETER <= channel < ATTITUDE else spectra[-1],
             )
         )
     return found
