@@ -111,7 +111,7 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
         mean,
         now - mean,
         (now - run.gyro[ends - stride]) / seconds,
-        _lean(run, angles[:-1], ends),
+        _lean(run, known, angles[:-1], ends),
     )
 
 
@@ -125,15 +125,16 @@ def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray
     return first + rhythm_of(changed).rows(last - first)
 
 
-def _lean(run: Run, before: Array, ends: NDArray[np.int64]) -> Array:
+def _lean(run: Run, known: NDArray[np.bool_], before: Array, ends: NDArray[np.int64]) -> Array:
     """Smoothed specific force x estimated up, both of unit length."""
     if not np.isfinite(run.accelerometer).all():
         return np.zeros((len(ends), 3))
     from groundstation.identification.likelihood.kernels import first_order
 
-    smooth = np.empty_like(run.accelerometer)
+    force = _shaken_across(run.accelerometer, known)
+    smooth = np.empty_like(force)
     keep = (1.0 - ACCELEROMETER_SHARE) ** (run.period_s / FIRMWARE_PERIOD_S)
-    first_order(np.ascontiguousarray(run.accelerometer), keep, smooth)
+    first_order(force, keep, smooth)
     felt = smooth[ends]
     length = np.linalg.norm(felt, axis=1, keepdims=True)
     up = np.column_stack(
@@ -144,6 +145,22 @@ def _lean(run: Run, before: Array, ends: NDArray[np.int64]) -> Array:
         ]
     )
     return np.asarray(np.cross(felt / np.maximum(length, 1e-9), up))
+
+
+def _shaken_across(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Rows (n, 3) with lost ones between the values two rows before and two rows after.
+
+    Rotors shake the sensor at a frequency that folds near half the row rate: a straight line
+    between neighbours has the other phase.
+    """
+    out = np.array(values, np.float64)
+    for phase in (0, 1):
+        rows = np.arange(phase, len(out), 2)
+        lost, there = rows[~known[rows]], rows[known[rows]]
+        if len(lost) and len(there):
+            for column in out.T:
+                column[lost] = np.interp(lost, there, column[there])
+    return out
 
 
 def _to_euler(attitude: Array) -> Array:

@@ -77,7 +77,8 @@ class Series:
     residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical, lift:
     (residual, {key: derivative}) of the flight's mean vertical specific force less 1 g, as
     measured and as modelled, None without accelerometer or attitude. rate_error: (3,)
-    mean squared one-step prediction error of the rates in rad/s.
+    mean squared one-step prediction error of the rates in rad/s. lasting: channel -> (k, rows),
+    what a moment that never changes does, of 1 rad/s^2, or offsets of the gyro's axes, of 1 rad/s.
     """
 
     residual: Columns
@@ -85,6 +86,7 @@ class Series:
     vertical: tuple[float, dict[str, float]] | None
     lift: tuple[float, dict[str, float]] | None
     rate_error: tuple[float, float, float]
+    lasting: Columns
 
 
 def evaluate(
@@ -242,13 +244,17 @@ class _Evaluation:
         measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
         self._put(RATES, residual, measured - self.gyro_model)
         self._put(FORCES, residual, self.force - self.force_model)
+        lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
         rows = flight.attitude
         if rows is not None:
             turning = np.einsum("nij,nj->ni", rows.to_euler, self._turning(self.sensors, self.lean))
             euler = rows.where_told(rows.rate - turning)
             residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
+            told = rows.where_told(rows.to_euler)
+            lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
         columns = {key: self._column(key) for key in keys}
-        return Series(residual, columns, self._vertical(keys), self._lift(columns), self.rate_error)
+        up = self._vertical(keys), self._lift(columns)
+        return Series(residual, columns, *up, self.rate_error, lasting)
 
     def _vertical(self, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
         """The mean vertical force as measured, less what the accelerometer adds, less 1 g."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.residuals import ACCELEROMETER, ATTITUDE, Series
+from groundstation.identification.likelihood.residuals import ATTITUDE, Series
 
 Array = NDArray[np.float64]
 TAPER = 0.03
@@ -29,8 +29,8 @@ class Spectrum:
 
     hz, weight: (2 m,) frequencies and degrees of freedom, m real parts and then m imaginary
     ones. residual: (2 m,). columns: (k, 2 m) of the unknowns with numbers ``place`` (k,).
-    period_s: between two values of the channel. lasting: (2 m,) of a signal that never changes, of
-    unit size or of the size that it is expected to have; None where none is.
+    period_s: between two values of the channel. lasting: (k, 2 m) of what a flight may have
+    throughout, of unit size or of the size that it is expected to have; None where nothing is.
     """
 
     flight: int
@@ -91,8 +91,10 @@ def transform(
     for channel, residual in series.residual.items():
         touching = [key for key in keys if channel in series.columns.get(key, {})]
         rows = len(residual)
-        stack = np.ones((len(touching) + 2, rows))
+        lasting = series.lasting.get(channel, np.empty((0, rows)))
+        stack = np.empty((1 + len(touching) + len(lasting), rows))
         stack[0] = residual
+        stack[1 + len(touching) :] = lasting
         for i, key in enumerate(touching):
             stack[i + 1] = series.columns[key][channel]
         step = period_s * strides.get(channel, 1)
@@ -104,10 +106,10 @@ def transform(
                 hz,
                 weight,
                 spectra[0],
-                spectra[1:-1],
+                spectra[1 : 1 + len(touching)],
                 np.array([place[key] for key in touching], np.int64),
                 step,
-                None if ACCELEROMETER <= channel < ATTITUDE else spectra[-1],
+                spectra[1 + len(touching) :] if len(lasting) else None,
             )
         )
     return found
@@ -216,18 +218,18 @@ def quadratic(
 
 
 def settled(rows: Array, lasting: Array | None, scale: Array) -> Array:
-    """Rows (..., 2 m) as they count beside a lasting signal of unknown size.
+    """Rows (..., 2 m) as they count beside lasting signals of unknown sizes.
 
-    lasting: (2 m,) of its expected size, the standard deviation of a normal prior. scale: (2 m,)
-    weights of squares. Sums of weighted squares and products of the result are those in which the
-    size has been integrated out.
+    lasting: (k, 2 m) of their expected sizes, the standard deviations of a normal prior. scale:
+    (2 m,) weights of squares. Sums of weighted squares and products of the result are those in
+    which the sizes have been integrated out.
     """
     if lasting is None:
         return rows
-    own = scale * lasting
-    strength = float(own @ lasting)
-    share = (1.0 - (1.0 + strength) ** -0.5) / max(strength, 1e-300)
-    return np.asarray(rows - np.multiply.outer(share * (rows @ own), lasting))
+    strength, turn = np.linalg.eigh(lasting @ (scale * lasting).T)
+    apart = turn.T @ lasting
+    share = (1.0 - (1.0 + np.maximum(strength, 0.0)) ** -0.5) / np.maximum(strength, 1e-300)
+    return np.asarray(rows - (share * (rows @ (scale * apart).T)) @ apart)
 
 
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
