@@ -126,7 +126,7 @@ class Problem:
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
-        self.lasting = _lasting(model_vehicle(model))
+        self.trim = _trim(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
@@ -152,12 +152,17 @@ class Problem:
         spectra: list[Spectrum] = []
         for s in plain.spectra:
             root = self.root(flights[s.flight], s.channel, s.hz)
-            lasting = None if s.lasting is None else self.lasting[s.channel] * s.lasting / root
+            lasting = None if s.lasting is None else self._lasting(s.channel) * s.lasting / root
             scaled = replace(
                 s, residual=s.residual / root, columns=s.columns / root, lasting=lasting
             )
             spectra.append(self._trimmed(scaled, self.noise) if self.noise else scaled)
         return replace(plain, spectra=spectra)
+
+    def _lasting(self, channel: int) -> float:
+        """Standard deviation of what lasts for a flight and is another in the next: a moment in
+        rad/s^2, or the gyro's offset in rad/s between it and the reported angles."""
+        return self.trim[channel] if channel < ACCELEROMETER else GYRO_COUNT_RAD_S
 
     def _trimmed(self, s: Spectrum, noise: Mapping[int, Noise]) -> Spectrum:
         residual, columns = (
@@ -182,8 +187,8 @@ class Problem:
         for s in plain.spectra:
             assert s.lasting is not None
             root = self.root(self.flights[s.flight], s.channel, s.hz)
-            own = s.lasting * s.weight / self.noise[s.channel].at(s.hz) / root**2
-            strength = float(own @ s.lasting)
+            own = s.lasting[0] * s.weight / self.noise[s.channel].at(s.hz) / root**2
+            strength = float(own @ s.lasting[0])
             left = float(own @ s.residual) / strength
             squares.setdefault(s.channel, []).append(left**2 + 1.0 / strength)
         found = (
@@ -422,12 +427,11 @@ def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
 Prior = tuple[tuple[str, ...], dict[str, float], Array]
 
 
-def _lasting(vehicle: Vehicle) -> dict[int, float]:
-    """Channel -> standard deviation of what lasts for a flight and is another in the next: a moment
-    about each axis, rad/s^2, and the gyro's offset, rad/s, between it and the reported angles."""
+def _trim(vehicle: Vehicle) -> tuple[float, float, float]:
+    """Standard deviation of a flight's lasting moment about each axis, rad/s^2."""
     square = STANDARD_GRAVITY / (4.0 * vehicle.thrust_per_mass)
-    moments = [TRIM_SHARE * abs(one) * square for one in vehicle.body_constants]
-    return dict(enumerate(moments)) | {ATTITUDE + i: GYRO_COUNT_RAD_S for i in range(3)}
+    roll, pitch, yaw = (TRIM_SHARE * abs(one) * square for one in vehicle.body_constants)
+    return roll, pitch, yaw
 
 
 def _sensor_lag(model: Model) -> float:
