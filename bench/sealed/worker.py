@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 import resource
 import sys
 import time
@@ -21,6 +22,7 @@ from typing import Any
 def main(search: Callable[[list[str]], Any]) -> None:
     from groundstation.errors import GroundStationError
 
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself has it
     answers, sys.stdout = sys.stdout, sys.stderr
     for line in sys.stdin:
         arguments = json.loads(line)
