@@ -33,8 +33,8 @@ def main() -> NoReturn:
         if (cache := provide_cache()) is not None and not cache.exists():
             _complain(f"compiled code is kept in {cache}, for neither its own nor your cache folder"
                       " can be written")  # fmt: skip
-        # Matrices here are small: BLAS's threads only wait for each other, and for two searches side
-        # by side on two cores that took seven times the processor time.
+        # Matrices here are small: BLAS's threads only wait for each other. For two searches side by
+        # side on two cores that took seven times the processor time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         # here, for importing takes long enough to be interrupted
         from groundstation.cli.app import app
