@@ -56,10 +56,10 @@ def test_what_flies_is_found_again_with_its_delay(flown):
     assert best.b[0] == pytest.approx(GAIN * BODY.body.c0 * 0.002, rel=0.05), kind
 
 
+@pytest.mark.parametrize("flown", ["gyro"], indirect=True)
 def test_prediction_by_the_same_polynomials_is_better_than_by_the_body(flown):
+    """Rates: from angles that are held for two rows no free run begins well."""
     kind, _, samples = flown
-    if kind == "attitude":
-        pytest.skip("from angles that are held for two rows no free run begins well")
     (run,) = flights_of(samples, "flight")
     by_arx, by_body = (
         pooled_rms(ahead_errors(run, model_of(kind), turning=one).horizons)[:3]

@@ -132,10 +132,21 @@ def assume_no_alias(reception: Reception) -> None:
     assume(not (np.abs((gaps[gaps > 100] + 149) % 299 - 149) <= 16).any())
 
 
+def late_around_a_silence(
+    seed: int, silence: float, before: float, after: float, loss: float
+) -> tuple[Flight, Reception]:
+    """The host is late from ``before`` a silence until ``after`` its end, in s; a negative
+    ``after`` is a share of the silence."""
+    rng = np.random.default_rng(seed)
+    flight = fly(rng, [(1000, 0.0, False), (2000, silence, False)])
+    end = 2.0 + silence * (1 + min(0.0, after)) + max(0.0, after)
+    return flight, receive(rng, flight, loss=loss, blocks=[(2.0 - before, end - 2.0 + before)])
+
+
 @settings(max_examples=30)
 @given(
     seed=seeds,
-    silence=st.floats(0.1, 6.0),
+    silence=st.floats(1.8, 6.0),
     before=st.floats(0.0, 0.4),
     after=st.floats(-0.9, 0.5),
     loss=st.floats(0, 0.3),
@@ -143,15 +154,30 @@ def assume_no_alias(reception: Reception) -> None:
 def test_a_host_that_was_late_already_before_a_silence_gives_the_right_time(
     seed: int, silence: float, before: float, after: float, loss: float
 ) -> None:
-    rng = np.random.default_rng(seed)
-    flight = fly(rng, [(1000, 0.0, False), (2000, silence, False)])
-    end = 2.0 + silence * (1 + min(0.0, after)) + max(0.0, after)
-    blocks = [(2.0 - before, end - 2.0 + before)]
-    reception = receive(rng, flight, loss=loss, blocks=blocks)
+    flight, reception = late_around_a_silence(seed, silence, before, after, loss)
     assume(abs((round(silence / 0.002) + 150) % 299 - 150) > 16)
     samples, decoder = decode_in_batches(reception.batch, 16, compiled=True)
     assert_every_arrived_sample_once(samples, flight, reception)
     assert decoder.counts().restarts == 0
+
+
+def test_a_host_late_on_both_sides_of_a_short_silence_gives_the_right_time_nearly_always() -> None:
+    """What no clock tells, by how often: 2 % of 3119 such silences (docs/telemetry.md)."""
+    rng = np.random.default_rng(8)
+    draws, wrong = 100, 0
+    for seed in range(draws):
+        silence, before = rng.uniform(0.1, 1.8), rng.uniform(0.0, 0.4)
+        flight, reception = late_around_a_silence(
+            seed, silence, before, rng.uniform(-0.9, 0.5), rng.uniform(0.0, 0.3)
+        )
+        samples, _ = decode_in_batches(reception.batch, 16, compiled=True)
+        arrived = np.unique(reception.sample[reception.sample >= 0])
+        got = packets_of(samples)
+        # Misplaced or merged, but never invented and hardly ever lost.
+        assert {one.tobytes() for one in got} <= {one.tobytes() for one in flight.packets}
+        assert len(got) >= len(arrived) - 150
+        wrong += not np.array_equal(got, flight.packets[arrived])
+    assert wrong <= 12
 
 
 @settings(max_examples=30)
