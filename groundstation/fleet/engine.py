@@ -82,6 +82,7 @@ def _batched(
         under_way[future] = batch
         return future
 
+    suspects: list[Task] = []
     first = [begin(batch) for batch in islice(waiting, most)]
     arriving = as_completed(first, loop=client.loop)
     for future in arriving:
@@ -90,7 +91,7 @@ def _batched(
             results = future.result()
         except KilledWorker:
             if len(batch) == 1:
-                yield batch[0], None
+                suspects += batch
             for task in batch if len(batch) > 1 else ():
                 arriving.add(begin([task]))
         else:
@@ -98,6 +99,12 @@ def _batched(
         future.release()
         for batch in islice(waiting, max(0, most - len(under_way))):
             arriving.add(begin(batch))
+    # The scheduler blames all that a dead worker had before it: who is alone is guilty.
+    for task in suspects:
+        try:
+            yield task, begin([task]).result()[0]
+        except KilledWorker:
+            yield task, None
 
 
 def _each(work: Callable[[Task], Result], batch: list[Task]) -> list[Result]:
