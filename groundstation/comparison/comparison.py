@@ -14,13 +14,12 @@ from groundstation.comparison.gap import AheadErrors, ahead_errors, overall, poo
 from groundstation.comparison.localisation import Place, where
 from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, learn, prepare
 from groundstation.comparison.refusals import (
-    require_body,
     require_channels,
     require_flight,
 )
 from groundstation.comparison.regimes import motion_of
 from groundstation.dynamics.arx import Turning
-from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.model import Model, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 

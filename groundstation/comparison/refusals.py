@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundstation.comparison.gap import AheadErrors
-from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 
@@ -28,15 +27,6 @@ def require_channels(runs: Sequence[Run]) -> None:
                     f"{run.name}: {what} is not in the recording; where a model and a flight"
                     " disagree cannot be told without it: record it"
                 )
-
-
-def require_body(model: Model) -> None:
-    """Raises BadInputError for a model that cannot fly."""
-    if model.body is None:
-        raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials: thrust,"
-            " and when the craft flies, are not in it; fit a body ('groundstation fit body')"
-        )
 
 
 def require_flight(errors: Sequence[AheadErrors]) -> None:

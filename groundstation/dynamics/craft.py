@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.effect import FORCE, GYRO, Effect, Stage
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
-from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
 from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage, find_effect
 from groundstation.dynamics.vehicle import (
     MotorConstants,
@@ -123,12 +123,7 @@ def craft_of_model(model: Model) -> Crafts:
 
     Raises BadInputError where the model has no body, or an effect that does not exist.
     """
-    if model.body is None:
-        raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials: thrust,"
-            " and when the craft flies, are not in it; fit a body ('groundstation fit body')"
-        )
-    vehicle, body = model_vehicle(model), model.body
+    vehicle, body = model_vehicle(model), require_body(model)
     record = craft_of_vehicle(vehicle)
     craft = record[0]
     thrust = vehicle.mass_kg * body.thrust_per_mass

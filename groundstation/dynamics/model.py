@@ -164,6 +164,16 @@ def model_vehicle(model: Model) -> Vehicle:
     return model.vehicle_profile or load_vehicle(model.vehicle)
 
 
+def require_body(model: Model) -> BodyConstants:
+    """Its body's constants. Raises BadInputError for a model that cannot fly."""
+    if model.body is None:
+        raise BadInputError(
+            f"model for {model.vehicle}: it has no body constants, only ARX polynomials: thrust,"
+            " and when the craft flies, are not in it; fit a body ('groundstation fit body')"
+        )
+    return model.body
+
+
 def rotor_motors(model: Model) -> Motors:
     """The motor of each rotor M1..M4; four equal ones where they were not told apart."""
     motor = model.motor

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.errors import GroundStationError
 from groundstation.fleet.facts import fetched
+from groundstation.fleet.gather import with_reason
 from groundstation.fleet.parts import Row
 
 if TYPE_CHECKING:
@@ -63,24 +63,27 @@ def searching(model: Model | None, vehicle: str | None) -> partial[Row]:
 
 def search_craft(flights: CraftFlights, model: Model | None, vehicle: str | None) -> Row:
     """A row of the table ``effects``. Never raises for what files hold: that is its ``reason``."""
-    row: Row = dict.fromkeys(COLUMNS)
-    row |= {
-        KEY: flights.craft,
-        "settings": flights.settings,
-        "fitted": list(flights.fitted),
-        "held_out": list(flights.held_out),
-    }
-    try:
+
+    def told() -> Row:
         with ExitStack() as files:
             fit_on, held = (
                 [files.enter_context(fetched(one)) for one in addresses]
                 for addresses in (flights.fitted, flights.held_out)
             )
-            return row | _told(_searched(fit_on, held, model, vehicle))
-    except GroundStationError as error:
-        return row | {"reason": str(error)}
-    except Exception as error:  # a fault of ours with one craft must not end all others
-        return row | {"reason": f"{type(error).__name__}: {error}"}
+            return _told(_searched(fit_on, held, model, vehicle))
+
+    return with_reason(row_of(flights), told)
+
+
+def row_of(flights: CraftFlights) -> Row:
+    """A row of the table ``effects`` that tells nothing yet."""
+    row: Row = dict.fromkeys(COLUMNS)
+    return row | {
+        KEY: flights.craft,
+        "settings": flights.settings,
+        "fitted": list(flights.fitted),
+        "held_out": list(flights.held_out),
+    }
 
 
 def _searched(

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from groundstation.fleet.flight_fit import COLUMNS, KEY, fitting, settings_of
-from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import recordings_of
-from groundstation.fleet.parts import Parts, Row
+from groundstation.fleet.flight_fit import COLUMNS, KEY, fitting, row_of, settings_of
+from groundstation.fleet.gather import gathered, set_aside
+from groundstation.fleet.index import changed_since, lasting, recordings_of, usable
+from groundstation.fleet.parts import Parts
 from groundstation.identification.fit_record import Progress, silent
 
 KEPT_AT = 20
@@ -44,19 +44,13 @@ def fit_all(
 
     Raises BadInputError where there is no catalogue.
     """
-    rows = [one for one in recordings_of(catalogue) if one["state"] not in ("damaged", "bad")]
-    table = fits_table(catalogue)
-    known, settings = table.rows(), settings_of(vehicle, effects)
-    long = {one[KEY]: one for one in rows if (one["airborne_s"] or 0.0) >= LEAST_AIR_S}
-    to_fit = [
-        address
-        for address, row in long.items()
-        if address not in known
-        or (known[address]["sha256"], known[address]["settings"]) != (row["sha256"], settings)
-    ]
+    rows = usable(recordings_of(catalogue))
+    table, settings = fits_table(catalogue), settings_of(vehicle, effects)
+    long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
+    to_fit = changed_since(table.rows(), long, settings)
     fitted = gathered(
         *(table, fitting(vehicle, effects), to_fit),
-        lambda address: _deadly(address, long[address], settings),
+        lambda address: set_aside(row_of(address, settings, long[address]["sha256"]), "fits"),
         at_once=KEPT_AT,
         doing="fitting",
         workers=workers,
@@ -66,14 +60,3 @@ def fit_all(
     refused = sum(row["reason"] is not None for row in fitted)
     table.compact(list(long))
     return Fitted(len(to_fit), refused, len(long) - len(to_fit), len(rows) - len(long))
-
-
-def _deadly(address: str, recording: Row, settings: str) -> Row:
-    """The row of a recording that every process dies of."""
-    row: Row = dict.fromkeys(COLUMNS)
-    return row | {
-        KEY: address,
-        "sha256": recording["sha256"],
-        "settings": settings,
-        "reason": "the process that fits it dies, again and again; it is set aside",
-    }

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import GroundStationError
 from groundstation.fleet.facts import fetched
+from groundstation.fleet.gather import with_reason
 from groundstation.fleet.parts import Row
 from groundstation.paths import digest
 
@@ -66,20 +66,25 @@ def settings_of(vehicle: str | None, effects: tuple[str, ...]) -> str:
 
 def fit_flight(address: str, vehicle: str | None, effects: tuple[str, ...]) -> Row:
     """A row of the table ``fits``. Never raises for what a file holds: that is its ``reason``."""
-    row: Row = dict.fromkeys(COLUMNS)
-    row |= {KEY: address, "settings": settings_of(vehicle, effects)}
-    try:
+    row = row_of(address, settings_of(vehicle, effects))
+
+    def told() -> Row:
         with fetched(address) as path:
             row["sha256"] = digest(path)
             values, seconds = _told(str(path), vehicle, effects)
-    except GroundStationError as error:
-        return row | {"reason": str(error)}
-    except Exception as error:  # a fault of ours with one file must not end a thousand others
-        return row | {"reason": f"{type(error).__name__}: {error}"}
-    for name, (value, stderr) in values.items():
-        if math.isfinite(value):
-            row |= {name: value, f"{name}_stderr": stderr}
-    return row | {"seconds": seconds}
+        found: Row = {"seconds": seconds}
+        for name, (value, stderr) in values.items():
+            if math.isfinite(value):
+                found |= {name: value, f"{name}_stderr": stderr}
+        return found
+
+    return with_reason(row, told)
+
+
+def row_of(address: str, settings: str, sha256: str | None = None) -> Row:
+    """A row of the table ``fits`` that tells nothing yet."""
+    row: Row = dict.fromkeys(COLUMNS)
+    return row | {KEY: address, "sha256": sha256, "settings": settings}
 
 
 def _told(

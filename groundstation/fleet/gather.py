@@ -4,9 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from groundstation.errors import GroundStationError
 from groundstation.fleet.engine import Task, carried_out
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress
+
+
+def with_reason(row: Row, work: Callable[[], Row]) -> Row:
+    """``row`` with what the work tells, or else the ``reason`` why it tells nothing."""
+    try:
+        return row | work()
+    except GroundStationError as error:
+        return row | {"reason": str(error)}
+    except Exception as error:  # a fault of ours with one file must not end a thousand others
+        return row | {"reason": f"{type(error).__name__}: {error}"}
+
+
+def set_aside(row: Row, does: str) -> Row:
+    """The row of a task that every process dies of. does: what it does, in the third person."""
+    return row | {"reason": f"the process that {does} it dies, again and again; it is set aside"}
 
 
 def gathered(

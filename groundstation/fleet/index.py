@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from groundstation.identification.fit_record import Progress, silent
 
 SUFFIXES = (".mcap", ".csv", ".npz", ".rrd", ".db3", ".ulg")
 """Of recordings; a microSD log has no suffix of its own and is named itself."""
+UNFIT = ("damaged", "bad")
+"""States of recordings that nothing is made of."""
 KEPT_AT = 200
 """Rows that make a file of their own."""
 
@@ -42,6 +44,27 @@ def recordings_of(catalogue: Path) -> list[Row]:
             f" {catalogue}"
         )
     return list(rows.values())
+
+
+def usable(rows: Iterable[Row]) -> list[Row]:
+    """Those of a catalogue's rows that something can be made of."""
+    return [one for one in rows if one["state"] not in UNFIT]
+
+
+def lasting(rows: Iterable[Row], least_s: float) -> list[Row]:
+    """Those with so much time in the air."""
+    return [one for one in rows if (one["airborne_s"] or 0.0) >= least_s]
+
+
+def changed_since(known: Mapping[str, Row], rows: Mapping[str, Row], settings: str) -> list[str]:
+    """Addresses of recordings that an earlier table does not know, or knows with other content or
+    settings."""
+    return [
+        address
+        for address, row in rows.items()
+        if address not in known
+        or (known[address]["sha256"], known[address]["settings"]) != (row["sha256"], settings)
+    ]
 
 
 def addresses_of(sources: Sequence[str]) -> list[str]:

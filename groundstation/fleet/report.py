@@ -11,6 +11,7 @@ import numpy as np
 from groundstation.fleet.before_after import Shift
 from groundstation.fleet.findings import FALSE_SHARE, Finding, Fleet, Series, scale, told
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
+from groundstation.fleet.index import UNFIT
 from groundstation.fleet.parts import Row
 from groundstation.fleet.report_sections import (
     LISTED,
@@ -149,9 +150,7 @@ def _drawn(series: Series, finding: Finding, fleet: Fleet) -> Figure:
 def _set_aside(page: Page, recordings: Sequence[Row], fits: dict[str, Row]) -> None:
     """What did not count, and why."""
     rows = [
-        (one["address"], one["state"], one["reason"])
-        for one in recordings
-        if one["state"] in ("damaged", "bad")
+        (one["address"], one["state"], one["reason"]) for one in recordings if one["state"] in UNFIT
     ]
     rows += [
         (address, "not fitted", one["reason"])

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from groundstation.dynamics.model import Model
-from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, searching
+from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, row_of, searching
 from groundstation.fleet.findings import findings_of
 from groundstation.fleet.fit import LEAST_AIR_S, fits_table
-from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import recordings_of
+from groundstation.fleet.gather import gathered, set_aside
+from groundstation.fleet.index import lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
 
@@ -54,12 +54,10 @@ def search_all(
     Raises BadInputError where there is no catalogue.
     """
     recordings = recordings_of(catalogue)
-    fits = fits_table(catalogue).rows()
-    begins = last_changes(recordings, fits)
+    begins = last_changes(recordings, fits_table(catalogue).rows())
     by_craft: dict[str, list[Row]] = {}
-    for row in recordings:
-        if row["state"] not in ("damaged", "bad") and (row["airborne_s"] or 0.0) >= LEAST_AIR_S:
-            by_craft.setdefault(row["craft"], []).append(row)
+    for row in lasting(usable(recordings), LEAST_AIR_S):
+        by_craft.setdefault(row["craft"], []).append(row)
     described = "own fit" if model is None else model_digest(model)
     tasks = [
         task
@@ -74,7 +72,8 @@ def search_all(
         if task.craft not in known or known[task.craft]["settings"] != task.settings
     ]
     rows_found = gathered(
-        *(table, searching(model, vehicle), fresh, _deadly),
+        *(table, searching(model, vehicle), fresh),
+        lambda task: set_aside(row_of(task), "searches"),
         at_once=1,
         doing="searching craft",
         workers=workers,
@@ -130,15 +129,3 @@ def _liveliness(row: Row) -> float:
     return sum(math.log(max(rate, 1e-3)) for rate in rates) / 3.0 + 0.5 * math.log(
         row["airborne_s"]
     )
-
-
-def _deadly(task: CraftFlights) -> Row:
-    """The row of a craft that every process dies of."""
-    row: Row = dict.fromkeys(COLUMNS)
-    return row | {
-        KEY: task.craft,
-        "settings": task.settings,
-        "fitted": list(task.fitted),
-        "held_out": list(task.held_out),
-        "reason": "the process that searches it dies, again and again; it is set aside",
-    }

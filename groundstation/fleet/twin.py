@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from groundstation.dynamics.model import Model
-from groundstation.errors import GroundStationError
+from groundstation.dynamics.model import Model, require_body
 from groundstation.fleet.facts import fetched
-from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import recordings_of
+from groundstation.fleet.gather import gathered, set_aside, with_reason
+from groundstation.fleet.index import changed_since, lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts, Row
 from groundstation.fleet.search import model_digest
 from groundstation.identification.fit_record import Progress, silent
@@ -63,25 +62,14 @@ def watch_all(
 
     Raises BadInputError where there is no catalogue, or the model has no body.
     """
-    from groundstation.comparison.refusals import require_body
-
     require_body(model)
-    rows = [one for one in recordings_of(catalogue) if one["state"] not in ("damaged", "bad")]
+    rows = usable(recordings_of(catalogue))
     table, settings = twin_table(catalogue), model_digest(model)
-    known = table.rows()
-    long = {one[KEY]: one for one in rows if (one["airborne_s"] or 0.0) >= LEAST_AIR_S}
-    fresh = [
-        address
-        for address, row in long.items()
-        if address not in known
-        or (known[address]["sha256"], known[address]["settings"]) != (row["sha256"], settings)
-    ]
+    long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
+    fresh = changed_since(table.rows(), long, settings)
     found = gathered(
         *(table, partial(watch_flight, model=model, settings=settings, asked=asked), fresh),
-        lambda address: (
-            _row(address, long[address]["sha256"], settings)
-            | {"reason": "the process that watches it dies, again and again; it is set aside"}
-        ),
+        lambda address: set_aside(_row(address, long[address]["sha256"], settings), "watches"),
         at_once=KEPT_AT,
         doing="watching",
         workers=workers,
@@ -101,14 +89,13 @@ def watch_flight(address: str, model: Model, settings: str, asked: bool) -> Row:
     asked: the user said that all flights are of the model's vehicle.
     """
     row = _row(address, None, settings)
-    try:
+
+    def told() -> Row:
         with fetched(address) as path:
             row["sha256"] = digest(path)
-            return row | _told(path, model, asked)
-    except GroundStationError as error:
-        return row | {"reason": str(error)}
-    except Exception as error:  # a fault of ours with one file must not end a thousand others
-        return row | {"reason": f"{type(error).__name__}: {error}"}
+            return _told(path, model, asked)
+
+    return with_reason(row, told)
 
 
 def _row(address: str, sha256: str | None, settings: str) -> Row:

@@ -146,8 +146,8 @@ class TwinService:
         }
 
     def _load(self, path: str) -> None:
-        from groundstation.comparison.refusals import require_body
         from groundstation.dynamics.craft import craft_of_model
+        from groundstation.dynamics.model import require_body
         from groundstation.dynamics.origin import require_fitted_body
 
         model = load_model(path)

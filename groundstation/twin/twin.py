@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.comparison.refusals import require_body
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.model import Model, require_body
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 from groundstation.twin.alarm import Episode, Judge

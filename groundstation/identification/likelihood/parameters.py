@@ -11,7 +11,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from groundstation.dynamics.effect import Effect, Parameter, Unknown
-from groundstation.dynamics.model import BodyConstants, EffectTerm, Estimate, Model, with_motor
+from groundstation.dynamics.model import (
+    BodyConstants,
+    EffectTerm,
+    Estimate,
+    Model,
+    require_body,
+    with_motor,
+)
 from groundstation.dynamics.registry import EFFECTS, find_effect, load_effects
 from groundstation.dynamics.unknowns import Key, to_point, to_stderr, to_values, variants
 from groundstation.dynamics.vehicle import MotorConstants
@@ -151,12 +158,7 @@ def joined(known: Sequence[Variant], candidates: Sequence[Variant]) -> list[Vari
 
 def point_of(model: Model) -> Point:
     """Where a search starts: the model's constants, and the effects it has already."""
-    body = model.body
-    if body is None:
-        raise BadInputError(
-            f"model for {model.vehicle}: it has no body constants, only ARX polynomials;"
-            " fit a body ('groundstation fit body')"
-        )
+    body = require_body(model)
     point: Point = {key: getattr(body, key) for key in BODY_KEYS}
     point.update({key: getattr(model.motor, key) for key in MOTOR_KEYS})
     point[TIMING] = 0.0
