@@ -12,19 +12,32 @@ from groundstation.errors import GroundStationError
 PATIENCE_S = 60.0
 
 
+def own_command(*arguments: str) -> tuple[str, ...]:
+    """What starts one of our commands so that it ends with this process."""
+    return (
+        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid())),
+        *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
+        *arguments,
+    )
+
+
+def own_environment() -> dict[str, str]:
+    """For such a process: more threads than one would take the cores from the recorder."""
+    threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    return {**os.environ, "NO_COLOR": "1", **dict.fromkeys(threads, "1")}
+
+
 async def run_command(*arguments: str, patience_s: float = PATIENCE_S) -> tuple[int, bytes, str]:
     """Exit status, standard output, and what was said on standard error. At a low priority.
 
     Raises GroundStationError where it does not end in time.
     """
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid())),
-        *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
-        *arguments,
+        *own_command(*arguments),
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "NO_COLOR": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        env=own_environment(),
     )
     try:
         async with asyncio.timeout(patience_s):

@@ -7,7 +7,6 @@ import contextlib
 import os
 import shlex
 import signal
-import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ import msgspec
 from groundstation.documents import read_document
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated
+from groundstation.service.commands import own_command, own_environment
 from groundstation.text import printable
 
 FOLDER = "jobs"
@@ -178,17 +178,13 @@ class Jobs:
         arguments = self._arguments(job, self._folder().absolute())
         with (folder / _LOG).open("wb") as log:
             self._process = process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid())),
-                *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
-                *arguments,
+                *own_command(*arguments),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                # more threads than that would take the cores from the recorder
-                env={**os.environ, "NO_COLOR": "1", "OMP_NUM_THREADS": "1",
-                     "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
-            )  # fmt: skip
+                env=own_environment(),
+            )
         return await process.wait()
 
     def _kept(self, job: Job) -> None:
