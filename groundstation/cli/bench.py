@@ -11,8 +11,9 @@ from groundstation.cli.commanding import (
     await_connection,
     begin_recording,
     end_recording,
-    kept,
     patient,
+    require_consent,
+    require_ended,
     require_ready,
 )
 from groundstation.cli.fit import fit_motor
@@ -98,11 +99,7 @@ def motor(
         show(WARNING.format(high=high, seconds=seconds))
         return
     report = _drive(planned, yes)
-    if report["aborted"]:
-        raise GroundStationError(
-            f"bench aborted: {report['aborted']}; {report['motors']}, the recording is"
-            f" {report['recording']}"
-        )
+    require_ended(report, "bench")
     recording = Path(report["recording"])
     if output is None:
         if as_json:
@@ -141,9 +138,7 @@ def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
         at_rest = require_ready(pilot)
         say(WARNING.format(high=profile.high, seconds=profile.seconds), error=True)
         if not yes and not uri.startswith("udp://"):
-            with kept(pilot):
-                if not typer.confirm(f"{uri}: fixed, and clear of people?"):
-                    raise BadInputError("not driven")
+            require_consent(pilot, f"{uri}: fixed, and clear of people?", "not driven")
         recording = begin_recording(path)
         aborted, motors = "an unforeseen error", ""
         try:

@@ -6,13 +6,15 @@ import contextlib
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import typer
+
 from groundstation.cli.terminal import say
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
 
 LEAST_REST_V = 3.5
@@ -85,6 +87,23 @@ def kept(pilot: Pilot) -> Iterator[None]:
     finally:
         answered.set()
         keeper.join()
+
+
+def require_consent(pilot: Pilot, question: str, otherwise: str) -> None:
+    """Ask the human. Raises BadInputError, saying ``otherwise``, for a no."""
+    with kept(pilot):
+        if not typer.confirm(question):
+            raise BadInputError(otherwise)
+
+
+def require_ended(report: Mapping[str, Any], what: str) -> None:
+    """Raises GroundStationError for a report of what was cut short: why, how the motors are, and
+    where the recording is."""
+    if report["aborted"]:
+        raise GroundStationError(
+            f"{what} aborted: {report['aborted']}; {report['motors']}, the recording is"
+            f" {report['recording']}"
+        )
 
 
 @contextlib.contextmanager

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, require_new
+from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, DamagedRecordingError
+from groundstation.errors import DamagedRecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -62,7 +62,9 @@ def inspect(
         require_new(thumbnail)
     recording = _open(file, columns)
     if thumbnail is not None:
-        _draw(recording, thumbnail)
+        from groundstation.recording.thumbnail import thumbnail as drawn
+
+        write_new(thumbnail, drawn(recording.samples))
     report = inspect_recording(recording)
     if as_json:
         show_json(report)
@@ -148,16 +150,6 @@ def _open(path: Path, columns: str | None) -> Recording:
 
     with _progress(f"reading {path}"):
         return open_recording(path, raw=True, column_map=columns)
-
-
-def _draw(recording: Recording, path: Path) -> None:
-    from groundstation.recording.thumbnail import thumbnail
-
-    try:
-        with path.open("x") as file:
-            file.write(thumbnail(recording.samples))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _warn_of_zeros(recording: Recording) -> None:

@@ -139,6 +139,17 @@ def model_before(model: Model | None, vehicle: str | None, mass_kg: float | None
     )
 
 
+def write_new(path: Path, text: str) -> None:
+    """Write a new file. Raises BadInputError where there is one, or it cannot be written."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise BadInputError(taken(path)) from error
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
 def require_new(path: Path) -> None:
     """Raises BadInputError where a new file's name is taken or its folder is not there."""
     if path.exists():

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli.model_files import AS_JSON, HTML, fitted_model, require_new, say_written
+from groundstation.cli.model_files import (
+    AS_JSON,
+    HTML,
+    fitted_model,
+    require_new,
+    say_written,
+    write_new,
+)
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
-from groundstation.paths import taken
 
 if TYPE_CHECKING:
     from groundstation.control.design import Design
@@ -97,7 +104,7 @@ def design(
     from groundstation.control.gains_file import gains_text
 
     if output is not None:
-        _write_new(output, gains_text(gains, release, "whole" if form == "whole" else None))
+        write_new(output, gains_text(gains, release, "whole" if form == "whole" else None))
         report["output"] = str(output)
     if html is not None:
         page.write(html)
@@ -125,13 +132,8 @@ def _design_firmware(
     from groundstation.control.design_report import firmware_page, firmware_report
     from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
 
-    done: dict[str, float] = {}
     with shown("designing") as show:
-
-        def progress(axis: str, share: float) -> None:
-            done[axis] = share
-            show(0.9 * sum(done.values()) / len(axes), f"designing {axis}")
-
+        progress = _of_axes(axes, lambda share, what: show(0.9 * share, what))
         limits = cascade_limits(sensitivity, spare_s)
         designs: list[AxisDesign] = design_cascade(
             model, axes, limits, seed, progress=progress, release=release
@@ -204,18 +206,26 @@ def _design_whole(
     from groundstation.control.whole_design import design_whole, whole_limits
     from groundstation.control.whole_report import whole_page, whole_report
 
-    done: dict[str, float] = {}
     with shown("designing") as show:
-
-        def progress(axis: str, share: float) -> None:
-            done[axis] = share
-            show(sum(done.values()) / len(axes), f"designing {axis}")
-
+        progress = _of_axes(axes, show)
         limits = whole_limits(sensitivity, spare_s)
         designs = design_whole(model, axes, limits, seed, delay, progress=progress)
     report = whole_report(model, designs, limits)
     gains = {one.axis: one.gains for one in designs}
     return report, gains, whole_page(model, name, designs, report, delay)
+
+
+def _of_axes(
+    axes: tuple[str, ...], show: Callable[[float, str], None]
+) -> Callable[[str, float], None]:
+    """What takes (axis, share) of designs that go on beside each other."""
+    done: dict[str, float] = {}
+
+    def progress(axis: str, share: float) -> None:
+        done[axis] = share
+        show(sum(done.values()) / len(axes), f"designing {axis}")
+
+    return progress
 
 
 def _print_design(report: dict[str, Any]) -> None:
@@ -232,16 +242,6 @@ def _print_design(report: dict[str, Any]) -> None:
             show(f"  {line}")
     for line in report["notes"]:
         show(line)
-
-
-def _write_new(path: Path, text: str) -> None:
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise BadInputError(taken(path)) from error
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def convert(
@@ -288,7 +288,7 @@ def convert(
         raise BadInputError(f"--from firmware: {gains} holds gains by axis")
     made = convert_gains(given, kind, to, fitted_model(model, attitude=True), 1e3 * supply_v)
     release: Release | None = "2014" if to == "firmware" else None
-    _write_new(output, gains_text(made, release, to if to == "whole" else None))
+    write_new(output, gains_text(made, release, to if to == "whole" else None))
     if as_json:
         told = {k: dict(zip(("kp", "ki", "kd"), g.as_tuple(), strict=True))
                 if isinstance(g, PidGains) else g for k, g in made.items()}  # fmt: skip

@@ -13,8 +13,9 @@ from groundstation.cli.commanding import (
     await_connection,
     begin_recording,
     end_recording,
-    kept,
     patient,
+    require_consent,
+    require_ended,
     require_ready,
 )
 from groundstation.cli.left_changed import (
@@ -119,11 +120,7 @@ def fly(
         _undo()
         return
     report = _flight(planned, wanted, _Whose(gains, model, firmware), restore, thrust, yes)
-    if report["aborted"]:
-        raise GroundStationError(
-            f"flight aborted: {report['aborted']}; {report['motors']}, the recording is"
-            f" {report['recording']}"
-        )
+    require_ended(report, "flight")
     _judge(report, planned, model, html, as_json)
 
 
@@ -210,9 +207,7 @@ def _flight(
             )
         require_ready(pilot)
         if real and not yes:
-            with kept(pilot):
-                if not typer.confirm(f"{uri}: clear of people, ready to fly?"):
-                    raise BadInputError("not flown")
+            require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
         with open_sticks(thrust or ("keyboard" if real else "stand-in")) as sticks:
             recording = begin_recording(path)
             changed = dict(wanted)
