@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from bench.sealed.flights import CARRY
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.arx.data import ArxData, arx_data
@@ -26,15 +27,6 @@ from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 
 VEHICLE = BUILT_IN["crazyflie1"]
-CARRYING = {
-    "pid_rate.roll_kp": 30.0,
-    "pid_rate.pitch_kp": 30.0,
-    "pid_attitude.roll_kp": 3.0,
-    "pid_attitude.pitch_kp": 3.0,
-    "pid_attitude.roll_ki": 3.0,
-    "pid_attitude.pitch_ki": 3.0,
-}
-"""Gains that carry a craft that is 16 ms late; all three fly with them."""
 CRAFTS: dict[str, dict[str, Any]] = {
     "no delay (reduced)": {"plant": "reduced"},
     "3.3 ms (faithful)": {"plant": "faithful"},
@@ -66,7 +58,7 @@ def main() -> int:
 
 
 def _flown(seed: int, settings: dict[str, Any]) -> tuple[list[Run], list[Run]]:
-    given = {"seed": seed, "gains": CARRYING, **settings}
+    given = {"seed": seed, "gains": CARRY, **settings}
     craft = StandIn(msgspec.convert(given, StandInSettings))
     packets, heard_s = craft.advance(SECONDS)
     samples, _ = decode_all(RawBatch(packets, np.rint(heard_s * 1e9).astype(np.int64)))

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.firmware_loop import hold_response, rate_per_pwm
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
-from groundstation.control.margins import LoopResponse, Margins
+from groundstation.control.margins import LoopResponse
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
 from groundstation.dynamics.arx import angle_polynomial, require_period
@@ -130,18 +130,6 @@ def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
     return np.asarray(1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0])))
 
 
-def whole_margins(
-    model: Model,
-    gains: PidGains,
-    axis: str,
-    body: Body = Body.ARX,
-    delay: int | None = None,
-    supply_mv: float = SUPPLY_MV,
-) -> Margins:
-    """Margins of one axis; meaningful where the loop is stable."""
-    return whole_loop(model, gains, axis, body, delay, supply_mv).margins
-
-
 def whole_loop(
     model: Model,
     gains: PidGains,
@@ -150,7 +138,8 @@ def whole_loop(
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> LoopResponse:
-    """One axis, linear around hover and broken at the controller's output."""
+    """One axis, linear around hover and broken at the controller's output; its margins mean
+    something where it is stable."""
     omega = grid(SAMPLE_PERIOD_S)
     z = np.exp(1j * omega * SAMPLE_PERIOD_S)
     driven = counts_response(model, axis, omega, body, delay, supply_mv)

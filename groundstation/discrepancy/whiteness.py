@@ -21,7 +21,11 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.problem import Fit, Linear, Problem
 from groundstation.identification.likelihood.residuals import generic_signals
 from groundstation.identification.likelihood.rotors import spin_rotors
-from groundstation.identification.likelihood.spectra import Spectrum, settled, transform_channel
+from groundstation.identification.likelihood.spectra import (
+    Spectrum,
+    beside_lasting,
+    transform_channel,
+)
 from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S
 
 Array = NDArray[np.float64]
@@ -213,8 +217,7 @@ def _with_signals(
             if s.flight == number:
                 columns = transform_channel(signals, s.channel, flight)
                 columns = columns / problem.root(flight, s.channel, s.hz)
-                scale = s.weight / problem.noise[s.channel].at(s.hz)
-                columns = settled(columns, s.lasting, scale)
+                columns = beside_lasting(s, columns, problem.noise[s.channel])
                 wider.append(
                     replace(
                         s,

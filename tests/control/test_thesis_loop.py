@@ -10,7 +10,7 @@ from groundstation.control.thesis_loop import (
     Body,
     counts_per_control,
     run_whole,
-    whole_margins,
+    whole_loop,
 )
 from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.mixer import distribute, mix, output_stage
@@ -101,7 +101,7 @@ def test_a_waiting_integral_helps_in_saturation():
 def test_its_margin_is_the_delay_it_bears():
     gains = PidGains(100.0, 0.0, 30.0)
     model = THESIS.__class__(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
-    margin = whole_margins(model, gains, "roll", Body.GREY_BOX, delay=2).delay_s
+    margin = whole_loop(model, gains, "roll", Body.GREY_BOX, delay=2).margins.delay_s
     reference = np.zeros((4000, 3))
     reference[:, 0] = 0.001
 

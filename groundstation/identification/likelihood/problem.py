@@ -42,6 +42,7 @@ from groundstation.identification.likelihood.spectra import (
     quadratic,
     settled,
     transform,
+    trimmed,
     whiten_by_own,
 )
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -156,20 +157,13 @@ class Problem:
             scaled = replace(
                 s, residual=s.residual / root, columns=s.columns / root, lasting=lasting
             )
-            spectra.append(self._trimmed(scaled, self.noise) if self.noise else scaled)
+            spectra.append(trimmed(scaled, self.noise[s.channel]) if self.noise else scaled)
         return replace(plain, spectra=spectra)
 
     def _lasting(self, channel: int) -> float:
         """Standard deviation of what lasts for a flight and is another in the next: a moment in
         rad/s^2, or the gyro's offset in rad/s between it and the reported angles."""
         return self.trim[channel] if channel < ACCELEROMETER else GYRO_COUNT_RAD_S
-
-    def _trimmed(self, s: Spectrum, noise: Mapping[int, Noise]) -> Spectrum:
-        residual, columns = (
-            settled(rows, s.lasting, s.weight / noise[s.channel].at(s.hz))
-            for rows in (s.residual, s.columns)
-        )
-        return replace(s, residual=residual, columns=columns)
 
     def root(self, flight: Flight, channel: int, hz: Array) -> Array:
         """What spectra of a flight's channel are divided by, at frequencies ``hz``."""
@@ -210,7 +204,7 @@ class Problem:
             # With any weights that are no prior at all the trim goes with the mean.
             even = [settled(s.residual, s.lasting, s.weight * 1e9) for s in linear.spectra]
             first = whiten_by_own(linear.spectra, even, used)
-            linear = replace(linear, spectra=[self._trimmed(s, first) for s in linear.spectra])
+            linear = replace(linear, spectra=[trimmed(s, first[s.channel]) for s in linear.spectra])
         values = [s.residual for s in linear.spectra]
         for number in range(NOISE_ROUNDS if not self.noise else LATER_NOISE_ROUNDS):
             if self.noise and number == 0:

@@ -8,7 +8,7 @@ one-step prediction with a causal noise model, and so free of bias in closed loo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,6 +230,17 @@ def settled(rows: Array, lasting: Array | None, scale: Array) -> Array:
     apart = turn.T @ lasting
     share = (1.0 - (1.0 + np.maximum(strength, 0.0)) ** -0.5) / np.maximum(strength, 1e-300)
     return np.asarray(rows - (share * (rows @ (scale * apart).T)) @ apart)
+
+
+def beside_lasting(s: Spectrum, rows: Array, noise: Noise) -> Array:
+    """``settled`` for rows (..., 2 m) of a spectrum's channel under its noise."""
+    return settled(rows, s.lasting, s.weight / noise.at(s.hz))
+
+
+def trimmed(s: Spectrum, noise: Noise) -> Spectrum:
+    """A spectrum as it counts beside what lasts for its flight."""
+    residual, columns = (beside_lasting(s, rows, noise) for rows in (s.residual, s.columns))
+    return replace(s, residual=residual, columns=columns)
 
 
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
