@@ -7,6 +7,7 @@ and its token as well (``access.py``).
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Any
@@ -90,39 +91,16 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
 
-    async def flights(request: Request) -> Response:
-        try:
-            recordings = await asyncio.to_thread(ask, control, "GET", "/recordings")
-            jobs = await asyncio.to_thread(ask, control, "GET", "/jobs")
-        except GroundStationError as error:
-            return _refusal(503, str(error))
-        return _json({"recordings": recordings, "jobs": jobs})
+    def shows(look: Callable[[Path], dict[str, Any]]) -> Callable[[Request], Awaitable[Response]]:
+        """A route with what ``look`` finds by asking the daemon."""
 
-    async def devices(request: Request) -> Response:
-        try:
-            found = await asyncio.to_thread(ask, control, "GET", "/devices")
-            recordings = await asyncio.to_thread(ask, control, "GET", "/recordings")
-            link = (await asyncio.to_thread(ask, control, "GET", "/status"))["link"]["name"]
-        except GroundStationError as error:
-            return _refusal(503, str(error))
-        usable = [one["link"] for one in found["devices"] if one["usable"] and one["link"]]
-        replays = [f"replay:{one['file']}" for one in recordings if one["state"] == "finished"]
-        craft = [one for one in usable if "://" in one]
-        commands = [STAND_IN_AT] if link.startswith("stand-in") else craft
-        return _json(
-            {**found, "links": ["stand-in", *usable, *replays[::-1]], "commands": commands}
-        )
+        async def answer(request: Request) -> Response:
+            try:
+                return _json(await asyncio.to_thread(look, control))
+            except GroundStationError as error:
+                return _refusal(503, str(error))
 
-    async def models(request: Request) -> Response:
-        try:
-            found = await asyncio.to_thread(ask, control, "GET", "/models")
-            status = await asyncio.to_thread(ask, control, "GET", "/status")
-        except GroundStationError as error:
-            return _refusal(503, str(error))
-        watching = status["twin"] and status["twin"]["model"]
-        files = {one["file"] or one["id"]: one["id"] for one in found}
-        flown = status["link"]["name"].partition("stand-in:")[2]
-        return _json({"models": found, "flown": flown, "watching": files.get(watching)})
+        return answer
 
     async def file(request: Request) -> Response:
         kind, name = request.path_params["kind"], request.path_params["name"]
@@ -139,9 +117,9 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         routes=[
             Route("/", page),
             Route("/now", now),
-            Route("/flights", flights),
-            Route("/models", models),
-            Route("/devices", devices),
+            Route("/flights", shows(_flights)),
+            Route("/models", shows(_models)),
+            Route("/devices", shows(_devices)),
             Route("/file/{kind}/{name}", file),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),
@@ -195,6 +173,29 @@ class _Gate:
             self._access.cookie, self._access.new_session(), httponly=True, samesite="strict"
         )
         return answer
+
+
+def _flights(control: Path) -> dict[str, Any]:
+    return {"recordings": ask(control, "GET", "/recordings"), "jobs": ask(control, "GET", "/jobs")}
+
+
+def _devices(control: Path) -> dict[str, Any]:
+    found, recordings, status = (
+        ask(control, "GET", path) for path in ("/devices", "/recordings", "/status")
+    )
+    usable = [one["link"] for one in found["devices"] if one["usable"] and one["link"]]
+    replays = [f"replay:{one['file']}" for one in recordings if one["state"] == "finished"]
+    craft = [one for one in usable if "://" in one]
+    commands = [STAND_IN_AT] if status["link"]["name"].startswith("stand-in") else craft
+    return {**found, "links": ["stand-in", *usable, *replays[::-1]], "commands": commands}
+
+
+def _models(control: Path) -> dict[str, Any]:
+    found, status = (ask(control, "GET", path) for path in ("/models", "/status"))
+    watching = status["twin"] and status["twin"]["model"]
+    files = {one["file"] or one["id"]: one["id"] for one in found}
+    flown = status["link"]["name"].partition("stand-in:")[2]
+    return {"models": found, "flown": flown, "watching": files.get(watching)}
 
 
 def _file(control: Path, kind: str, name: str) -> Response:

@@ -1,50 +1,50 @@
 // Recordings and the work on them: a list each, asked for while they are looked at.
 
-const ASK_MS = 2000;
-const at = (id) => document.getElementById(id);
+import { at, link, watch } from "./listing.js";
+
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
 
 const pictures = new Map(); // of files
-let shown = "";
+const drawn = new Map(); // of lists, as text
 
 /** change: asks for an operation of the control API; what it answered, or null. */
 export function watchFlights(change) {
-  const look = async () => {
-    if (!at("flights").hidden && !document.hidden) {
-      try {
-        const answer = await fetch("flights");
-        if (answer.ok) show(await answer.json(), change);
-      } catch { /* the alarms say so */ }
-    }
-    setTimeout(look, ASK_MS);
-  };
+  watch("flights", "flights", (found) => {
+    if (isNew("recordings", found.recordings)) showRecordings(found.recordings);
+    if (isNew("jobs", found.jobs)) showJobs(found.jobs, change);
+  });
   for (const button of document.querySelectorAll("#work button[data-kind]")) {
     button.addEventListener("click", async () => {
       const chosen = [...document.querySelectorAll("#recordings select")];
       const files = (use) => chosen.filter((one) => one.value === use).map((one) => one.name);
-      const job = await change("/jobs/start", {
+      await change("/jobs/start", {
         kind: button.dataset.kind, recordings: files("use"), validate: files("hold out"),
         model: ["compare", "discrepancy"].includes(button.dataset.kind) ? at("model").value : "",
       }, "Begun; its state is in the list of jobs.");
-      if (job) shown = "";
     });
   }
-  look();
 }
 
-function show(found, change) {
-  const text = JSON.stringify(found);
-  if (text === shown) return; // what is being chosen or read stays as it is
-  shown = text;
+/** A list stays as it is, and can be clicked, while only the other one changes. */
+function isNew(name, rows) {
+  const text = JSON.stringify(rows), changed = text !== drawn.get(name);
+  drawn.set(name, text);
+  return changed;
+}
+
+function showRecordings(recordings) {
   const uses = new Map([...document.querySelectorAll("#recordings select")]
     .map((one) => [one.name, one.value]));
   // the one that is being written has no time yet
-  const newestFirst = found.recordings.toSorted((a, b) =>
+  const newestFirst = recordings.toSorted((a, b) =>
     (b.start_ns ?? Infinity) - (a.start_ns ?? Infinity) || 0);
   at("recordings").replaceChildren(...newestFirst.map((one) =>
     recordingRow(one, uses.get(one.file))));
-  at("jobs").replaceChildren(...found.jobs.toReversed().map((job) => jobRow(job, change)));
-  const models = found.jobs.filter((job) => job.model_file).map((job) => job.id).toReversed();
+}
+
+function showJobs(jobs, change) {
+  at("jobs").replaceChildren(...jobs.toReversed().map((job) => jobRow(job, change)));
+  const models = jobs.filter((job) => job.model_file).map((job) => job.id).toReversed();
   const before = at("model").value;
   at("model").replaceChildren(...[...models, "thesis"].map((name) => new Option(name)));
   if ([...models, "thesis"].includes(before)) at("model").value = before;
@@ -60,7 +60,7 @@ function recordingRow(one, use) {
   return row(select, when, one.state === "recording" ? "" : picture(one), one.file,
     one.duration_s === null ? "" : `${one.duration_s.toFixed(1)} s`, one.link ?? "",
     `${(one.bytes / 1e6).toFixed(1)} MB`, WORDS[one.state] ?? one.state,
-    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file));
+    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
 }
 
 function picture(one) {
@@ -80,8 +80,8 @@ function jobRow(job, change) {
   does.className = "links";
   const name = encodeURIComponent(job.id);
   if (job.report) does.append(link(`file/report/${name}`, "Report", job.id));
-  if (job.model_file) does.append(link(`file/model/${name}`, "Model", job.id));
-  if (job.gains_file) does.append(link(`file/gains/${name}`, "Gains", job.id));
+  if (job.model_file) does.append(link(`file/model/${name}`, "Model", job.id, true));
+  if (job.gains_file) does.append(link(`file/gains/${name}`, "Gains", job.id, true));
   does.append(link(`file/log/${name}`, "Log", job.id));
   if (job.state === "waiting" || job.state === "running") {
     const button = document.createElement("button");
@@ -100,15 +100,5 @@ function row(...cells) {
     cell.append(content);
     made.append(cell);
   }
-  return made;
-}
-
-function link(address, text, of) {
-  const made = document.createElement("a");
-  made.href = address;
-  if (["Download", "Model", "Gains"].includes(text)) made.download = "";
-  else made.target = "_blank";
-  made.textContent = text;
-  made.setAttribute("aria-label", `${text} of ${of}`);
   return made;
 }

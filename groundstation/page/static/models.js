@@ -1,28 +1,13 @@
 // The models that jobs have made: their numbers, and what can be done with them.
 
-const ASK_MS = 2000;
-const at = (id) => document.getElementById(id);
-
-let shown = "";
+import { at, link, watch } from "./listing.js";
 
 /** change: asks for an operation of the control API; what it answered, or null. */
 export function watchModels(change) {
-  const look = async () => {
-    if (!at("models").hidden && !document.hidden) {
-      try {
-        const answer = await fetch("models");
-        if (answer.ok) show(await answer.json(), change);
-      } catch { /* the alarms say so */ }
-    }
-    setTimeout(look, ASK_MS);
-  };
-  look();
+  watch("models", "models", (found) => show(found, change));
 }
 
 function show(found, change) {
-  const text = JSON.stringify(found);
-  if (text === shown) return; // what is open or read stays as it is
-  shown = text;
   const open = new Set([...document.querySelectorAll("#models details[open]")]
     .map((one) => one.dataset.model));
   const cards = found.models.toReversed().map((one) => card(one, found, open.has(one.id), change));
@@ -66,7 +51,7 @@ function card(one, { flown, watching }, open, change) {
     change("/jobs/start", { kind: "design", model: one.id },
       "Begun; its state is in the list of jobs, under Flights.")));
   if (one.report) does.append(link(`file/report/${encodeURIComponent(one.id)}`, "Report", one.id));
-  if (one.file) does.append(link(`file/model/${encodeURIComponent(one.id)}`, "Model file", one.id));
+  if (one.file) does.append(link(`file/model/${encodeURIComponent(one.id)}`, "Model file", one.id, true));
   made.append(does);
   return made;
 }
@@ -118,14 +103,5 @@ function button(text, of, disabled, work) {
   made.setAttribute("aria-label", `${text}: ${of}`);
   made.disabled = disabled;
   made.addEventListener("click", work);
-  return made;
-}
-
-function link(address, text, of) {
-  const made = element("a", "", text);
-  made.href = address;
-  made.setAttribute("aria-label", `${text} of ${of}`);
-  if (text === "Report") made.target = "_blank";
-  else made.download = "";
   return made;
 }
