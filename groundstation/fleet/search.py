@@ -58,7 +58,8 @@ def search_all(
     by_craft: dict[str, list[Row]] = {}
     for row in lasting(usable(recordings), LEAST_AIR_S):
         by_craft.setdefault(row["craft"], []).append(row)
-    described = "own fit" if model is None else model_digest(model)
+    of = "own fit" if model is None else model_digest(model)
+    described = f"{of}, {vehicle or 'vehicle as recorded'}"
     tasks = [
         task
         for craft, rows in sorted(by_craft.items())
