@@ -9,8 +9,9 @@ import tempfile
 # Before numpy is there: its matrices are small here, and more threads spend their time waiting.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import pytest
 from hypothesis import HealthCheck, settings
-from programs import start_guard
+from programs import run_program, start_guard
 
 # What tests consent to is not remembered for whoever runs them, and tests run effects of their own.
 os.environ.update(
@@ -36,3 +37,20 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("project")
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Makes a file system of so many bytes."""
+    folder = tmp_path / "disk"
+
+    def make(size):
+        folder.mkdir()
+        mount = run_program(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder])
+        if mount.returncode:
+            pytest.skip("mounting a small tmpfs needs root and a kernel that allows it")
+        return folder
+
+    yield make
+    if folder.is_mount():
+        run_program(["umount", folder], check=True)

@@ -3,19 +3,24 @@
 Dask carries it (``dask.distributed``). A task is a batch of recordings, so that the scheduler's
 cost stays small beside the work, and only so many are under way at once, so that neither the
 scheduler's memory nor this process's grows with the number of recordings. A worker that dies costs
-its batches, which are begun again; the recording that kills one again and again is set aside.
+its batches, which are begun again; the recording that kills one again and again is set aside. A
+scheduler that is begun anew at its address is given what has no result yet.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
-from itertools import islice
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -29,6 +34,8 @@ LARGEST_BATCH = 50
 DEATHS = 3
 """A batch whose workers died so often is taken apart; a recording alone is set aside."""
 CONNECT_S = 10
+RETURN_S = 600.0
+"""So long a scheduler that went away may take to be begun anew, with its workers."""
 HINT = "pip install -e '.[fleet]'"
 
 
@@ -51,60 +58,119 @@ def carried_out(
     Dask. scheduler: ``tcp://HOST:PORT`` of a running one, whose workers must be able to read the
     recordings.
 
-    Raises BadInputError where Dask is missing or the scheduler does not answer.
+    Raises BadInputError where Dask is missing or the scheduler does not answer, GroundStationError
+    where it went away and none came in its place.
     """
     if scheduler is None and (workers == 1 or len(tasks) <= 1):
         for task in tasks:
             yield task, work(task)
         return
-    with _client(workers, scheduler) as client:
-        count = max(1, sum(client.nthreads().values()))
-        size = min(LARGEST_BATCH, max(1, math.ceil(len(tasks) / (8 * count))))
-        yield from _batched(client, work, _batches(tasks, size), MOST_AT_ONCE * count)
+    work_left: _Left[Task] | None = None
+    while work_left is None or work_left:
+        if work_left is not None and scheduler is not None:
+            _await(scheduler, work_left)
+        with _client(workers, scheduler) as client:
+            count = max(1, sum(client.nthreads().values()))
+            if work_left is None:
+                work_left = _Left.batched(tasks, count)
+            try:
+                yield from _through(client, work, work_left, MOST_AT_ONCE * count)
+            except _SchedulerLostError:
+                continue
 
 
-def _batches(tasks: Sequence[Task], size: int) -> Iterator[list[Task]]:
-    rest = iter(tasks)
-    while batch := list(islice(rest, size)):
-        yield batch
+class _SchedulerLostError(Exception):
+    """What was under way is back among what is left."""
 
 
-def _batched(
-    client: Client, work: Callable[[Task], Result], batches: Iterable[list[Task]], most: int
+@dataclass(slots=True)
+class _Left(Generic[Task]):
+    """What has no result yet and is under way nowhere. batches: in order; suspects: recordings that
+    workers died of while nothing but they was in the batch."""
+
+    batches: deque[list[Task]]
+    suspects: deque[Task] = field(default_factory=deque)
+
+    @classmethod
+    def batched(cls, tasks: Sequence[Task], threads: int) -> _Left[Task]:
+        size = min(LARGEST_BATCH, max(1, math.ceil(len(tasks) / (8 * threads))))
+        return cls(deque(list(tasks[k : k + size]) for k in range(0, len(tasks), size)))
+
+    def __bool__(self) -> bool:
+        return bool(self.batches or self.suspects)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.batches)) + len(self.suspects)
+
+
+def _through(
+    client: Client, work: Callable[[Task], Result], left: _Left[Task], most: int
 ) -> Iterator[tuple[Task, Result | None]]:
+    """All that is left, through one client. Raises _SchedulerLostError."""
     from distributed import KilledWorker, as_completed
+    from distributed.client import ClosedClientError
+    from distributed.comm import CommClosedError
 
-    waiting = iter(batches)
     under_way: dict[Future, list[Task]] = {}
 
-    def begin(batch: list[Task]) -> Future:
-        future = client.submit(_each, work, batch, pure=False)
-        under_way[future] = batch
-        return future
+    def begin() -> list[Future]:
+        begun = []
+        while left.batches and len(under_way) < most:
+            begun.append(client.submit(_each, work, left.batches[0], pure=False))
+            under_way[begun[-1]] = left.batches.popleft()
+        return begun
 
-    suspects: list[Task] = []
-    first = [begin(batch) for batch in islice(waiting, most)]
-    arriving = as_completed(first, loop=client.loop)
-    for future in arriving:
-        batch = under_way.pop(future)
+    try:
+        arriving = as_completed(begin(), loop=client.loop)
+        for future in arriving:
+            try:
+                results = future.result()
+            except KilledWorker:
+                batch = under_way.pop(future)
+                if len(batch) == 1:
+                    left.suspects += batch
+                else:
+                    left.batches.extend([task] for task in batch)
+            else:
+                yield from zip(under_way.pop(future), results, strict=True)
+            future.release()
+            arriving.update(begin())
+        # The scheduler blames all that a dead worker had before it: who is alone is guilty.
+        while left.suspects:
+            task = left.suspects[0]
+            try:
+                result = client.submit(_each, work, [task], pure=False).result()[0]
+            except KilledWorker:
+                result = None
+            left.suspects.popleft()
+            yield task, result
+    except (CancelledError, ClosedClientError, CommClosedError) as error:
+        left.batches.extendleft(reversed(under_way.values()))
+        raise _SchedulerLostError from error
+
+
+def _await(scheduler: str, left: _Left[Task]) -> None:
+    """Until a scheduler answers there again. Raises GroundStationError after ``RETURN_S``."""
+    from distributed import Client
+
+    warnings.warn(
+        f"--scheduler {scheduler}: went away; waiting {RETURN_S / 60:.0f} minutes for one to answer"
+        f" there, which is given the {len(left)} tasks that have no result",
+        stacklevel=2,
+    )
+    deadline = time.monotonic() + RETURN_S
+    while time.monotonic() < deadline:
         try:
-            results = future.result()
-        except KilledWorker:
-            if len(batch) == 1:
-                suspects += batch
-            for task in batch if len(batch) > 1 else ():
-                arriving.add(begin([task]))
-        else:
-            yield from zip(batch, results, strict=True)
-        future.release()
-        for batch in islice(waiting, max(0, most - len(under_way))):
-            arriving.add(begin(batch))
-    # The scheduler blames all that a dead worker had before it: who is alone is guilty.
-    for task in suspects:
-        try:
-            yield task, begin([task]).result()[0]
-        except KilledWorker:
-            yield task, None
+            with Client(scheduler, timeout=CONNECT_S, set_as_default=False) as client:
+                if client.nthreads():
+                    return
+        except OSError:
+            pass
+        time.sleep(1.0)
+    raise GroundStationError(
+        f"--scheduler {scheduler}: went away and none with a worker answers there since"
+        f" {RETURN_S / 60:.0f} minutes; what has arrived is kept, run it again to go on"
+    )
 
 
 def _each(work: Callable[[Task], Result], batch: list[Task]) -> list[Result]:
@@ -144,7 +210,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # None is port 8787 of every interface
+                scheduler_kwargs={"dashboard": False},
                 silence_logs=50,
             ) as cluster,
             Client(cluster, set_as_default=False) as client,

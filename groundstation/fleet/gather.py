@@ -44,11 +44,13 @@ def gathered(
     """
     fresh: list[Row] = []
     arriving = carried_out(work, tasks, workers=workers, scheduler=scheduler)
-    for count, (task, row) in enumerate(arriving, 1):
-        fresh.append(dead(task) if row is None else row)
-        yield fresh[-1]
-        if len(fresh) >= at_once:
-            table.append(fresh)
-            fresh = []
-        progress(count / len(tasks), f"{doing} {count} of {len(tasks)}")
-    table.append(fresh)
+    try:
+        for count, (task, row) in enumerate(arriving, 1):
+            fresh.append(dead(task) if row is None else row)
+            yield fresh[-1]
+            if len(fresh) >= at_once:
+                full, fresh = fresh, []
+                table.append(full)
+            progress(count / len(tasks), f"{doing} {count} of {len(tasks)}")
+    finally:  # also of what ends here: interrupted, or by a scheduler that does not come back
+        table.append(fresh)

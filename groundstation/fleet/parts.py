@@ -117,9 +117,10 @@ class Parts:
         except OSError as error:
             with suppress(OSError):
                 beside.unlink()
+            why = os.strerror(error.errno) if error.errno else str(error)
             raise RecordingError(
-                f"{path}: cannot be written: {error.strerror or error}; what came before is kept,"
-                " run it again when there is space"
+                f"{path}: cannot be written: {why}; what came before is kept, run it again when"
+                " there is space"
             ) from error
 
 

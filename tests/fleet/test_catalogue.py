@@ -1,17 +1,21 @@
 """The catalogue follows its files, through whatever interrupts it."""
 
 import os
+import random
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
+from installed import groundstation, require_failure
 from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
 from groundstation.fleet.flight_fit import fit_flight
+from groundstation.fleet.gather import gathered
 from groundstation.fleet.index import index, recordings_of
 from groundstation.fleet.parts import PART_ROWS, Parts, held
+from groundstation.identification.fit_record import silent
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 COLUMNS = {"name": "text", "value": "number", "words": "texts"}
@@ -74,6 +78,45 @@ def test_two_runs_do_not_change_one_catalogue(tmp_path):
         pass
     with held(tmp_path / "fleet"):
         pass
+
+
+def test_a_full_disk_keeps_what_had_arrived_and_the_next_run_does_the_rest(small_disk):
+    disk = small_disk("2m")
+    (disk / "something_else").write_bytes(bytes(1_700_000))
+    table = Parts(disk / "table", COLUMNS, "name")
+    done = []
+
+    def work(name):
+        done.append(name)
+        return {**row(name), "words": [random.Random(name).randbytes(16_000).hex()]}
+
+    def run():
+        tasks = [f"{k}" for k in range(10, 50) if f"{k}" not in table.rows()]
+        how = {"at_once": 5, "doing": "", "workers": 1, "scheduler": None, "progress": silent}
+        return list(gathered(table, work, tasks, row, **how))
+
+    with pytest.raises(RecordingError, match="written: No space left on device; what came befor"):
+        run()
+    kept = list(table.rows())
+    assert kept == done[: len(kept)]
+    assert 0 < len(done) - len(kept) <= 5
+    assert all(path.suffix == ".parquet" for path in (disk / "table").iterdir())
+    with pytest.raises(RecordingError, match="No space left"):
+        table.compact()
+    assert list(table.rows()) == kept
+    (disk / "something_else").unlink()
+    assert len(run()) == 40 - len(kept)
+    table.compact()
+    assert table.rows() == {name: work(name) for name in map(str, range(10, 50))}
+
+
+def test_a_catalogue_on_a_full_disk_is_one_line(small_disk, flights):
+    disk = small_disk("64k")
+    (disk / "something_else").write_bytes(bytes(60 * 1024))
+    words = ("fleet", "index", flights, "-o", disk / "fleet", "--workers", "1")
+    assert "No space left" in require_failure(groundstation(*words))
+    (disk / "something_else").unlink()
+    assert "2 read, 0 unchanged" in groundstation(*words).stdout
 
 
 @pytest.fixture

@@ -4,17 +4,18 @@ import os
 import signal
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from installed import free_port
+from programs import Program
 
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.fleet import engine
 from groundstation.fleet.engine import carried_out
 
-cloudpickle = pytest.importorskip("cloudpickle", reason="Dask is not installed")
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-# A worker cannot import a test.
-cloudpickle.register_pickle_by_value(sys.modules[__name__])
 pytestmark = pytest.mark.timeout(600)
 
 
@@ -71,7 +72,7 @@ def test_a_worker_that_is_killed_costs_only_time(tmp_path):
 
 def test_a_scheduler_that_runs_already_is_used_and_left_running():
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as cluster:
         for _ in range(2):
             done = carried_out(doubled, names(40), workers=1, scheduler=cluster.scheduler_address)
@@ -81,3 +82,57 @@ def test_a_scheduler_that_runs_already_is_used_and_left_running():
 def test_a_scheduler_that_does_not_answer_is_one_line():
     with pytest.raises(BadInputError, match=r"--scheduler tcp://127.0.0.1:9: does not answer"):
         list(carried_out(doubled, names(4), workers=1, scheduler="tcp://127.0.0.1:9"))
+
+
+def patient(address):
+    time.sleep(0.02)
+    return address + address
+
+
+@contextmanager
+def dask(log, *words):
+    """``dask scheduler`` or ``dask worker`` as a process."""
+    command = [Path(sys.executable).with_name("dask"), *map(str, words)]
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # for what a test sends
+    with log.open("ab") as file, Program(command, stdout=file, stderr=file, env=places) as program:
+        yield program
+
+
+def scheduler(log, port):
+    return dask(log, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+
+
+def worker(log, port, folder, *words):
+    folder.mkdir(exist_ok=True)
+    return dask(log, "worker", f"tcp://127.0.0.1:{port}", "--nthreads", 1, "--no-dashboard",
+                "--local-directory", folder, *words)  # fmt: skip
+
+
+def test_a_scheduler_that_is_killed_and_begun_anew_is_given_what_has_no_result(tmp_path):
+    port, log = free_port(), tmp_path / "dask.log"
+    done = []
+    arriving = carried_out(patient, names(400), workers=1, scheduler=f"tcp://127.0.0.1:{port}")
+    with scheduler(log, port), worker(log, port, tmp_path / "first"):
+        done += [next(arriving) for _ in range(30)]
+    with (
+        scheduler(log, port),
+        worker(log, port, tmp_path / "second"),
+        pytest.warns(
+            UserWarning, match="went away; waiting 10 minutes .* tasks that have no result"
+        ),
+    ):
+        done += arriving
+    assert sorted(done) == sorted((one, one + one) for one in names(400))
+
+
+def test_a_scheduler_that_does_not_come_back_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "RETURN_S", 3.0)
+    port, log = free_port(), tmp_path / "dask.log"
+    with scheduler(log, port), worker(log, port, tmp_path / "first"):
+        arriving = carried_out(patient, names(400), workers=1, scheduler=f"tcp://127.0.0.1:{port}")
+        next(arriving)
+    with (
+        pytest.warns(UserWarning, match="went away"),
+        pytest.raises(GroundStationError, match=r"what has arrived is kept, run it again"),
+    ):
+        list(arriving)

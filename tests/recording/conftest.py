@@ -1,14 +1,7 @@
 import pytest
-from programs import run_program
 
 
 @pytest.fixture
-def small_disk(tmp_path):
+def small_disk(small_disk):
     """A file system of 1 MiB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = run_program(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder])
-    if mount.returncode:
-        pytest.skip("mounting a small tmpfs needs root and a kernel that allows it")
-    yield folder
-    run_program(["umount", folder], check=True)
+    return small_disk("1m")
