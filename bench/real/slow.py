@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from bench.real.reference import AXES, LEADS_S, MIXER_X
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.recording.open_recording import open_recording
-from groundstation.report.figure import BAD, GOOD, MEASURED, NEUTRAL, figure, png
+from groundstation.report.figure import figure, png
+from groundstation.report.theme import BAD, GOOD, MEASURED, NEUTRAL
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

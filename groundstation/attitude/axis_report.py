@@ -8,8 +8,9 @@ import numpy as np
 
 from groundstation.attitude.axis_check import AXES, AxisCheck
 from groundstation.attitude.sensors import accelerometer_attitude, integrate_gyroscope
-from groundstation.report.figure import MEASURED, SERIES, figure, thinned
+from groundstation.report.figure import figure, thinned
 from groundstation.report.page import Page
+from groundstation.report.theme import MEASURED, SERIES
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.attitude.fusion import Fused
-from groundstation.report.figure import MEASURED, SERIES, figure, thinned
+from groundstation.report.figure import figure, thinned
 from groundstation.report.page import Page
+from groundstation.report.theme import MEASURED, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

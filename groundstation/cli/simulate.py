@@ -80,7 +80,7 @@ def simulate(
     loaded = fitted_model(model)
     turning = told_turning(loaded, attitude)
     if recording is not None:
-        report = _on_recording(loaded, recording, output, window, turning, html)
+        report = _on_recording(loaded, Path(model).name, recording, output, window, turning, html)
     else:
         report = _along_reference(loaded, str(reference), output, supply_v, turning, html)
     if as_json:
@@ -95,6 +95,7 @@ def simulate(
 
 def _on_recording(
     model: Model,
+    name: str,
     recording: Path,
     output: Path,
     window: float,
@@ -131,7 +132,7 @@ def _on_recording(
         )
     write_table(output, HEAD, np.vstack(table))
     if html is not None:
-        title = f"{recording.name}: simulated from {model.created_by or 'a model'}"
+        title = f"{recording.name} simulated by {name}"
         replay_page(title, runs, done, window).write(html)
     return {
         "what": f"fresh start every {window:g} s",

@@ -20,18 +20,26 @@ from groundstation.control.design import (
     Limits,
 )
 from groundstation.control.evaluate import AxisResult, evaluate
-from groundstation.control.firmware_design import WINDOW_S, AxisDesign, Robustness
+from groundstation.control.firmware_design import DESIGN_BAND, WINDOW_S, AxisDesign, Robustness
 from groundstation.control.firmwares import Release
 from groundstation.control.linear_loop import DirectJudge, direct_loop
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.margins import Margins
 from groundstation.control.pid import PidGains
-from groundstation.control.report import BROKEN_AT, LOOP_NAMES, front_figure, step_figure
+from groundstation.control.report import (
+    BROKEN_AT,
+    DEFINITIONS,
+    LOOP_NAMES,
+    front_figure,
+    metrics_row,
+    step_figure,
+)
 from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
-from groundstation.report.figure import IMPROVED, figure
+from groundstation.report.figure import figure
 from groundstation.report.page import Page
+from groundstation.report.theme import IMPROVED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,6 +49,8 @@ Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
 DIRECT = ("kp", "ki", "kd")
+SEEN, SEEN_PCT = 1.05, 1.0
+"""Ratio of settling times, and points of overshoot, from which drawn models differ to the eye."""
 
 
 def firmware_report(
@@ -153,9 +163,14 @@ def firmware_page(
         ]
         for each in (gains, {})
     )
-    page.verdict(
-        "; ".join(_verdict(one, old) for one, old in zip(ours, stock, strict=True)), "good"
+    page.verdict(*_verdict(ours, stock))
+    page.table(
+        BESIDE_HEAD,
+        [row for old, new in zip(stock, ours, strict=True) for row in _beside(old, new)],
+        f"{DEFINITIONS} Maximum sensitivity: the most that pushes are amplified by. Delay margin:"
+        " how much more delay makes the loop unstable.",
     )
+    page.heading("Margins")
     page.table(DESIGN_HEAD, [design_row(axis, e) for axis, e in report["axes"].items()])
     page.figure(step_figure(ours, stock), "Step responses: designed, and stock gains in grey.")
     loops = {one.axis: one.loop for one in ours}
@@ -166,13 +181,15 @@ def firmware_page(
     page.heading("What the fit is unsure of")
     page.bullets([f"{axis}: {line}" for axis, e in report["axes"].items() for line in e["notes"]])
     if tried is not None:
-        page.figure(_draws_figure(tried), f"{tried.drawn} models drawn from the fit's covariance.")
+        _draws(page, tried)
     page.heading("Pareto fronts")
     for one in designs:
         page.figure(
             front_figure(one.axis, one.design, one.nominal),
             f"{one.axis}: all gains found that no others beat in overshoot, settling and"
-            " maximum sensitivity at once, on the worst of the model's corners.",
+            " maximum sensitivity at once. Points and the full diamond are judged on the worst of"
+            f" the model's corners, settled within {100 * DESIGN_BAND:g} %; the open one on the"
+            " fitted model itself, within 5 %.",
         )
     page.bullets(report["notes"])
     return page
@@ -188,9 +205,7 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
         page.heading(f"{axis}, {plant.nk} samples of delay")
         page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])
         page.figure(
-            front_figure(
-                axis, design, design.judgement, _printed(axis) if report["printed"] else ()
-            ),
+            front_figure(axis, design, printed=_printed(axis) if report["printed"] else ()),
             "Gains that no others beat in overshoot, settling and maximum sensitivity at once.",
         )
     page.bullets(report["notes"])
@@ -299,18 +314,79 @@ def limits_line(limits: Limits) -> str:
     )
 
 
-def _verdict(one: AxisResult, stock: AxisResult) -> str:
-    def settles(result: AxisResult) -> str:
-        value = result.metrics.settling_s
-        return "not settled" if value is None else f"{value:.2f} s"
+BESIDE_HEAD = (
+    "axis",
+    "gains",
+    "RMS error",
+    "overshoot %",
+    "settling s (5 %)",
+    "steady-state error",
+    "max sensitivity",
+    "gain may grow by",
+    "delay margin ms",
+)
 
-    now, was = one.margins, stock.margins
-    peak = (
-        ""
-        if now is None or was is None
-        else (f", maximum sensitivity {was.max_sensitivity:.1f} to {now.max_sensitivity:.1f}")
+
+def _beside(stock: AxisResult, ours: AxisResult) -> list[list[Any]]:
+    """Two rows under ``BESIDE_HEAD``."""
+    return [
+        [stock.axis, "stock", *metrics_row(stock)[1:]],
+        ["", "designed", *metrics_row(ours)[1:]],
+    ]
+
+
+def _verdict(ours: Sequence[AxisResult], stock: Sequence[AxisResult]) -> tuple[str, str]:
+    """What the design gains over the stock gains, axis by axis."""
+    changes = []
+    for one, old in zip(ours, stock, strict=True):
+        now, was = one.margins, old.margins
+        if now is None:
+            return f"{one.axis} is unstable with these gains.", "bad"
+        words = [
+            f"settles in {_settled(one)} (stock {_settled(old)})",
+            f"overshoot {one.metrics.overshoot_pct:.0f} % ({old.metrics.overshoot_pct:.0f} %)",
+            f"maximum sensitivity {now.max_sensitivity:.1f}"
+            + (" (unstable)" if was is None else f" ({was.max_sensitivity:.1f})"),
+        ]
+        changes.append(f"{one.axis}: {', '.join(words)}")
+    return "; ".join(changes) + ".", "good"
+
+
+def _settled(one: AxisResult) -> str:
+    value = one.metrics.settling_s
+    return "not in the window" if value is None else f"{value:.2f} s"
+
+
+def _draws(page: Page, tried: Robustness) -> None:
+    """What 95 % of the drawn models do, and a picture where they differ to the eye."""
+    rows: list[list[Any]] = []
+    spread = False
+    for axis, table in tried.judgements.items():
+        good = table[np.isfinite(table[:, [SETTLING, OVERSHOOT, SENSITIVITY]]).all(axis=1)]
+        cells = ["none", "", ""]
+        if len(good):
+            low, high = np.quantile(good, (0.025, 0.975), axis=0)
+            cells = [
+                f"{1e3 * low[SETTLING]:.0f} to {1e3 * high[SETTLING]:.0f}",
+                f"{low[OVERSHOOT]:.1f} to {high[OVERSHOOT]:.1f}",
+                f"{low[SENSITIVITY]:.2f} to {high[SENSITIVITY]:.2f}",
+            ]
+            spread = spread or high[SETTLING] > SEEN * low[SETTLING]
+            spread = spread or high[OVERSHOOT] > low[OVERSHOOT] + SEEN_PCT
+        rows.append([axis, tried.stable[axis], len(good), *cells])
+    page.table(
+        ("axis", "stable", "settle", "settling ms", "overshoot %", "max sensitivity"),
+        rows,
+        f"{tried.drawn} models drawn from the fit's covariance: how many are stable and settle in"
+        " the window, and the range of 95 % of those.",
     )
-    return f"{one.axis}: settling {settles(stock)} to {settles(one)}{peak}"
+    if spread:
+        page.figure(_draws_figure(tried), "The same models, a point each.")
+    else:
+        page.text(
+            "All do the same to within a few milliseconds and a point of overshoot: the fit is"
+            " surer of the model than a design needs."
+        )
 
 
 def _draws_figure(tried: Robustness) -> Figure:

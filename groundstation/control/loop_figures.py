@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.control.margins import LoopResponse
-from groundstation.report.figure import BAD, NEUTRAL, SERIES, figure
+from groundstation.report.figure import figure
 from groundstation.report.page import Page
+from groundstation.report.theme import BAD, NEUTRAL, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,23 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design
+from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design, Limits
 from groundstation.control.evaluate import AxisResult
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
 from groundstation.control.thesis_tables import FINDING, PrintedCase
-from groundstation.report.figure import (
-    BAD,
-    HEAT,
-    IMPROVED,
-    MEASURED,
-    MODELLED,
-    NEUTRAL,
-    SERIES,
-    figure,
-)
+from groundstation.report.figure import HEAT, figure
 from groundstation.report.page import Page
+from groundstation.report.theme import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 if TYPE_CHECKING:
@@ -50,17 +42,30 @@ DEFINITIONS = (
 def evaluation_page(results: Sequence[AxisResult], title: str, loop: str) -> Page:
     """Step responses, the table, and what the words mean."""
     page = Page(title, LOOP_NAMES[loop])
-    stable = [one.axis for one in results if one.stable]
-    lost = [one.axis for one in results if not one.stable]
-    page.verdict(
-        f"Unstable: {', '.join(lost)}" if lost else f"Stable: {', '.join(stable)}",
-        "bad" if lost else "good",
-    )
+    page.verdict(*_verdict(results))
     page.table(METRICS_HEAD, [metrics_row(one) for one in results], DEFINITIONS)
     page.heading("Step responses")
     page.figure(step_figure(results), "Response over the step; the band is +-5 % of the step.")
     add_loop_figures(page, {one.axis: one.loop for one in results}, BROKEN_AT[loop])
     return page
+
+
+def _verdict(results: Sequence[AxisResult]) -> tuple[str, str]:
+    """In words, and of which kind: a loop that is hardly stable is not good."""
+    lost = [one.axis for one in results if not one.stable]
+    if lost:
+        return f"Unstable: {', '.join(lost)}.", "bad"
+    limit = Limits().sensitivity
+    near = [
+        f"{one.axis} (maximum sensitivity {one.margins.max_sensitivity:.1f}, unstable with"
+        f" {1e3 * one.margins.delay_s:.1f} ms more delay)"
+        for one in results
+        if one.margins is not None and one.margins.max_sensitivity > limit
+    ]
+    if near:
+        return f"Stable, with less margin than a design may leave: {'; '.join(near)}.", "neutral"
+    kept = ", ".join(one.axis for one in results)
+    return f"Stable within a maximum sensitivity of {limit:g}: {kept}.", "good"
 
 
 BROKEN_AT = {
@@ -107,8 +112,8 @@ def step_figure(results: Sequence[AxisResult], others: Sequence[AxisResult] = ()
         panel.plot(time, one.response, color=IMPROVED if one.stable else BAD)
         panel.set_title(one.axis)
         panel.set_xlabel("s")
-    highest = max((float(one.response.max()) for one in results if one.stable), default=2.0)
-    panels[0].set_ylim(-0.2, max(1.4, 1.05 * highest))
+    shown = [float(one.response.max()) for one in (*results, *others) if one.stable]
+    panels[0].set_ylim(-0.2, max(1.4, 1.05 * max(shown, default=2.0)))
     panels[0].set_ylabel("response / step")
     return made
 
@@ -272,10 +277,14 @@ def thesis_rows(cases: Sequence[PrintedCase]) -> list[list[Any]]:
 
 
 def front_figure(
-    axis: str, design: Design, chosen: Any, printed: Sequence[tuple[str, float, float]] = ()
+    axis: str,
+    design: Design,
+    nominal: Any = None,
+    printed: Sequence[tuple[str, float, float]] = (),
 ) -> Figure:
     """Overshoot against settling, coloured by maximum sensitivity, with what was chosen.
 
+    nominal: its judgement on the model alone, where the front is one of the model's corners.
     printed: (name, overshoot, settling) of results to be shown beside.
     """
     made, (panel,) = figure(height=3.6, width=7.5)
@@ -288,13 +297,21 @@ def front_figure(
         s=9,
         vmin=1,
         vmax=3,
+        edgecolors=NEUTRAL,
+        linewidths=0.3,
     )
     made.colorbar(shown, ax=panel, label="maximum sensitivity")
-    panel.plot(1e3 * chosen[SETTLING], chosen[OVERSHOOT], "D", color=MODELLED, label="chosen")
+    at = 1e3 * design.judgement[SETTLING], design.judgement[OVERSHOOT]
+    panel.plot(*at, "D", color=MODELLED, label="chosen")
+    if nominal is not None:
+        at = 1e3 * nominal[SETTLING], nominal[OVERSHOOT]
+        panel.plot(
+            *at, "D", color=MODELLED, fillstyle="none", label="chosen, on the fitted model itself"
+        )
     for name, overshoot, settling in printed:
         panel.plot(1e3 * settling, overshoot, "x", color=BAD)
         panel.annotate(f"printed {name}", (1e3 * settling, overshoot), fontsize=8)
-    panel.set_xlabel("settling, ms (5 % band)")
+    panel.set_xlabel("settling, ms")
     panel.set_ylabel("overshoot, %")
     panel.set_title(axis)
     panel.legend(loc="best", frameon=True)

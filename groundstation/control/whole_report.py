@@ -25,15 +25,9 @@ from groundstation.control.thesis_loop import counts_per_control
 from groundstation.control.whole_design import AT_STOPS_S, STEPS_RAD, WINDOW_S, WholeDesign
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
-from groundstation.report.figure import (
-    IMPROVED,
-    MEASURED,
-    MODELLED,
-    MOST_POINTS,
-    SERIES,
-    figure,
-)
+from groundstation.report.figure import MOST_POINTS, figure
 from groundstation.report.page import Page
+from groundstation.report.theme import IMPROVED, MEASURED, MODELLED, SERIES
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 if TYPE_CHECKING:

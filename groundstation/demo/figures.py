@@ -19,7 +19,8 @@ from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.identification.runs import hold_out
 from groundstation.recording.open_recording import open_recording
-from groundstation.report.figure import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.report.figure import figure
+from groundstation.report.theme import BAD, FAINT, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES
 from groundstation.twin.twin import Twin
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
     worst = np.argsort(-np.max(np.nan_to_num(gap), axis=0))
     for channel in worst[::-1]:
         told = int(np.flatnonzero(worst == channel)[0])
-        color = SERIES[told] if told < COLOURED else "#c9ced6"
+        color = SERIES[told] if told < COLOURED else FAINT
         axis.plot(time, gap[:, channel], color=color, linewidth=1.8 if told < COLOURED else 1.0,
                   label=label(CHANNELS[channel]) if told < COLOURED else None)  # fmt: skip
     axis.axhline(1.0, color=MEASURED, linestyle="--", linewidth=1.0, label="noise alone")

@@ -20,6 +20,8 @@ from groundstation.demo.outcome import Outcome, said_found, said_hidden, watched
 from groundstation.demo.shell import LOG, SCRIPT
 from groundstation.demo.story import CRAFT_FILE, FLIGHT, SEALED
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
+from groundstation.dynamics.meanings import meaning_of
+from groundstation.dynamics.origin import BODY
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.report.page import Page
 
@@ -84,7 +86,7 @@ def _motor(page: Page, folder: Path) -> None:
         "The part held out. Points away from the line are blade passages that the gate missed or"
         " counted twice; the fit finds them by itself.",
     )
-    _constants(page, account, ("a0", "a1", "a2"), MOTOR_MEANING)
+    _constants(page, account, ("a0", "a1", "a2"))
     page.links([("bench recording", "bench.csv"), ("motor.json", "motor.json"),
                 ("the fit's own report", "motor.html")])  # fmt: skip
 
@@ -104,7 +106,7 @@ def _body(page: Page, folder: Path) -> None:
         "The model flies on the recorded motor commands. A quadrotor is unstable, so every 0.5 s"
         " it starts afresh from what was measured.",
     )
-    _constants(page, account, tuple(BODY_MEANING), BODY_MEANING)
+    _constants(page, account, BODY)
     arx = json.loads((folder / "arx.json").read_text())["fit"]["arx"]["axes"]
     chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in arx.items())
     page.text(
@@ -266,29 +268,15 @@ def _files(page: Page, outcome: Outcome) -> None:
     )  # fmt: skip
 
 
-MOTOR_MEANING = {
-    "a0": "gain from voltage, (rev/s²)/mV",
-    "a1": "slowing down with speed, 1/s",
-    "a2": "slowing down with speed squared, 1/rev",
-}
-BODY_MEANING = {
-    "c0": "roll, (rad/s²)/(rev/s)²",
-    "c1": "pitch, (rad/s²)/(rev/s)²",
-    "c2": "yaw, (rad/s²)/(rev/s)²",
-    "thrust_per_mass": "thrust, (m/s²)/(rev/s)²",
-}
-
-
-def _constants(
-    page: Page, account: dict[str, Any], names: tuple[str, ...], meaning: dict[str, str]
-) -> None:
+def _constants(page: Page, account: dict[str, Any], names: tuple[str, ...]) -> None:
     estimates = account["estimates"]
     rows = []
     for name in names:
         k = estimates["names"].index(name)
         value, error = estimates["values"][k], estimates["stderr"][k]
-        rows.append([name, meaning[name], value, error, 100 * error / abs(value)])
-    page.table(["constant", "meaning", "value", "standard error", "%"], rows)
+        unit, meaning = meaning_of(name)
+        rows.append([name, meaning, value, error, unit, 100 * error / abs(value)])
+    page.table(["constant", "meaning", "value", "standard error", "unit", "%"], rows)
 
 
 def _account(folder: Path, what: str) -> dict[str, Any]:

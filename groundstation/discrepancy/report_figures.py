@@ -12,14 +12,19 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
-from groundstation.report.figure import (
+from groundstation.report.figure import HEAT, figure
+from groundstation.report.theme import (
     GOOD,
-    HEAT,
     IMPROVED,
+    INK,
     MEASURED,
+    MISSING,
     MODELLED,
     NEUTRAL,
-    figure,
+    NOTE,
+    ON_BRIGHT,
+    ON_DARK,
+    PAPER,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +66,7 @@ def where_map(titled: Sequence[tuple[str, Sequence[Place]]]) -> Figure:
                 ha="center",
                 va="center",
                 fontsize=7.5,
-                color="white" if dark else "black",
+                color=ON_DARK if dark else ON_BRIGHT,
             )
         axis.set_yticks(range(len(CHANNELS)), [label(c) for c in CHANNELS])
         axis.set_title(title)
@@ -175,7 +180,8 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
         note = "accepted" if one.accepted else one.reason
         axis.annotate(
             note, (size + 0.1, float(y)), xytext=(4, 0), textcoords="offset points",
-            va="center", fontsize=7.5, color=GOOD if one.accepted else "#5b6470",
+            va="center", fontsize=7.5, color=INK if one.accepted else NOTE,
+            weight="bold" if one.accepted else "normal",
         )  # fmt: skip
     # As many decades as leave room for every note.
     room = [0.98 - NOTE_CHARACTER * len(one.reason or "accepted") for one in shown]
@@ -209,7 +215,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
             textcoords="offset points",
             va="center",
             fontsize=9,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0},
         )
     names = [name for name, _ in steps]
     axis.set_yticks([*place, last], [names[0], *(f"+ {n}" for n in names[1:]), "improved model"])
@@ -239,7 +245,7 @@ def _heat(axis: Any, ratio: Array, **more: Any) -> Any:
         **more,
     )
     axis.grid(visible=False)
-    axis.set_facecolor("#eeeeee")
+    axis.set_facecolor(MISSING)
     return image
 
 

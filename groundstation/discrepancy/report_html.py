@@ -130,8 +130,10 @@ def _verdict(page: Page, findings: Findings, report: DiscrepancyReport) -> None:
     )
     if findings.verdict is Verdict.EFFECTS_FOUND:
         names = ", ".join(effect.name for effect in report.effects)
-        kind = "good" if report.residual == "white" else "neutral"
-        page.verdict(f"Found: {names}. {numbers}", kind)
+        grew = level.after is not None and level.after > level.before
+        kind = "good" if report.residual == "white" and not grew else "neutral"
+        more = " The gap grew: the model is none the better for what was found." if grew else ""
+        page.verdict(f"Found: {names}. {numbers}{more}", kind)
     elif findings.verdict is Verdict.UNEXPLAINED:
         worst = _worst(report.where)
         where = f" Look at {_place(worst)}." if worst is not None else ""

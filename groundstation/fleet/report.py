@@ -20,8 +20,9 @@ from groundstation.fleet.report_sections import (
     add_to_fly,
     add_twin,
 )
-from groundstation.report.figure import BAD, MEASURED, MODELLED, NEUTRAL, figure
+from groundstation.report.figure import figure
 from groundstation.report.page import Page
+from groundstation.report.theme import BAD, MEASURED, MODELLED, NEUTRAL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from groundstation.identification.replayed import Replayed
 from groundstation.identification.runs import Run
 from groundstation.prediction.reference_flight import MadeRun
-from groundstation.report.figure import MEASURED, MODELLED, SERIES, figure, thinned
+from groundstation.report.figure import figure, thinned
 from groundstation.report.page import Page
+from groundstation.report.theme import MEASURED, MODELLED, SERIES
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 if TYPE_CHECKING:

@@ -7,13 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from groundstation.dynamics.meanings import meaning_of
 from groundstation.dynamics.model import Model
 from groundstation.identification.arx.residual_tests import CorrelationTest
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.segments import EVERYTHING
-from groundstation.report.figure import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES, figure
+from groundstation.report.figure import figure
 from groundstation.report.page import Page
+from groundstation.report.theme import (
+    BAD,
+    BAND,
+    GOOD,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    ON_BRIGHT,
+    ON_DARK,
+    SERIES,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,15 +133,18 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
     rows = []
     for i, name in enumerate(estimates.names):
         value, error = float(estimates.values[i]), float(estimates.stderr[i])
+        unit, meaning = meaning_of(name)
         rows.append(
             [
                 name,
                 value,
                 error,
+                unit,
                 100 * error / abs(value) if value else None,
                 float(interval[i, 0]),
                 float(interval[i, 1]),
                 *([expected.get(name)] if expected else []),
+                meaning,
             ]
         )
     page.table(
@@ -137,10 +152,12 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
             "parameter",
             "value",
             "standard error",
+            "unit",
             "%",
             "95 % from",
             "to",
             *(["% expected before the fit"] if expected else []),
+            "meaning",
         ],
         rows,
         "Expected: from the recorded inputs and the noise of a black-box predictor, against the"
@@ -243,7 +260,7 @@ def _residual(test: ResidualTest) -> Figure:
 
 
 def _stems(axes: Axes, test: CorrelationTest, label: str) -> None:
-    axes.axhspan(-test.bound, test.bound, color="#e4e6ea", zorder=0)
+    axes.axhspan(-test.bound, test.bound, color=BAND, zorder=0)
     outside = np.abs(test.values) > test.bound
     for mask, color in ((~outside, GOOD), (outside, BAD)):
         axes.vlines(test.lags[mask], 0, test.values[mask], color=color, linewidth=2.2)
@@ -273,7 +290,7 @@ def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
     for i in ticks:
         for j in ticks:
             value = estimates.correlation[i, j]
-            color = "white" if abs(value) > 0.7 else MEASURED
+            color = ON_DARK if abs(value) > 0.7 else ON_BRIGHT
             left.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=color)
     shares = 100 * estimates.stderr / np.maximum(np.abs(estimates.values), 1e-300)
     shares = np.minimum(shares, MOST_PERCENT)  # an effect that is not there is 0

@@ -30,6 +30,7 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.page.access import Access
 from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
+from groundstation.report.theme import THEME
 from groundstation.service.client import ask
 from groundstation.text import printable
 
@@ -110,9 +111,9 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             return _refusal(404, str(error))
 
     async def static(request: Request) -> Response:
-        return FileResponse(STATIC / Path(request.url.path).name)
+        return FileResponse(files[Path(request.url.path).name])
 
-    files = [path.name for path in STATIC.iterdir() if path.name != "page.html"]
+    files = {path.name: path for path in (*STATIC.iterdir(), THEME) if path.name != "page.html"}
     app = Starlette(
         routes=[
             Route("/", page),

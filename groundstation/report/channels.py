@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from groundstation.report.figure import MEASURED, MODELLED, SERIES, figure, thinned
+from groundstation.report.figure import figure, thinned
+from groundstation.report.theme import MEASURED, MODELLED, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,6 +10,11 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from groundstation.report.theme import (
+    GRID,
+    INK,
+    PAPER,
+)
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -17,11 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-MEASURED, MODELLED, IMPROVED = "#333333", "#d55e00", "#0072b2"
-"""What was measured, what the first model says, what the better one says."""
-GOOD, BAD, NEUTRAL = "#009e73", "#cc3311", "#8a8f98"
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#333333")
-"""Okabe and Ito's palette, for lines that have no meaning of their own."""
 HEAT = "cividis"
 """Colour map for sizes; ``coolwarm`` where a sign matters."""
 
@@ -35,7 +35,13 @@ _STYLE = {
     "axes.axisbelow": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "grid.color": "#dddddd",
+    "grid.color": GRID,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.facecolor": "none",
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
     "legend.frameon": False,
@@ -68,10 +74,10 @@ def svg(made: Figure) -> str:
     """The figure as an ``<svg>`` element that scales with the page; same input, same text."""
     import matplotlib
 
-    _take_literally(made)
+    _finish(made)
     out = io.StringIO()
     with matplotlib.rc_context(_STYLE):
-        made.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        made.savefig(out, format="svg", facecolor="none", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :].strip()
 
@@ -80,17 +86,22 @@ def png(made: Figure, dots_per_inch: int = 110) -> bytes:
     """The figure as a picture, for pages that cannot show SVG."""
     import matplotlib
 
-    _take_literally(made)
+    _finish(made)
     out = io.BytesIO()
     with matplotlib.rc_context(_STYLE):
         made.savefig(out, format="png", dpi=dots_per_inch, metadata={"Software": None})
     return out.getvalue()
 
 
-def _take_literally(made: Figure) -> None:
-    """Names of files are no formulas and hold no controls; only ticks have formulas, when drawn."""
+def _finish(made: Figure) -> None:
+    """Legends let what lies behind them shine through. Names of files are no formulas and hold
+    no controls; only ticks have formulas, when drawn."""
+    from matplotlib.legend import Legend
     from matplotlib.text import Text
 
+    for legend in made.findobj(Legend):
+        assert isinstance(legend, Legend)
+        legend.get_frame().set(facecolor=PAPER, edgecolor="none", alpha=0.75)
     for text in made.findobj(Text):
         assert isinstance(text, Text)
         text.set_text("\n".join(map(printable, text.get_text().split("\n"))))

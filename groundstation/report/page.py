@@ -1,4 +1,7 @@
-"""A report as one HTML file that needs nothing else: no network, no scripts, printable."""
+"""A report as one HTML file that needs nothing else: no network, no scripts, printable.
+
+Figures are enlarged by style sheets alone, so that a report can be shown where nothing may run.
+"""
 
 from __future__ import annotations
 
@@ -10,34 +13,14 @@ from typing import TYPE_CHECKING
 from groundstation.errors import BadInputError
 from groundstation.paths import taken
 from groundstation.report.figure import svg
+from groundstation.report.provenance import provenance
+from groundstation.report.theme import style, themed
 from groundstation.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cell = str | int | float | None
-
-_STYLE = """
-:root{color-scheme:light;--ink:#1d232b;--soft:#5b6470;--line:#dfe3e8;--paper:#fff}
-*{box-sizing:border-box}
-body{margin:0;background:#f4f5f7;color:var(--ink);font:15px/1.5 system-ui,"Segoe UI",sans-serif}
-main{max-width:1060px;margin:0 auto;padding:28px 36px 60px;background:var(--paper)}
-h1{font-size:26px;margin:0 0 2px}h2{font-size:19px;margin:34px 0 8px;padding-top:10px;
-border-top:1px solid var(--line)}p{margin:8px 0;max-width:80ch}
-.sub{color:var(--soft);margin:0 0 16px}
-table{border-collapse:collapse;margin:12px 0;font-size:13.5px;font-variant-numeric:tabular-nums}
-th,td{padding:4px 12px 4px 0;border-bottom:1px solid var(--line);vertical-align:top;text-align:left}
-th{color:var(--soft);font-weight:600}td.n{text-align:right}th.n{text-align:right}
-.wide{overflow-x:auto}caption,figcaption{color:var(--soft);font-size:13px;text-align:left;
-padding:4px 0;caption-side:bottom;max-width:95ch}
-figure{margin:14px 0}figure svg{width:100%;height:auto}
-.verdict{padding:10px 14px;border-left:5px solid;background:#f7f8fa;font-size:16px;margin:14px 0}
-.good{border-color:#009e73}.bad{border-color:#cc3311}.neutral{border-color:#8a8f98}
-pre{white-space:pre-wrap;overflow-wrap:anywhere;background:#f7f8fa;padding:8px 12px;
-font-size:12.5px;line-height:1.45}
-nav a{display:inline-block;color:inherit;margin-right:14px;font-size:13px}
-@media print{body{background:#fff}main{padding:0;max-width:none}figure,table{break-inside:avoid}}
-"""
 
 
 class Page:
@@ -50,6 +33,7 @@ class Page:
         self._title = title
         self._parts: list[str] = []
         self._sections: list[str] = []
+        self._figures = 0
         self._subtitle = subtitle
 
     def heading(self, text: str) -> None:
@@ -94,16 +78,23 @@ class Page:
             + "</tr>"
             for row in body
         )
-        note = f"<caption>{_clean(caption)}</caption>" if caption else ""
+        note = f'<p class="note">{_clean(caption)}</p>' if caption else ""
+        name = escape(printable(", ".join(one for one in head if one)), quote=True)
         self._parts.append(
-            f'<div class="wide"><table>{note}<thead><tr>{top}</tr></thead>'
-            f"<tbody>{lines}</tbody></table></div>"
+            f'<div class="scroll" tabindex="0" role="group" aria-label="Table: {name}">'
+            f"<table><thead><tr>{top}</tr></thead>"
+            f"<tbody>{lines}</tbody></table></div>{note}"
         )
 
     def figure(self, made: Figure, caption: str) -> None:
         """Adds a figure; the caption says what one sees in it."""
+        self._figures += 1
+        name = escape(printable(caption), quote=True)
+        drawn = themed(svg(made)).replace("<svg", f'<svg role="img" aria-label="{name}"', 1)
         self._parts.append(
-            f"<figure>{svg(made)}<figcaption>{_clean(caption)}</figcaption></figure>"
+            f'<figure>{_zoom(self._figures)}<div class="picture scroll" tabindex="0" role="group"'
+            f' aria-label="Figure {self._figures}">{drawn}</div>'
+            f"<figcaption>{_clean(caption)}</figcaption></figure>"
         )
 
     def links(self, targets: Iterable[tuple[str, str]]) -> None:
@@ -120,11 +111,15 @@ class Page:
             f'<a href="#s{i}">{_clean(name)}</a>' for i, name in enumerate(self._sections, 1)
         )
         subtitle = f'<p class="sub">{_clean(self._subtitle)}</p>' if self._subtitle else ""
+        foot = "".join(
+            f"<dt>{name}</dt><dd>{_clean(is_)}</dd>" for name, is_ in provenance().items()
+        )
         return (
             f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport"'
             f' content="width=device-width"><title>{_clean(self._title)}</title>'
-            f"<style>{_STYLE}</style></head><body><main><h1>{_clean(self._title)}</h1>{subtitle}"
-            f"<nav>{contents}</nav>{''.join(self._parts)}</main></body></html>\n"
+            f"<style>{style()}</style></head><body><main><h1>{_clean(self._title)}</h1>{subtitle}"
+            f'<nav aria-label="Sections">{contents}</nav>{"".join(self._parts)}'
+            f"<footer><dl>{foot}</dl></footer></main></body></html>\n"
         )
 
     def write(self, path: Path) -> None:
@@ -139,6 +134,18 @@ class Page:
             raise BadInputError(taken(path)) from error
         except OSError as error:
             raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _zoom(number: int) -> str:
+    """Buttons of a figure: as wide as the page, twice, four times."""
+    buttons = "".join(
+        f'<input type="radio" name="zoom{number}" id="zoom{number}{kind}" class="{kind}"'
+        f'{" checked" if kind == "fit" else ""}><label for="zoom{number}{kind}">{words}</label>'
+        for kind, words in (("fit", "fit"), ("double", "2×"), ("fourfold", "4×"))
+    )
+    return (
+        f'<div class="zoom" role="radiogroup" aria-label="Size of figure {number}">{buttons}</div>'
+    )
 
 
 def _clean(text: str) -> str:

@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import msgspec
 
+from groundstation.dynamics.meanings import meaning_of
 from groundstation.dynamics.model import BodyConstants, Model, load_model
 from groundstation.dynamics.origin import origin_notes, origin_of
-from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.jobs import Job
@@ -22,16 +22,6 @@ SIDE_95 = 1.96
 """Standard errors on either side of a value; fits have thousands of degrees of freedom."""
 SAME = 1e-9
 """An account speaks of a constant while the two agree so closely; another fit moved it since."""
-
-_CONSTANTS = {
-    "motor.a0": ("rev/s² per mV", "speeding up of a motor by its voltage"),
-    "motor.a1": ("1/s", "slowing down of a motor with its speed"),
-    "motor.a2": ("1/rev", "slowing down with the square of the speed: air"),
-    "body.c0": ("rad/s² per (rev/s)²", "roll acceleration by the rotors"),
-    "body.c1": ("rad/s² per (rev/s)²", "pitch acceleration by the rotors"),
-    "body.c2": ("rad/s² per (rev/s)²", "yaw acceleration by the rotors"),
-    "body.thrust_per_mass": ("m/s² per (rev/s)²", "lift by the rotors, on each kilogram"),
-}
 
 
 class ModelParameter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -129,16 +119,15 @@ def _parameters(model: Model) -> Iterator[ModelParameter]:
             continue
         for key, value in msgspec.structs.asdict(constants).items():
             name = f"{part}.{key}"
-            unit, meaning = _CONSTANTS[name]
+            unit, meaning = meaning_of(name)
             origin = model.origin.get(name, origins[part])
             stderr = _stderr(model, part, key, value) if origin == "fitted" else None
             yield _parameter(name, value, unit, stderr, origin, meaning)
     for term in model.effects:
-        listed = EFFECTS.get(term.name)
         for key, one in term.parameters.items():
             origin = "given" if one.stderr is None else "fitted"
-            adds = "" if listed is None else listed.adds
-            yield _parameter(f"{term.name}.{key}", one.value, one.unit, one.stderr, origin, adds)
+            name = f"{term.name}.{key}"
+            yield _parameter(name, one.value, one.unit, one.stderr, origin, meaning_of(name)[1])
 
 
 def _parameter(

@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.report.figure import (
-    BAD,
-    GOOD,
-    MEASURED,
-    MODELLED,
-    NEUTRAL,
-    SERIES,
-    figure,
-    thinned,
-)
+from groundstation.report.figure import figure, thinned
+from groundstation.report.theme import BAD, GOOD, MEASURED, MODELLED, NEUTRAL, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

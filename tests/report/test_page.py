@@ -9,6 +9,21 @@ import pytest
 from groundstation.errors import BadInputError
 from groundstation.report.figure import figure, png, svg, thinned
 from groundstation.report.page import Page
+from groundstation.report.theme import (
+    BAD,
+    GOOD,
+    IMPROVED,
+    IN_THE_DARK,
+    INK,
+    MEASURED,
+    MODELLED,
+    NEUTRAL,
+    NOTE,
+    PAPER,
+    SERIES,
+    style,
+    themed,
+)
 
 
 def drawn():
@@ -33,6 +48,10 @@ def test_a_page_needs_no_other_file_and_escapes_what_it_is_given(tmp_path):
     assert "<script" not in text
     assert "&lt;script&gt;" in text
     assert "1.235" in text
+    assert "<footer>" in text
+    assert re.search(r"<dt>made</dt><dd>\d{4}-\d\d-\d\d ", text)
+    assert re.search(r"<dt>command</dt><dd>\S", text)
+    assert f"numpy {np.__version__}" in text
     assert 'href="a&quot;b.mcap"' in text
     outside = re.findall(r'(?:src|href)="(?!#|a&quot;b)([^"]+)"', text)
     assert not [one for one in outside if one.startswith(("http", "//"))]
@@ -67,3 +86,39 @@ def test_thinning_keeps_columns_together():
     x, y = thinned(np.arange(10000.0), np.arange(10000.0) * 2, most=100)
     assert len(x) == 100
     np.testing.assert_array_equal(y, 2 * x)
+
+
+def test_every_colour_of_a_drawing_has_one_for_the_dark():
+    made, (axes,) = figure()
+    for color in (*SERIES, MEASURED, MODELLED, IMPROVED, GOOD, BAD, NEUTRAL):
+        axes.plot([0, 1], color=color)
+    axes.text(0.5, 0.5, "of nobody's choice")
+    axes.legend(["one"])
+    drawn = themed(svg(made))
+    assert not re.findall(r": (#[0-9a-f]{6})", drawn)
+    variables = set(re.findall(r"var\((--f[0-9a-f]{6}),", drawn))
+    assert len(variables) > 10
+    assert all(f"{name}:" in style() for name in variables)
+
+
+def contrast(one, other):
+    def light(color):
+        parts = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        r, g, b = (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts)
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+    dark, bright = sorted((light(one), light(other)))
+    return (bright + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("color", [INK, NOTE, MEASURED])
+def test_text_in_figures_can_be_read_in_both_themes(color):
+    assert contrast(color, PAPER) >= 4.5
+    assert contrast(IN_THE_DARK[color], IN_THE_DARK[PAPER]) >= 4.5
+
+
+@pytest.mark.parametrize("color", [MEASURED, MODELLED, IMPROVED, GOOD, BAD, NEUTRAL])
+def test_lines_stand_out_in_both_themes(color):
+    """WCAG 1.4.11: graphical objects, 3:1."""
+    assert contrast(color, PAPER) >= 3.0
+    assert contrast(IN_THE_DARK[color], IN_THE_DARK[PAPER]) >= 3.0
