@@ -20,7 +20,13 @@ from groundstation.control.design import (
     Limits,
 )
 from groundstation.control.evaluate import AxisResult, evaluate
-from groundstation.control.firmware_design import DESIGN_BAND, WINDOW_S, AxisDesign, Robustness
+from groundstation.control.firmware_design import (
+    DESIGN_BAND,
+    WINDOW_S,
+    AxisDesign,
+    Robustness,
+    gain_meaning,
+)
 from groundstation.control.firmwares import Release
 from groundstation.control.linear_loop import DirectJudge, direct_loop
 from groundstation.control.loop_figures import add_loop_figures
@@ -176,7 +182,10 @@ def firmware_page(
     loops = {one.axis: one.loop for one in ours}
     add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
     page.heading("Gains and reasons")
-    page.table(("gain", "value"), list(gains.items()))
+    page.table(
+        ("gain", "value", "unit", "meaning"),
+        [(name, value, *gain_meaning(name)) for name, value in gains.items()],
+    )
     page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
     page.heading("What the fit is unsure of")
     page.bullets([f"{axis}: {line}" for axis, e in report["axes"].items() for line in e["notes"]])

@@ -171,7 +171,7 @@ def _reason(judge: CascadeJudge, gains: dict[str, float], name: str, limits: Lim
         for factor in (1.0, 1.25, 0.8)
     ]
     now, more, less = judge(np.array(rows))
-    what = f"{name} = {gains[name]:g}: {PURPOSE[name.split('.')[0], name.split('_')[-1]]}; "
+    what = f"{name} = {gains[name]:g}: {gain_meaning(name)[1]}; "
     return (
         what + f"25 % more: {_change(now, more, limits)}; 20 % less: {_change(now, less, limits)}"
     )
@@ -185,6 +185,22 @@ PURPOSE = {
     ("pid_attitude", "ki"): "removes the lean of the attitude filter and trim",
     ("pid_attitude", "kd"): "pushes at once when the setpoint moves, ahead of the motors' lag",
 }
+
+
+_UNITS = {
+    ("pid_rate", "kp"): "PWM counts per deg/s",
+    ("pid_rate", "ki"): "PWM counts per deg",
+    ("pid_rate", "kd"): "PWM counts per deg/s²",
+    ("pid_attitude", "kp"): "deg/s per deg",
+    ("pid_attitude", "ki"): "deg/s per deg s",
+    ("pid_attitude", "kd"): "deg/s per deg/s",
+}
+
+
+def gain_meaning(name: str) -> tuple[str, str]:
+    """(unit, meaning) of one of the firmware's gains."""
+    which = name.split(".")[0], name.split("_")[-1]
+    return _UNITS[which], PURPOSE[which]
 
 
 def _change(now: Array, then: Array, limits: Limits) -> str:

@@ -171,7 +171,7 @@ def _effects(page: Page, report: DiscrepancyReport) -> None:
                 )
             )
     page.table(
-        ["", "effect", "parameter, 95 % interval", "what it adds", "gap"],
+        ["order", "effect", "parameter, 95 % interval", "what it adds", "gap"],
         rows,
     )
     for effect in report.effects:
