@@ -26,7 +26,7 @@ ALL_STATES = 36
 LAW_BODY, LAW_SENSOR, LAW_STATES = 36, 52, 68
 """States of effects whose laws are flown, 16 of the body and 16 of sensors."""
 
-ARX_ORDER, ARX_DEPTH = 8, 64
+ARX_ORDER, ARX_DEPTH = 24, 128
 """Past angles and inputs that a craft's ARX polynomials may need."""
 SENSOR_RING = 32
 """Samples on their way from the sensor to the loop: up to 60 ms of delay."""

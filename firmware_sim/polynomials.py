@@ -26,7 +26,8 @@ from firmware_sim.layout import (
 )
 from firmware_sim.pilot import LANDED_M
 from firmware_sim.plant import rotor_acceleration
-from groundstation.dynamics.arx import AXES, angle_polynomial, require_period
+from groundstation.dynamics.arx import AXES, angle_polynomial
+from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
 
@@ -45,7 +46,7 @@ def put_polynomials(p: Any, model: Model) -> None:
 
     Raises ValueError for polynomials that the loop cannot step.
     """
-    require_period(model, PASS_S)
+    model = at_period(model, PASS_S)
     for i, name in enumerate(AXES):
         one = angle_polynomial(model, name)
         if max(one.na, one.nb) > ARX_ORDER or one.nk + one.nb > ARX_DEPTH:

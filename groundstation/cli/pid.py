@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli import pid_design, pid_fly
-from groundstation.cli.model_files import AS_JSON, HTML, fitted_model, require_new, say_written
-from groundstation.cli.pid_design import DELAY, FIRMWARE, release_of, tell_polynomials_rest
+from groundstation.cli.model_files import (
+    AS_JSON,
+    ATTITUDE,
+    HTML,
+    fitted_model,
+    require_new,
+    say_written,
+)
+from groundstation.cli.pid_design import DELAY, FIRMWARE, release_of, turned_model
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
@@ -44,6 +51,7 @@ def evaluate(
     ),
     delay: int | None = DELAY,
     firmware: str | None = FIRMWARE,
+    attitude: str | None = ATTITUDE,
     seconds: float = typer.Option(1.5, help="Window of the step response."),
     inputs: Path | None = typer.Option(
         None,
@@ -88,16 +96,15 @@ def evaluate(
         raise BadInputError(f"--loop {chosen}: {gains} holds gains of the {named} loop")
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
-    loaded = fitted_model(model, attitude=chosen != "firmware")
-    if chosen == "firmware":
-        tell_polynomials_rest(loaded, "--loop direct or whole")
+    loaded = fitted_model(model, attitude=chosen != "firmware" and attitude != "body")
+    loaded, turning = turned_model(loaded, attitude, chosen == "firmware")
     if inputs is not None:
         _evaluate_inputs(loaded, given, chosen, inputs, delay, html, as_json, model)
         return
     release = release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
-    results = evaluate_gains(loaded, given, chosen, seconds, delay, release)
+    results = evaluate_gains(loaded, given, chosen, seconds, delay, release, turning)
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)

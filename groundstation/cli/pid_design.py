@@ -10,10 +10,12 @@ import typer
 
 from groundstation.cli.model_files import (
     AS_JSON,
+    ATTITUDE,
     HTML,
     fitted_model,
     require_new,
     say_written,
+    told_turning,
     write_new,
 )
 from groundstation.cli.progress import shown
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from groundstation.control.firmware_design import AxisDesign, Robustness
     from groundstation.control.firmwares import Release
     from groundstation.control.pid import PidGains
+    from groundstation.dynamics.arx import Turning
     from groundstation.dynamics.model import Model
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
@@ -47,6 +50,7 @@ def design(
         "", "--loop", help="firmware, direct (u' in (rev/s)^2) or whole (a PID in PWM counts)."
     ),
     firmware: str | None = FIRMWARE,
+    attitude: str | None = ATTITUDE,
     axis: list[str] | None = AXIS,
     sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
     spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
@@ -82,14 +86,14 @@ def design(
     if loop and loop not in FORMS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(FORMS)}")
     form = FORMS[loop] if loop else form
-    loaded = fitted_model(model, attitude=form != "firmware")
+    loaded = fitted_model(model, attitude=form != "firmware" and attitude != "body")
+    loaded, turning = turned_model(loaded, attitude, form == "firmware")
     gains: dict[str, float] | dict[str, PidGains]
     release: Release | None = None
     if form == "firmware":
-        tell_polynomials_rest(loaded, "--form thesis")
         release = release_of(loaded, firmware)
         report, gains, page = _design_firmware(
-            loaded, release, axes, sensitivity, spare_ms / 1e3, draws, seed, model
+            loaded, release, turning, axes, sensitivity, spare_ms / 1e3, draws, seed, model
         )
     elif form == "thesis":
         report, gains, page = _design_thesis(
@@ -122,6 +126,7 @@ def design(
 def _design_firmware(
     model: Model,
     release: Release,
+    turning: Turning | None,
     axes: tuple[str, ...],
     sensitivity: float,
     spare_s: float,
@@ -136,12 +141,14 @@ def _design_firmware(
         progress = _of_axes(axes, lambda share, what: show(0.9 * share, what))
         limits = cascade_limits(sensitivity, spare_s)
         designs: list[AxisDesign] = design_cascade(
-            model, axes, limits, seed, progress=progress, release=release
+            model, axes, limits, seed, progress=progress, release=release, turning=turning
         )
         gains = {key: value for one in designs for key, value in one.gains.items()}
         show(0.9, f"trying {draws} models")
         tried: Robustness | None = (
-            robustness(model, gains, axes, draws, seed, release=release) if draws else None
+            robustness(model, gains, axes, draws, seed, release=release, turning=turning)
+            if draws
+            else None
         )
     report = firmware_report(model, release, designs, tried, limits)
     return report, gains, firmware_page(model, name, designs, tried, report)
@@ -302,14 +309,18 @@ def convert(
     say_written(output)
 
 
-def tell_polynomials_rest(model: Model, instead: str) -> None:
-    """Says so where a model has polynomials that the firmware's loops leave alone."""
-    if model.arx is not None:
-        show(
-            "the firmware's loops are closed around the model's body; its ARX polynomials rest"
-            f" ({instead} closes loops around them)",
-            error=True,
-        )
+def turned_model(model: Model, said: str | None, firmware: bool) -> tuple[Model, Turning | None]:
+    """The model as a loop flies it, and what turns it in the firmware's loops.
+
+    Raises BadInputError for a choice that the model does not leave.
+    """
+    import msgspec
+
+    from groundstation.dynamics.arx import turning_of
+
+    if said is not None and turning_of(model, said) == "body":
+        return msgspec.structs.replace(model, arx=None), "body"
+    return model, told_turning(model, said) if firmware else None
 
 
 def release_of(model: Model, said: str | None) -> Release:

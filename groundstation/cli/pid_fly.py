@@ -24,7 +24,13 @@ from groundstation.cli.left_changed import (
     forget_changes,
     note_changes,
 )
-from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
+from groundstation.cli.model_files import (
+    AS_JSON,
+    fitted_model,
+    require_new,
+    say_written,
+    told_turning,
+)
 from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
@@ -112,7 +118,9 @@ def fly(
         require_release(firmware)
     if model is not None:
         # what is wrong with it is better known before a flight
-        plant_of_model(fitted_model(model, attitude=True), release=firmware)
+        loaded = fitted_model(model, attitude=True)
+        plant_of_model(loaded, release=firmware)
+        told_turning(loaded, None)
     if dry_run:
         _show(planned, wanted, as_json)
         return

@@ -50,10 +50,11 @@ def reason_not_followed(
     reference[:, index] = WHOLE_STEP_RAD
     flown = run_whole(model, three, reference, body_of(model), delay=delay, supply_mv=supply_mv)
     behind = flown.angles[:, index] / WHOLE_STEP_RAD
-    free = run_direct(axis_plant(model, axis, delay), gains, reference[:, index])
+    plant = axis_plant(model, axis, delay)
+    free = run_direct(plant, gains, np.ones(round(STEADY_S / plant.ts)))
     missed, promised = (
-        float(np.sqrt(np.mean((1.0 - y[: round(JUDGED_S / SAMPLE_PERIOD_S)]) ** 2)))
-        for y in (behind, free.y / WHOLE_STEP_RAD)
+        float(np.sqrt(np.mean((1.0 - y[: round(JUDGED_S / period_s)]) ** 2)))
+        for y, period_s in ((behind, SAMPLE_PERIOD_S), (free.y, plant.ts))
     )
     calm = calms(behind)
     if calm and missed <= MORE * promised:
@@ -75,4 +76,6 @@ def reason_not_followed(
 
 
 def _plant(model: Model) -> Plant:
-    return motors_of_model(model) if model.body is None else plant_of_model(model, fusion=False)
+    if model.body is None:
+        return motors_of_model(model)
+    return plant_of_model(model, fusion=False, turning="body")

@@ -22,6 +22,7 @@ from groundstation.control.margins import Margins
 from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.search import Budget
 from groundstation.control.uncertainty import corners, draws, estimates_of, require_certain
+from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model, model_vehicle
 
 Array = NDArray[np.float64]
@@ -90,11 +91,13 @@ def design_cascade(
     budget: Budget = BUDGET,
     progress: Callable[[str, float], None] = lambda axis, share: None,
     release: str | None = None,
+    turning: Turning | None = None,
 ) -> list[AxisDesign]:
     """Gains for each axis of a fitted model, on every core.
 
     A design must keep its limits on the model and two standard errors away from it
-    (``uncertainty.corners``). release: of the firmware, None: the vehicle's.
+    (``uncertainty.corners``). release: of the firmware, None: the vehicle's. turning: what turns
+    the craft (``plant_of_model``); the gain of polynomials is as uncertain as the body's.
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
@@ -102,7 +105,10 @@ def design_cascade(
     firmware = firmware_of_vehicle(model_vehicle(model), release)
 
     def one(axis: str) -> AxisDesign:
-        plants = [plant_of_model(other, release=release) for other in corners(model, axis)]
+        plants = [
+            plant_of_model(other, release=release, turning=turning)
+            for other in corners(model, axis)
+        ]
         judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
         kind = "yaw" if axis == "yaw" else "roll"
         low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
@@ -136,11 +142,15 @@ def robustness(
     seed: int = 0,
     supply_mv: float = SUPPLY_MV,
     release: str | None = None,
+    turning: Turning | None = None,
 ) -> Robustness | None:
     """How gains do on models drawn from the fit's covariance; None where it carries none."""
     if not estimates_of(model):
         return None
-    plants = [plant_of_model(other, release=release) for other in draws(model, count, seed)]
+    plants = [
+        plant_of_model(other, release=release, turning=turning)
+        for other in draws(model, count, seed)
+    ]
     names = firmware_of_vehicle(model_vehicle(model), release).gain_names
     cores = os.cpu_count() or 1
     judgements = {}

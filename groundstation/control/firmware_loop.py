@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.firmwares import RELEASE_2014, Firmware
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.pid import AXES
-from groundstation.control.plant import Plant
+from groundstation.control.plant import ANGLES, Plant
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
@@ -159,6 +159,7 @@ def run_cascade(
         plant.sensor[0],
         plant.airframe_x,
         plant.fusion,
+        *plant.turned_by,
         plant.start,
         firmware_of(gains, quirks, quantised, plant.firmware)[0],
         wanted,
@@ -204,7 +205,7 @@ def loop_response(
     """
     index = AXES.index(axis)
     s = 1j * omega
-    base, hold, lean, integral, derivative, sharp, _ = _loop_parts(plant, index, s, supply_mv)
+    base, hold, lean, integral, derivative, sharp, *_ = _loop_parts(plant, index, s, supply_mv)
     f = firmware_of(gains, quirks, firmware=plant.firmware)[0]
     fast, slow = quirk_ratios(plant.firmware, quirks)
     rate = f["rate_kp"][index] + fast * f["rate_ki"][index] * integral
@@ -305,7 +306,8 @@ class CascadeJudge:
             left = np.flatnonzero(np.isfinite(worst[:, 0]))
             level = 512.0 * plant.hover_duty(self._supply)
             cascade_many(
-                plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion, plant.start,
+                plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
+                *plant.turned_by, plant.start,
                 self._rest[0], room[0], self._index, gains[left], *parts,
                 self._late, *self._ratios, UNUSABLE, self._size,
                 plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
@@ -328,23 +330,46 @@ def _column(name: str) -> int:
     return COLUMNS[group][rest[-2:]]
 
 
-def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Complex, ...]:
-    """base, hold, lean, integral, derivative, sharp, push: L = base ((rate gains) (hold +
+def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Any, ...]:
+    """base, hold, lean, integral, derivative, sharp, push, began: L = base ((rate gains) (hold +
     (angle gains) lean) + rate derivative hold); derivative and sharp are those of angle and rate,
-    push what a push of 1 rad/s^2 moves without a controller."""
-    damping = plant.slopes(index)[0]
-    base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
-    base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
+    push what a push of 1 rad/s^2 moves without a controller, began the phase of base at the first
+    of s, not wrapped."""
     leak = 0.4 if plant.fusion and index < 2 else 0.0
     lean = 1 / (s + leak)
+    if plant.polynomials.turns:
+        base, lean, push, began = _of_polynomials(plant, index, s, supply_mv, lean)
+    else:
+        damping = plant.slopes(index)[0]
+        base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
+        base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
+        push = 1 / (s + damping)
+        began = float(np.angle(base[0]))
     twice = 2 * SAMPLE_PERIOD_S
     derivative = (1 - np.exp(-twice * s)) / twice
-    push = np.abs(1 / (s + damping) * (1.0 if index == 2 else lean))
+    push = np.abs(push * (1.0 if index == 2 else lean))
     if index == 2 and not plant.firmware.is_today:
         lean = np.zeros_like(s)  # no heading is held
     integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
     sharp = (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
-    return base, hold_response(s, SAMPLE_PERIOD_S), lean, integral, derivative, sharp, push
+    hold = hold_response(s, SAMPLE_PERIOD_S)
+    return base, hold, lean, integral, derivative, sharp, push, began
+
+
+def _of_polynomials(
+    plant: Plant, index: int, s: Complex, supply_mv: float, lean: Complex
+) -> tuple[Complex, Complex, Complex, float]:
+    """base, lean, push and began where polynomials turn the craft: behind the motors they hear
+    the mean of u' over a period; a push acts as that u' to which the body answers 1 rad/s^2."""
+    z, turned_by = np.exp(SAMPLE_PERIOD_S * s), plant.polynomials
+    driven = math.degrees(1) * plant.input_slope(index) * speed_per_pwm(plant, index, s, supply_mv)
+    driven = driven * hold_response(s, SAMPLE_PERIOD_S)
+    rate = turned_by.rate(index, z)
+    began = float(np.angle(driven[0])) + turned_by.phase(index, z[0])
+    if turned_by.turns == ANGLES:
+        lean = turned_by.angle(z)
+    per_acceleration = plant.input_slope(index) / plant.slopes(index)[1]
+    return driven * rate, lean, rate * per_acceleration, began
 
 
 def hold_response(s: Complex, period_s: float) -> Complex:
@@ -353,7 +378,14 @@ def hold_response(s: Complex, period_s: float) -> Complex:
 
 
 def rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
-    """rad/s of the craft per unit of the controller's output, of 16-bit PWM or thrust."""
+    """rad/s of the craft's body per unit of the controller's output, of 16-bit PWM or thrust."""
+    damping, by_speed, by_slope = plant.slopes(index)
+    speed = speed_per_pwm(plant, index, s, supply_mv)
+    return np.asarray((by_speed + by_slope * s) * speed / (s + damping))
+
+
+def speed_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Complex:
+    """rev/s by which the rotors of an axis move, per unit of the controller's output."""
     motor = {key: float(plant.craft[0][key].mean()) for key in ("a0", "a1", "a2")}
     pole = motor["a1"] + 2 * motor["a2"] * plant.hover_rev_s
     if plant.firmware.is_today:
@@ -361,8 +393,6 @@ def rate_per_pwm(plant: Plant, index: int, s: Complex, supply_mv: float) -> Comp
         mv = 1000.0 * plant.firmware.volts_per_thrust(volts)
     else:
         mv = supply_mv / 65536.0
-    speed = motor["a0"] * mv / (s + pole)
-    damping, by_speed, by_slope = plant.slopes(index)
     # Roll moves two rotors (plus), or four by half (x); yaw moves all four.
     share = 0.5 if plant.airframe_x and index < 2 else 1.0
-    return np.asarray(share * (by_speed + by_slope * s) * speed / (s + damping))
+    return np.asarray(share * motor["a0"] * mv / (s + pole))

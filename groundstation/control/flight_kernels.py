@@ -21,6 +21,7 @@ from groundstation.dynamics.sensing import begin, follow, sense
 DEGREES = 180.0 / math.pi
 PWM_FULL = 4096.0
 ROTOR, RATE = 13, 10
+RATES, SLOPE_ROWS = 2, 2
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -209,12 +210,47 @@ def _fuse(f: Any, gyro: Any, felt: Any) -> Any:
     return turned
 
 
+@spliced
+def _turn(
+    turns: int, a: Any, b: Any, nk: Any, period: float, k: int, inputs: Any, outputs: Any, y: Any
+) -> None:  # fmt: skip
+    """Rates, and angles where the polynomials are theirs, of row k into the state."""
+    for axis in range(3):
+        value = 0.0
+        for i in range(min(a.shape[1], k)):
+            value -= a[axis, i] * outputs[k - 1 - i, axis]
+        for j in range(b.shape[1]):
+            at = k - nk[axis] - j
+            if at >= 0:
+                value += b[axis, j] * inputs[at, axis]
+        outputs[k, axis] = value
+    if turns == RATES:
+        for axis in range(3):
+            y[RATE + axis] = outputs[k, axis]
+    else:
+        roll, pitch, yaw = outputs[k, 0], outputs[k, 1], outputs[k, 2]
+        turned = quaternion.of_angles((roll, pitch, yaw))
+        y[6], y[7], y[8], y[9] = turned
+        past, span = max(k - SLOPE_ROWS, 0), SLOPE_ROWS * period
+        droll = (roll - outputs[past, 0]) / span
+        dpitch = (pitch - outputs[past, 1]) / span
+        dyaw = (yaw - outputs[past, 2]) / span
+        y[RATE] = droll - math.sin(pitch) * dyaw
+        y[RATE + 1] = math.cos(roll) * dpitch + math.cos(pitch) * math.sin(roll) * dyaw
+        y[RATE + 2] = math.cos(pitch) * math.cos(roll) * dyaw - math.sin(roll) * dpitch
+
+
 @kernel
 def cascade_run(
     craft: Any,
     sensor: Any,
     airframe_x: bool,
     fusion: bool,
+    turns: int,
+    arx_a: Any,
+    arx_b: Any,
+    arx_nk: Any,
+    mixer: Any,
     start: Any,
     f: Any,
     setpoints: Any,
@@ -231,11 +267,13 @@ def cascade_run(
     thrust (k,) 16-bit; supply (k,) mV. Fills angles (k, 3) as the firmware estimates them (rad,
     nose down), gyro (k, 3) as it measures them (rad/s), compare (k, 4) PWM steps of 1/512.
     start: the state. fusion: the angles are the firmware's filter's, otherwise the true ones.
+    turns: what turns the craft (``plant.Polynomials``): 0 the body, 1 polynomials of angles, 2 of
+    rates, arx_a (3, na), arx_b (3, nb), arx_nk (3,) on the u' of mixer (3, 4).
     ``f`` holds the firmware's state and is changed.
     """
     p, rows = physics(craft), len(setpoints)
     y, work, z = start.copy(), np.zeros((3, len(start))), np.zeros((4, SENSOR_STATES))
-    late = sensor.delay / period
+    late = sensor.delay / period if turns == 0 else 0.0  # polynomials have their own
     depth = int(late) + 2
     past = np.zeros((depth, 10))
     mount = (sensor.mount[0], sensor.mount[1], sensor.mount[2], sensor.mount[3])
@@ -246,8 +284,12 @@ def cascade_run(
     before = body_slope(p, n, still, STILL, y, work[0], ALL)
     begin(craft, before, z[0])
     felt, volts = before.force, still
+    kept = rows if turns != 0 else 0
+    inputs, outputs = np.zeros((kept, 3)), np.zeros((kept, 3))
     for k in range(rows):
         now = past[k % depth]
+        if turns != 0:
+            _turn(turns, arx_a, arx_b, arx_nk, period, k, inputs, outputs, y)
         if k > 0:
             after = _body(p, volts, y, work[0])
             follow(craft, before, after, period, z)
@@ -257,7 +299,8 @@ def cascade_run(
         for i in range(4):
             now[i] = y[6 + i]
         for axis in range(3):
-            now[4 + axis] = reading.gyro[axis] - sensor.zero[axis]
+            heard = reading.gyro[axis] - sensor.zero[axis]
+            now[4 + axis] = heard if turns == 0 else y[RATE + axis]
             now[7 + axis] = felt[axis]
         at = max(k - late, 0.0)
         first = min(int(at), k)
@@ -272,7 +315,8 @@ def cascade_run(
                 q = _fuse(f, rate, (past[low, 7], past[low, 8], past[low, 9]))
             else:
                 q = (past[low, 0], past[low, 1], past[low, 2], past[low, 3])
-                q = quaternion.product(q, mount)
+                if turns == 0:
+                    q = quaternion.product(q, mount)
             found[0], found[1], found[2] = quaternion.angles(q)
         # the firmware's degrees, pitch nose up
         if f.today != 0:
@@ -329,7 +373,14 @@ def cascade_run(
             compare[k, i] = steps
             duty[i] = steps / 512.0
         driven = (duty[0], duty[1], duty[2], duty[3])
+        speed = (y[13], y[14], y[15], y[16])
         volts = _move(p, driven, supply_mv, k, period, y, work)
+        if turns != 0 and k + 1 < rows:
+            for i in range(4):
+                end = y[ROTOR + i]
+                square = (speed[i] * speed[i] + speed[i] * end + end * end) / 3.0
+                for axis in range(3):
+                    inputs[k + 1, axis] += mixer[axis, i] * square
 
 
 @kernel
@@ -338,6 +389,11 @@ def cascade_many(
     sensor: Any,
     airframe_x: bool,
     fusion: bool,
+    turns: int,
+    arx_a: Any,
+    arx_b: Any,
+    arx_nk: Any,
+    mixer: Any,
     start: Any,
     rest: Any,
     f: Any,
@@ -350,6 +406,7 @@ def cascade_many(
     derivative: Any,
     sharp: Any,
     push: Any,
+    began: float,
     late: Any,
     fast: float,
     slow: float,
@@ -369,6 +426,7 @@ def cascade_many(
 
     The loop at n frequencies is base ((rate) (hold + (angle) lean) + rate derivative hold), with
     the responses of an integral, of the derivatives of angle and rate, and of the craft to a push;
+    began is the phase of base at the first of them, not wrapped;
     fast and slow the firmware's factors on integrals, late the phase of more delay. Fills
     peak (m,), the maximum sensitivity, inf where the loop is unstable or worse than
     ``worst_peak``; effort (m,), the largest step of a motor, 0..1; compliance (m,), how far
@@ -382,7 +440,7 @@ def cascade_many(
     for m in range(len(gains)):
         effort[m], yields = math.inf, 0.0
         least, phase, delayed, lost = math.inf, 0.0, 0.0, False
-        reach, reach_late = -math.inf, -math.inf
+        reach, reach_late = 0.0, 0.0
         for i in range(len(base)):
             rate = gains[m, 0] + fast * gains[m, 1] * integral[i]
             angle = gains[m, 2] + slow * gains[m, 3] * integral[i]
@@ -395,10 +453,13 @@ def cascade_many(
             turned = math.atan2(loop.imag, loop.real)
             delay_phase = turned + late[i]
             if i == 0:
-                # -90 to -450 deg: the integrals and what lags before the lowest frequency
-                if turned > 0.0:
-                    turned -= 2.0 * math.pi
+                # the phases of base and gains, not wrapped: integrals and unstable poles count
+                expected = began + math.atan2(rate.imag, rate.real)
+                around = hold[i] + angle * lean[i]
+                expected += math.atan2(around.imag, around.real)
+                turned += 2.0 * math.pi * np.round((expected - turned) / (2.0 * math.pi))
                 phase, delayed = turned, turned + late[0]
+                reach, reach_late = phase, delayed  # a loop weaker than 1 here crossed it before
             else:
                 phase += (turned - phase + math.pi) % (2.0 * math.pi) - math.pi
                 delayed += (delay_phase - delayed + math.pi) % (2.0 * math.pi) - math.pi
@@ -406,7 +467,7 @@ def cascade_many(
                 reach, reach_late = phase, delayed
                 lost = i == len(base) - 1
         peak[m], compliance[m] = 1.0 / math.sqrt(least), math.sqrt(yields)
-        stable = reach == -math.inf or (reach > -math.pi and reach_late > -math.pi)
+        stable = reach > -math.pi and reach_late > -math.pi
         if lost or not stable or peak[m] > worst_peak:
             peak[m] = math.inf
             continue
@@ -425,8 +486,8 @@ def cascade_many(
         f.angle_kp[axis], f.angle_ki[axis] = gains[m, 2], gains[m, 3]
         f.angle_kd[axis] = gains[m, 4]
         cascade_run(
-            craft, sensor, airframe_x, fusion, start, f, setpoints, thrust, supply_mv, period,
-            angles, gyro, compare,
+            craft, sensor, airframe_x, fusion, turns, arx_a, arx_b, arx_nk, mixer,
+            start, f, setpoints, thrust, supply_mv, period, angles, gyro, compare,
         )  # fmt: skip
         largest = 0.0
         for k in range(rows):

@@ -23,7 +23,8 @@ from groundstation.control.linear_loop import axis_plant, controller, frequency_
 from groundstation.control.margins import LoopResponse
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
-from groundstation.dynamics.arx import angle_polynomial, require_period
+from groundstation.dynamics.arx import angle_polynomial, stacked
+from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
@@ -78,17 +79,11 @@ def run_whole(
     if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
     plant = _plant(model)
-    polynomials = {}
+    a, b, nk = np.zeros((3, 1)), np.zeros((3, 1)), np.zeros(3, np.int64)
     if body is Body.ARX:
-        require_period(model, SAMPLE_PERIOD_S)
-        polynomials = {axis: angle_polynomial(model, axis) for axis in AXES}
-    na = max((one.na for one in polynomials.values()), default=1)
-    nb = max((one.nb for one in polynomials.values()), default=1)
-    a, b, nk = np.zeros((3, na)), np.zeros((3, nb)), np.zeros(3, np.int64)
-    for index, axis in enumerate(AXES if body is Body.ARX else ()):
-        one = polynomials[axis]
-        a[index, : one.na], b[index, : one.nb] = one.a, one.b
-        nk[index] = max(one.nk, 1) if delay is None else delay  # speeds at a row act after it
+        model = at_period(model, SAMPLE_PERIOD_S)
+        a, b, nk = stacked([angle_polynomial(model, axis) for axis in AXES])
+        nk = np.maximum(nk, 1) if delay is None else np.full(3, delay)  # speeds act after a row
     wanted = np.ascontiguousarray(reference, np.float64)
     rows = len(wanted)
     supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
@@ -169,7 +164,7 @@ def counts_response(
     if body is not Body.ARX:
         model = msgspec.structs.replace(model, arx=None)
         delay = None if delay is None else delay + 1  # the held double integrator's own
-    polynomials = axis_plant(model, axis, delay)
+    polynomials = axis_plant(at_period(model, SAMPLE_PERIOD_S), axis, delay)
     pole = model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
@@ -184,4 +179,4 @@ def body_of(model: Model) -> Body:
 def _plant(model: Model) -> Plant:
     if model.body is None:
         return motors_of_model(model)
-    return plant_of_model(model, fusion=False)
+    return plant_of_model(model, fusion=False, turning="body")

@@ -32,6 +32,7 @@ from groundstation.control.thesis_loop import (
     whole_loop,
 )
 from groundstation.control.uncertainty import corners, require_certain
+from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
@@ -94,6 +95,7 @@ def design_whole(
     """
     if body_of(model) is not Body.ARX:
         require_certain(model, axes)
+    model = at_period(model, SAMPLE_PERIOD_S)
 
     def one(axis: str) -> WholeDesign:
         others = [model] if body_of(model) is Body.ARX else corners(model, axis)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -106,16 +107,13 @@ def angle_polynomial(model: Model, axis: str) -> ArxAxis:
     return _integral(one) if of_rates(model) else one
 
 
-def require_period(model: Model, period_s: float) -> None:
-    """Raises BadInputError for polynomials of another period than a loop's: inside it they cannot
-    be stretched."""
-    for name, one in (model.arx or {}).items():
-        if abs(one.ts / period_s - 1.0) > 0.01:
-            raise BadInputError(
-                f"the ARX polynomials of {name} make a step every {1e3 * one.ts:g} ms, the"
-                f" craft's loop every {1e3 * period_s:g} ms; fit them without --decimate, or"
-                " let the body turn it: attitude body"
-            )
+def stacked(axes: Sequence[ArxAxis]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """a (m, na), b (m, nb), the shorter filled with zeros, and nk (m,)."""
+    a = np.zeros((len(axes), max((one.na for one in axes), default=0)))
+    b = np.zeros((len(axes), max((one.nb for one in axes), default=0)))
+    for i, one in enumerate(axes):
+        a[i, : one.na], b[i, : one.nb] = one.a, one.b
+    return a, b, np.array([one.nk for one in axes], np.int64)
 
 
 def _integral(axis: ArxAxis) -> ArxAxis:
@@ -127,12 +125,11 @@ def _integral(axis: ArxAxis) -> ArxAxis:
 class ArxTurning:
     """The angles of a craft by its polynomials, a period at a time, from level and at rest.
 
-    Raises BadInputError for polynomials of another period than ``period_s``.
+    model: with polynomials of ``period_s`` (``arx_period.at_period``).
     """
 
     def __init__(self, model: Model, period_s: float, yaw: float = 0.0) -> None:
         turning_of(model, "arx")
-        require_period(model, period_s)
         self._axes = [angle_polynomial(model, axis) for axis in AXES]
         self._period_s = period_s
         self._origin = np.array([0.0, 0.0, yaw])

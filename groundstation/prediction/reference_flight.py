@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.arx import ArxTurning, Turning
+from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for, hover_rev_s
 from groundstation.dynamics.mixer import MIXERS
@@ -70,7 +71,9 @@ def fly_reference(
     """
     polynomials = None
     if turning == "arx":
-        polynomials = ArxTurning(model, SAMPLE_PERIOD_S, float(reference.attitude[0, 2]))
+        polynomials = ArxTurning(
+            at_period(model, SAMPLE_PERIOD_S), SAMPLE_PERIOD_S, float(reference.attitude[0, 2])
+        )
     duty, states = _closed_loop(model, reference, supply_v, polynomials)
     n = len(duty)
     volts = np.full(n, supply_v)

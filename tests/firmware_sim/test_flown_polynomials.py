@@ -1,6 +1,7 @@
 """The stand-in turns by the ARX polynomials of a model, with their delay."""
 
 import msgspec
+import numpy as np
 import pytest
 from stand_in_flights import CARRYING_GAINS, recorded
 
@@ -9,6 +10,7 @@ from firmware_sim.effects.catalogue import present_effects
 from groundstation.comparison.gap import ahead_errors, pooled_rms
 from groundstation.dynamics.model import ArxAxis, EffectTerm, Estimate, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
+from groundstation.errors import BadInputError
 from groundstation.identification.arx.data import arx_data
 from groundstation.identification.arx.fit import Criterion, search_arx
 from groundstation.identification.recordings import flights_of
@@ -82,10 +84,28 @@ def test_what_turns_or_delays_the_craft_is_in_the_polynomials_already(tmp_path):
     assert "dead_time" in present_effects(body)
 
 
+def test_polynomials_of_a_decimated_fit_are_stepped_with_the_loop(tmp_path):
+    """What adds up every row, and the same as it adds up means of four rows."""
+    every_row, fourth = {}, {}
+    for axis, one in model_of("gyro").arx.items():
+        every_row[axis] = msgspec.structs.replace(one, nk=4)
+        b = (4 * 0.625 * one.b[0], 4 * 0.375 * one.b[0])
+        fourth[axis] = ArxAxis(1, 2, 1, (-((-one.a[0]) ** 4),), b, 4 * one.ts)
+    rolls = []
+    for name, arx in (("row", every_row), ("fourth", fourth)):
+        path = tmp_path / f"{name}.json"
+        save_model(msgspec.structs.replace(model_of("gyro"), arx=arx), path)
+        settings = {"plant": "model", "craft": str(path), "gains": CARRYING_GAINS, "seed": 3}
+        samples, _ = recorded(12.0, **settings)
+        rolls.append(np.degrees(samples.attitude[-3000:, 0]))
+    assert rolls[0].std() > 0.5
+    assert (rolls[0] - rolls[1]).std() < 0.1 * rolls[0].std()
+
+
 def test_polynomials_that_the_loop_cannot_step_are_refused(tmp_path):
     model = model_of("gyro")
-    slow = {axis: msgspec.structs.replace(one, ts=0.008) for axis, one in model.arx.items()}
-    path = tmp_path / "slow.json"
-    save_model(msgspec.structs.replace(model, arx=slow), path)
-    with pytest.raises(ValueError, match="a step every 8 ms, the craft's loop every 2 ms"):
+    odd = {axis: msgspec.structs.replace(one, ts=0.003) for axis, one in model.arx.items()}
+    path = tmp_path / "odd.json"
+    save_model(msgspec.structs.replace(model, arx=odd), path)
+    with pytest.raises(BadInputError, match="a step every 3 ms, the craft's loop every 2 ms"):
         StandIn(StandInSettings(craft=str(path)))
