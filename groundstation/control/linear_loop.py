@@ -19,6 +19,7 @@ from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, AntiWindup, PidGains
 from groundstation.dynamics.arx import angle_polynomial
 from groundstation.dynamics.model import ArxAxis, Model
+from groundstation.dynamics.sensors import delay_of_model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
@@ -58,9 +59,7 @@ def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     elif model.body is not None:
         c = (model.body.c0, model.body.c1, model.body.c2)[AXES.index(axis)]
         ts = SAMPLE_PERIOD_S
-        late = sum(
-            term.parameters["delay_s"].value for term in model.effects if term.name == "dead_time"
-        )
+        late = delay_of_model(model)
         b = c * ts * ts / 2
         plant = ArxAxis(2, 2, 1 + round(late / ts), (-2.0, 1.0), (b, b), ts)
     else:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from groundstation.control.pid import AXES
 from groundstation.dynamics.model import ArxAxis, BodyConstants, Estimate, Model, with_motor
+from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 
@@ -26,12 +27,13 @@ MOST_DELAY_STDERR_S = 0.002
 CORNER = 2.0
 """Standard errors to either side that a design must bear."""
 LEAST_CORNER = 0.05
+DEAD_TIME = DELAY.partition(".")[0]
 RECORD = {
     "c0": "roll doublets of +-8 deg or more, 30 s of them",
     "c1": "pitch doublets of +-8 deg or more, 30 s of them",
     "c2": "yaw rate doublets of +-90 deg/s or more, 60 s of them, fitted with"
-    " --with dead_time,rotor_acceleration_torque",
-    "dead_time.delay_s": "fast roll and pitch doublets, 30 s of them, fitted with --with dead_time",
+    " the effects that 'fit body' says the data show",
+    DELAY: f"fast roll and pitch doublets, 30 s of them, fitted with --with {DEAD_TIME}",
 }
 
 
@@ -74,12 +76,12 @@ def require_certain(model: Model, axes: Sequence[str]) -> None:
                 f" error), {100 * MOST_STDERR[name]:.0f} % is the most for a design; record"
                 f" {RECORD[name]}, and fit again"
             )
-    value, stderr = known.get("dead_time.delay_s", (0.0, 0.0))
+    value, stderr = known.get(DELAY, (0.0, 0.0))
     if not stderr <= MOST_DELAY_STDERR_S:
         raise BadInputError(
-            f"dead_time.delay_s is known to +-{1e3 * stderr:.1f} ms only,"
+            f"{DELAY} is known to +-{1e3 * stderr:.1f} ms only,"
             f" {1e3 * MOST_DELAY_STDERR_S:g} ms is the most for a design; record"
-            f" {RECORD['dead_time.delay_s']}, and fit again"
+            f" {RECORD[DELAY]}, and fit again"
         )
 
 
@@ -123,14 +125,11 @@ def corners(model: Model, axis: str) -> list[Model]:
     name = BODY[AXES.index(axis)]
     nominal = getattr(model.body, name)
     _, gain = known.get(name, (0.0, 0.0))
-    _, late = known.get("dead_time.delay_s", (0.0, 0.0))
+    _, late = known.get(DELAY, (0.0, 0.0))
     gain = max(CORNER * gain, LEAST_CORNER * nominal)
     return [
         model,
-        *(
-            moved(model, {name: sign * gain, "dead_time.delay_s": CORNER * late})
-            for sign in (1.0, -1.0)
-        ),
+        *(moved(model, {name: sign * gain, DELAY: CORNER * late}) for sign in (1.0, -1.0)),
     ]
 
 
@@ -152,7 +151,7 @@ def moved(model: Model, differences: dict[str, float]) -> Model:
         parameters = {}
         for name, estimate in term.parameters.items():
             value = estimate.value + differences.get(f"{term.name}.{name}", 0.0)
-            if term.name == "dead_time":
+            if term.name == DEAD_TIME:
                 value = max(value, 0.0)
             parameters[name] = Estimate(value, estimate.stderr, estimate.unit)
         effects.append(msgspec.structs.replace(term, parameters=parameters))

@@ -20,6 +20,7 @@ from groundstation.dynamics.law import SPIN
 from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.motor import REVOLUTION
+from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
 from groundstation.prediction.observer import ERRORS
@@ -148,7 +149,7 @@ def allowances(model: Model, period_s: float) -> Array:
     A model with a dead time knows its mean only: a sensor's clock that runs beside the loop's
     makes it up to half a row more or less, anew at each start.
     """
-    timed = any(term.name == "dead_time" for term in model.effects)
+    timed = any(term.name == DELAY.partition(".")[0] for term in model.effects)
     delay_s = (PHASE if timed else UNTIMED_ROWS) * period_s
     return np.array([_allowance(number, delay_s) for number in range(len(KINDS))])
 

@@ -6,6 +6,8 @@ import re
 import pytest
 from pages import ROOT
 
+from groundstation.dynamics.registry import EFFECTS
+
 TEXT = (ROOT / "docs" / "architecture.md").read_text()
 ROWS = re.findall(r"^\| `(\w+)` \| ([^|]*)\| ([^|]*)\|$", TEXT, re.MULTILINE)
 PACKAGES = {name: (what, may) for name, what, may in ROWS}
@@ -81,3 +83,30 @@ def test_only_one_link_knows_the_software_craft():
         if "firmware_sim" in set(ours(path))
     ]
     assert knowing == ["links/stand_in.py"]
+
+
+@pytest.fixture(scope="module")
+def spoken():
+    """The strings of each file's code outside effects, demo and thesis, without docstrings."""
+    folder = ROOT / "groundstation"
+    return {
+        path.relative_to(folder): " ".join(strings(ast.parse(path.read_text())))
+        for path in sorted(folder.rglob("*.py"))
+        if path.parent.name not in ("effects", "demo", "thesis")
+    }
+
+
+def strings(tree):
+    bodies = [node.body for node in ast.walk(tree) if isinstance(getattr(node, "body", None), list)]
+    apart = {id(one.value) for body in bodies for one in body if isinstance(one, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in apart:
+            yield node.value
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_an_effect_is_named_by_its_own_file_and_at_most_two_more(name, spoken):
+    """The stories that hide and find chosen effects (demo, thesis) name what they choose."""
+    word = re.compile(rf"\b{name}\b")
+    named = [path for path, text in spoken.items() if word.search(text)]
+    assert len(named) <= 2, named

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.body.setup import CONSTANTS, DELAY, Setup
+from groundstation.dynamics.registry import DELAY
+from groundstation.identification.body.setup import CONSTANTS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
 from groundstation.identification.likelihood.parameters import SENSOR_LAG
@@ -19,7 +20,7 @@ YAW_BANDS = BANDS[:2]
 the rotors' speeds, not to their drag."""
 BLOCK_S, LEAST_BLOCKS, LEAST_FLIGHTS = 5.0, 8, 4
 """Longer than what the spectra remember; scatter over fewer blocks says nothing."""
-AGAIN = (*CONSTANTS, "slow_moment", "rotor_acceleration_torque", DELAY, SENSOR_LAG)
+AGAIN = (*CONSTANTS, "slow_moment", SPIN_UP, DELAY, SENSOR_LAG)
 """Keys that are estimated again in each band: the delay and the sensor's lag too, which the fast
 part of a flight tells, and which bend the constants."""
 TELLS = 0.2

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import BodyConstants
+from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
@@ -31,7 +32,6 @@ from groundstation.identification.body.judgement import (
 )
 from groundstation.identification.body.setup import (
     CONSTANTS,
-    DELAY,
     PACE,
     SPIN_UP,
     SUPPLY_EFFECTS,

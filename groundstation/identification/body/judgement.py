@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import settings_a_row
-from groundstation.identification.body.setup import CONSTANTS, DELAY, SPIN_UP, Setup
+from groundstation.identification.body.setup import CONSTANTS, SPIN_UP, Setup
 from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit

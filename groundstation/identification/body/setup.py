@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.effect import GYRO
 from groundstation.dynamics.model import Model, vehicle_model
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.unknowns import Key, variants
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
@@ -43,7 +43,6 @@ FITTED = tuple(
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""
-DELAY = "dead_time.delay_s"
 SPIN_UP = "rotor_acceleration_torque.rotor_inertia_kg_m2"
 SLOW_MOMENTS = ("slow_moment.roll", "slow_moment.pitch")
 LEAK_S = 3.0
@@ -57,7 +56,12 @@ LONGEST_LAG_S, LAG_STRIDE_S = 0.01, 2e-3
 PACE_LEAST_HZ, PACE_MOST_SHARE = 0.3, 0.9
 """The motors' lag shows around 2 Hz; drift below, and near the end of the spectrum what joining
 topics of different rates has left, are not theirs."""
-TIMING_EFFECTS = ("dead_time", "gyro_low_pass")
+TIMING_EFFECTS = {
+    name
+    for name, one in EFFECTS.items()
+    if one.stage == "delay" or any(state.follows in GYRO for state in one.states)
+}
+"""What shows a rate late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,13 +189,13 @@ def set_up(
         ways = variants(EFFECTS[name])
         chosen.append(ways[rotor] if len(ways) > 1 else ways[0])
     nuisances: list[str] = []
-    if not set(effects) & {*TIMING_EFFECTS}:
+    if not TIMING_EFFECTS & {*effects}:
         nuisances.append(DELAY)
     if stretches[0].motor is None:
         nuisances.append(SENSOR_LAG)
     if pace:
         nuisances.append(PACE)
-    elif "rotor_acceleration_torque" not in effects:
+    elif SPIN_UP.partition(".")[0] not in effects:
         nuisances.append(SPIN_UP)
     slow: dict[str, list[Columns]] = {}
     if "velocity_moment" not in effects and all(f.attitude is not None for f in flights):

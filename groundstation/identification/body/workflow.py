@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_motors, with_motor
+from groundstation.dynamics.registry import EFFECTS, at_stage
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import BodyFit, fit_body, vertical
@@ -38,7 +39,7 @@ from groundstation.identification.fit_record import (
     unit_of,
     with_effects,
 )
-from groundstation.identification.motor.supply import SupplyEstimate, supply_terms, undo_supply
+from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
 from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.replayed import angle_rms
 from groundstation.identification.runs import Run
@@ -50,7 +51,7 @@ Array = NDArray[np.float64]
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
 FREE_RUNS_S, LEAST_FREE_S = (0.5, 1.0, 2.0), 1.0
-OF_THE_MOTORS = (*SUPPLY_EFFECTS, "motor_dead_voltage", "motor_braking_asymmetry")
+OF_THE_MOTORS = {effect.name for stage in ("supply", "motor") for effect in at_stage(stage)}
 
 
 def identify_body(
@@ -196,7 +197,7 @@ def _stretches(
 def _profile(before: Model, vehicle: Vehicle) -> Vehicle:
     """The profile, with the wires' resistance of the model where it has one."""
     for term in before.effects:
-        if term.name == "supply_sag":
+        if term.name == SAG:
             ohm = term.parameters["resistance_ohm"].value
             battery = msgspec.structs.replace(vehicle.battery, supply_ohm=ohm)
             return msgspec.structs.replace(vehicle, battery=battery)
@@ -207,7 +208,7 @@ def _terms(fit: BodyFit) -> list[EffectTerm]:
     """Effects as models hold them; a mismatched rotor by its number."""
     found = []
     for term in effect_terms(fit.estimates, unit_of):
-        if term.name == "rotor_mismatch":
+        if EFFECTS[term.name].choice is not None:
             (which,) = (keys[0].choice for keys in fit.setup.variants if keys[0].choice)
             rotor = Estimate(float(which), None, "")
             term = EffectTerm(term.name, {"rotor": rotor, **term.parameters})

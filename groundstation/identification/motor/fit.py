@@ -266,7 +266,7 @@ def _outcome(
     blocks = problem.scores(weights, theta)
     shared = problem.starts
     covariance = sandwich(normal, blocks)[:shared, :shared]
-    names = (*NAMES, *(f"{name}.{EFFECTS[name]}" for name in problem.effects))
+    names = (*NAMES, *(f"{name}.{EFFECTS[name].name}" for name in problem.effects))
     freedom = max(len(blocks) - len(theta), 1)
     estimates = Estimates(names, theta[:shared], covariance, freedom)
     filtered = float(np.mean([run.glitches for run in problem.runs]))

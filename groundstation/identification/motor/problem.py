@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.dynamics.registry import at_stage
+
 Array = NDArray[np.float64]
 
 DELAY, SHARED = 3, 4
 """Places among the parameters: the common delay, and what comes after a0, a1, a2 and it: the
 effects', then each run's initial speed."""
-EFFECTS = {"motor_dead_voltage": "voltage_mv", "motor_braking_asymmetry": "factor"}
-"""Effects that can be fitted along, and their parameter."""
-ABSENT = {"motor_dead_voltage": 0.0, "motor_braking_asymmetry": 1.0}
+EFFECTS = {effect.name: effect.sizes[0] for effect in at_stage("motor")}
+"""Effects that can be fitted along and their parameter, in the order of the kernel's arguments."""
+ABSENT = {name: one.absent for name, one in EFFECTS.items()}
 LONGEST_DELAY_S = 0.03
-LARGEST_DEAD_MV, FACTORS = 1500.0, (0.05, 5.0)
 OUTLIER = 4.5
 """Readings further from the model than so many robust standard deviations are glitches."""
 STEPS = 50
@@ -215,13 +216,12 @@ class MotorProblem:
         return np.vstack(found)
 
     def _within(self, theta: Array) -> bool:
-        values = dict(zip(self.effects, theta[SHARED : self.starts], strict=True))
-        factor = values.get("motor_braking_asymmetry", 1.0)
-        return bool(
-            abs(theta[DELAY]) <= LONGEST_DELAY_S
-            and abs(values.get("motor_dead_voltage", 0.0)) <= LARGEST_DEAD_MV
-            and FACTORS[0] <= factor <= FACTORS[1]
-        )
+        limits = [EFFECTS[name].bounds for name in self.effects]
+        within = [
+            low <= size <= high
+            for size, (low, high) in zip(theta[SHARED : self.starts], limits, strict=True)
+        ]
+        return bool(abs(theta[DELAY]) <= LONGEST_DELAY_S) and all(within)
 
 
 def first_speed(run: MotorRun) -> float:

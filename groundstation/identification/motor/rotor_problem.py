@@ -28,7 +28,7 @@ from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import bounded_step, inverse
 from groundstation.identification.likelihood.spectra import Spectrum, fourier, whiten_by_own
-from groundstation.identification.motor.problem import SHARED, MotorProblem, MotorRun
+from groundstation.identification.motor.problem import EFFECTS, SHARED, MotorProblem, MotorRun
 
 Array = NDArray[np.float64]
 
@@ -56,8 +56,6 @@ MOST_S = 0.95
 USUAL_DRIFT = 0.02
 """Standard deviation of ln U where a single piece cannot show it: of brushed motors that flew."""
 SHIFT = 1e-6
-EFFECT_LIMITS = {"motor_dead_voltage": (0.0, 1500.0), "motor_braking_asymmetry": (0.05, 5.0)}
-FIRST_STEP = {"motor_dead_voltage": 200.0, "motor_braking_asymmetry": 0.2}
 T, S, OWN = 0, 1, 2
 """Places of ln T and s among a rotor's own parameters, and how many these are."""
 
@@ -150,9 +148,9 @@ class RotorProblem:
         most = np.full(self.size, 0.3)
         low[0], high[0], most[0] = 1e-5, LONGEST_LAG_S, 0.002
         for place, effect in enumerate(self.effects, start=1):
-            theta[place] = float(effect == "motor_braking_asymmetry")
-            low[place], high[place] = EFFECT_LIMITS[effect]
-            most[place] = FIRST_STEP[effect]
+            size = EFFECTS[effect]
+            theta[place], most[place] = size.absent, size.stride
+            low[place], high[place] = max(size.bounds[0], 0.0), size.bounds[1]
         for rotor in self.rotors:
             place = self.own(rotor)
             theta[place : place + OWN] = np.log(START_T_S), self.expected[S + 1]

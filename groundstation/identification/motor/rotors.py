@@ -217,7 +217,7 @@ def _estimates(
     known[0, 0] = holding
     chain = np.eye(len(known))
     chain[:3, :3] = problem.chain(shape_of(motor, problem.speed))
-    names = ("a0", "a1", "a2", "sensor_lag_s", *(f"{e}.{EFFECTS[e]}" for e in problem.effects))
+    names = ("a0", "a1", "a2", "sensor_lag_s", *(f"{e}.{EFFECTS[e].name}" for e in problem.effects))
     values = np.array([motor.a0, motor.a1, motor.a2, *theta[: problem.shared]])
     freedom = max(len({one.piece for one in problem.pieces}) - 1, 1)
     return Estimates(names, values, chain @ known @ chain.T, freedom)
