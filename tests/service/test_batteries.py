@@ -58,7 +58,7 @@ def test_a_stand_in_whose_battery_is_changed_says_so_and_is_no_alarm(tmp_path):
     config = Config(
         link=LinkConfig(speed=10.0),
         recording=RecordingConfig(folder=str(tmp_path), enabled=False),
-        stand_in={"charge": 0.12, "recharge_s": 30.0, "program": "hover"},
+        stand_in={"charge": 0.12, "recharge_s": 60.0, "program": "hover"},
     )
     control = tmp_path / "control.sock"
 
