@@ -16,14 +16,17 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
+
+from groundstation.viewer.web_page import WebPage
 
 HEAD_S = 5.0
 """A request must have arrived after so long."""
 HEAD_MOST = 1 << 14
-STALL_S = 3.0
-"""A client that takes nothing for so long although data wait is dropped."""
+STALL_S = 10.0
+"""A client that takes nothing for so long although data wait is dropped. A browser that draws
+without a GPU takes nothing for some seconds while it reads what was before it opened."""
 WAITING_MOST = 192 << 20
 """Bytes that wait for all clients together: more than the server's memory, for one that opens
 late; beyond it the slowest is dropped."""
@@ -41,16 +44,25 @@ its data back at the server, so that nothing waits here."""
 _PING = b"\0\0\x08\x06\0\0\0\0\0relay up"
 _FRAME_HEAD = 9
 _HTTP2 = b"PRI * HTTP/2.0\r\n"
+Answer = Callable[[bytes, asyncio.StreamReader], Awaitable[bytes | None]]
 _HOSTS = ("127.0.0.1", "localhost", "[::1]")
 
 
 class Relay:
-    """One of rerun's two servers, relayed. allowed: origins of pages that may ask."""
+    """One of rerun's two servers, relayed. allowed: origins of pages that may ask. answer: of
+    requests that are not rerun's."""
 
-    def __init__(self, port: int, upstream: tuple[str, int], allowed: Iterable[str]) -> None:
+    def __init__(
+        self,
+        port: int,
+        upstream: tuple[str, int],
+        allowed: Iterable[str],
+        answer: Answer | None = None,
+    ) -> None:
         self._hosts = {f"{host}:{port}".encode() for host in _HOSTS}
         self._allowed = {origin.encode() for origin in allowed}
         self._upstream = upstream
+        self._answer = answer
         self.behind_s = 0.0
         """How old what the slowest viewer takes is: of the last round of watching."""
         self._clients: dict[asyncio.StreamWriter, _Progress] = {}
@@ -59,7 +71,7 @@ class Relay:
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Take care of one connection until either side ends it."""
         self._clients[writer] = _Progress()
-        beyond: asyncio.StreamWriter | None = None
+        open_ends = {writer}  # an end that is closed must not be aborted: its transport is no more
         try:
             if len(self._clients) > CLIENTS_MOST:
                 self._tell(f"a viewer was turned away: {CLIENTS_MOST} connections are open")
@@ -71,7 +83,12 @@ class Relay:
                 head = await self._admitted(reader, writer)
             if not head:
                 return
+            if self._answer is not None and (own := await self._answer(head, reader)) is not None:
+                writer.write(own)
+                await _close(writer, open_ends)
+                return
             there, beyond = await asyncio.open_connection(*self._upstream)
+            open_ends.add(beyond)
             beyond.write(head)
             if head == _HTTP2:
                 self._clients[writer].frames = _Frames()
@@ -81,15 +98,13 @@ class Relay:
             for task in (up, down):
                 task.cancel()
             await asyncio.gather(up, down, return_exceptions=True)
-            writer.close()
-            await writer.wait_closed()  # what waits is still taken, or it is dropped
+            await _close(writer, open_ends)  # what waits is still taken, or it is dropped
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             pass  # who leaves is no news
         finally:
             del self._clients[writer]
-            for one in (writer, beyond):
-                if one is not None:
-                    one.transport.abort()
+            for one in open_ends:
+                one.transport.abort()
 
     async def watch(self) -> None:
         """Drop who stalls, for as long as the relay runs."""
@@ -206,6 +221,12 @@ class _Frames:
         self.between = not self._left and not self._head
 
 
+async def _close(writer: asyncio.StreamWriter, open_ends: set[asyncio.StreamWriter]) -> None:
+    writer.close()
+    await writer.wait_closed()
+    open_ends.remove(writer)
+
+
 def _stranger(writer: asyncio.StreamWriter) -> str | None:
     """Who holds the other end of a connection within this machine, if not we or root.
 
@@ -282,22 +303,27 @@ async def relay(live: socket.socket, web: socket.socket, upstream: str, *ports: 
     """Relay what comes on the sockets ``live`` and ``web`` to the two ports of ``upstream``."""
     web_port = web.getsockname()[1]
     origins = [f"http://{host}:{web_port}" for host in _HOSTS]
-    both = [
-        (listening, Relay(listening.getsockname()[1], (upstream, port), origins))
-        for listening, port in zip((live, web), ports, strict=True)
-    ]
+    live_port = live.getsockname()[1]
+    page = WebPage((upstream, ports[1]), live_port)
+    viewers = Relay(live_port, (upstream, ports[0]), origins)
+
+    async def answer(head: bytes, reader: asyncio.StreamReader) -> bytes | None:
+        return await page.answer(head, reader, viewers.viewers)
+
+    both = [(live, viewers), (web, Relay(web_port, (upstream, ports[1]), origins, answer))]
     servers = [await asyncio.start_server(one.serve, sock=listening) for listening, one in both]
     await asyncio.gather(
-        _beat(both[0][1]),
+        _beat(viewers, page),
         *(server.serve_forever() for server in servers),
         *(one.watch() for _, one in both),
     )
 
 
-async def _beat(live: Relay) -> None:
+async def _beat(live: Relay, page: WebPage) -> None:
     """A line each half second: alive, and how far viewers are behind."""
     while True:
-        print(BEHIND, live.viewers, f"{live.behind_s:.1f}", file=sys.stderr, flush=True)
+        behind_s = max(live.behind_s, page.behind_s)
+        print(BEHIND, live.viewers, f"{behind_s:.1f}", file=sys.stderr, flush=True)
         await asyncio.sleep(WATCH_S)
 
 

@@ -52,8 +52,9 @@ START_S = 20.0
 BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 8.0)
 SETTLED_S = 10.0
 """After so long without a failure the back-off starts anew."""
-SERVER_MEMORY = "128MB"
-"""What a viewer that opens late can still see: about four minutes."""
+SERVER_MEMORY = "64MB"
+"""What a viewer that opens late can still see: some two minutes, which one without a GPU reads in
+half a minute."""
 WINDOW_MEMORY = "2GB"
 
 _SERVER_SILENT = 3  # feeder.SERVER_SILENT; importing that module would load rerun
