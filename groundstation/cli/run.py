@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import sys
 import time
 from collections.abc import MutableMapping
@@ -145,6 +146,8 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
                 tasks.append(asyncio.create_task(_stop_after(station, duration_s), name="timer"))
             if live:
                 tasks.append(asyncio.create_task(_display(station), name="display"))
+            if config.page.enabled and live and _has_screen():
+                tasks.append(asyncio.create_task(_open_page(station), name="browser"))
             await station.run(announce=ready)
         finally:
             notify("STOPPING=1")
@@ -159,6 +162,22 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     _conclude(station)
     if not interrupted:
         _require_something(station)
+
+
+def _has_screen() -> bool:
+    """Whether a browser that is opened here would be seen by somebody."""
+    shown = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return shown and not os.environ.get("CI")
+
+
+async def _open_page(station: Station) -> None:
+    """Open the page in the user's browser once it is served; the printed address stays good."""
+    import webbrowser
+
+    while station.page.status()["state"] != "serving":
+        await asyncio.sleep(DISPLAY_S)
+    # a browser may keep its caller waiting, and there may be none
+    await asyncio.to_thread(webbrowser.open, station.page.address())
 
 
 def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None:

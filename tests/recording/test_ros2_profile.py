@@ -1,6 +1,7 @@
 """Recordings for other programs: the MCAP profile ros2, and Parquet."""
 
 import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
 from groundstation.recording.session import Recording
+from groundstation.viewer.viewer import rerun_program
 
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"
 ROWS = slice(4000, 6000)
@@ -131,3 +133,21 @@ def test_a_parquet_table_has_every_row_with_its_units_and_events(flight, tmp_pat
 def test_only_mcap_takes_the_profile():
     with pytest.raises(BadInputError, match="--ros2 is for MCAP"):
         writer_of(Path("flight.csv"), ros2_hz=100)
+
+
+def test_rerun_converts_every_row_without_us(written, flight, tmp_path):
+    from rerun.chunk import RrdReader
+
+    target = tmp_path / "flight.rrd"
+    command = [str(rerun_program()), "mcap", "convert", str(written), "-o", str(target)]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    rows, fields = dict.fromkeys(("/row", "/imu", "/battery", "/pose"), 0), set()
+    for chunk in RrdReader(target).stream():
+        table = chunk.to_record_batch()
+        if chunk.entity_path in rows and "message_log_time" in table.schema.names:
+            rows[chunk.entity_path] += table.num_rows
+            for field in table.schema:
+                if field.name.endswith("Row:message"):
+                    fields |= {one.name for one in field.type.value_type}
+    assert set(rows.values()) == {len(flight.samples)}
+    assert {"gyro_x_dps", "accelerometer_z_g", "duty_4", "battery_v", "roll_deg"} <= fields

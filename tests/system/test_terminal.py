@@ -14,13 +14,14 @@ from groundstation.recording.quality import inspect_recording
 class Terminal:
     """A program on a pseudo-terminal of its own: what it shows, and what is typed."""
 
-    def __init__(self, folder, *arguments):
+    def __init__(self, folder, *arguments, environment=()):
         self.shown = ""
         self.status = None
         self._pid, self._screen = pty.fork()
         if self._pid == 0:
             os.chdir(folder)
             os.environ["GROUNDSTATION_SOCKET"] = str(folder / "control.sock")
+            os.environ.update(environment)
             os.execv(COMMAND, [COMMAND, *map(str, arguments)])
         os.set_blocking(self._screen, False)
 
@@ -75,3 +76,24 @@ def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
     (path,) = (tmp_path / "sessions").glob("*.mcap")
     report = inspect_recording(open_recording(path))
     assert (report["damage"], report["gap_count"]) == ([], 0)
+
+
+@pytest.mark.parametrize("ci", ["", "true"])
+def test_the_page_is_opened_where_somebody_sees_it_and_never_in_ci(tmp_path, ci):
+    opened, browser = tmp_path / "opened", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" >> {opened}\n')
+    browser.chmod(0o755)
+    seen = {"BROWSER": f"{browser} %s", "DISPLAY": ":9", "CI": ci}
+    options = ("run", "--page", "--page-port", free_port())
+    with Terminal(tmp_path, *options, environment=seen) as terminal:
+        if ci:
+            until(lambda: terminal.shows("receiving"), "receiving")
+        else:
+            until(opened.exists, "the browser")
+            address = opened.read_text().strip()
+            assert address.startswith(f"http://127.0.0.1:{options[-1]}/?token=")
+            assert not terminal.shows(address)  # the one that is printed lets another browser in
+        terminal.type(b"\x03")
+        until(terminal.has_ended, "the end")
+        assert terminal.status == 0
+    assert opened.exists() == (not ci)
