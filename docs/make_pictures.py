@@ -1,8 +1,9 @@
-"""``python docs/make_pictures.py [viewer] [page] [where] [real --data FOLDER]``: the pictures.
+"""``python docs/make_pictures.py [viewer] [page] [report] [where] [real --data FOLDER]``: pictures.
 
 viewer: a stand-in flight in the viewer; needs no display; without a GPU, Debian's
 mesa-vulkan-drivers and libvulkan1 draw it. page: the operator's page after half a minute of flight,
-light and dark; needs the tests' library and Debian's chromium. where: the map of where a model and
+light, dark and on a phone; report: a comparison's, likewise; both need the tests' library and
+Debian's chromium. where: the map of where a model and
 a craft with hidden effects disagree, and how the gap shrinks as the search names them. real: the
 slow moments of real craft, from the flights of ``make bench-real``. Any other name is an error.
 """
@@ -15,8 +16,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -48,14 +49,23 @@ HIDDEN = {
     "rotor_acceleration_torque": {"rotor_inertia_kg_m2": 2e-8},
 }
 FLIGHT_S = 40.0
+PROGRAM = "from groundstation.cli.main import main; main()"
+LOOKS = {
+    "light": ("light", 1280, 1000),
+    "dark": ("dark", 1280, 1000),
+    "phone": ("dark", 390, 844),
+}
+"""Name -> theme, width and height in pixels."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pictures", nargs="*", choices=[[], "viewer", "page", "where", "real"])
+    parser.add_argument(
+        "pictures", nargs="*", choices=[[], "viewer", "page", "report", "where", "real"]
+    )
     parser.add_argument("--data", type=Path, help="folder with the real flights")
     options = parser.parse_args()
-    chosen = options.pictures or ["viewer", "page", "where"]
+    chosen = options.pictures or ["viewer", "page", "report", "where"]
     if "real" in chosen:
         if options.data is None:
             parser.error("real needs --data FOLDER")
@@ -63,8 +73,11 @@ def main() -> None:
     if "viewer" in chosen:
         save("viewer.png", viewer_picture(RECORDING, AT_S))
     if "page" in chosen:
-        for theme, picture in page_pictures(("light", "dark")).items():
-            save(f"page_{theme}.png", picture)
+        for look, picture in page_pictures().items():
+            save(f"page_{look}.png", picture)
+    if "report" in chosen:
+        for look, picture in report_pictures(RECORDING).items():
+            save(f"report_{look}.png", picture)
     if "where" in chosen:
         where, gap = search_pictures()
         save("where.png", where)
@@ -76,12 +89,12 @@ def save(name: str, picture: bytes) -> None:
     print(IMAGES / name)
 
 
-def page_pictures(themes: Sequence[str]) -> dict[str, bytes]:
-    """The page of a daemon whose stand-in has flown for half a minute, by theme."""
+def page_pictures() -> dict[str, bytes]:
+    """The page of a daemon whose stand-in has flown for half a minute, by look."""
     from playwright.sync_api import expect, sync_playwright
 
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
-        command = [sys.executable, "-c", "from groundstation.cli.main import main; main()"]
+        command = [sys.executable, "-c", PROGRAM]
         environment = {**os.environ, "GROUNDSTATION_SOCKET": f"{folder}/control.sock"}
         port = str(free_port("127.0.0.1"))
         with subprocess.Popen(
@@ -92,21 +105,45 @@ def page_pictures(themes: Sequence[str]) -> dict[str, bytes]:
                 assert daemon.stdout is not None
                 said = iter(daemon.stdout)
                 address = next(line.split()[-1] for line in said if "?token=" in line)
-                browser = playwright.chromium.launch(
-                    executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-                )
-                page = browser.new_page(viewport={"width": 1280, "height": 800})
+                page = browser_page(playwright)
                 page.goto(address)
                 expect(page.locator("#live")).to_have_text("live", timeout=120_000)
                 page.wait_for_timeout(30_000)
-                pictures = {}
-                for theme in themes:
-                    page.emulate_media(color_scheme=theme)
-                    page.wait_for_timeout(1_000)
-                    pictures[theme] = page.screenshot(full_page=True)
-                return pictures
+                return looks(page, full=True)
             finally:
                 daemon.terminate()
+
+
+def report_pictures(recording: Path) -> dict[str, bytes]:
+    """The report of a comparison of the thesis's model with a recording, by look."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        report = Path(folder) / "report.html"
+        words = ["compare", str(recording), "--model", "thesis", "--html", str(report)]
+        command = [sys.executable, "-c", PROGRAM, *words]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        page = browser_page(playwright)
+        page.goto(report.as_uri())
+        return looks(page, full=False)
+
+
+def browser_page(playwright: Any) -> Any:
+    chromium = playwright.chromium.launch(
+        executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+    )
+    return chromium.new_page()
+
+
+def looks(page: Any, *, full: bool) -> dict[str, bytes]:
+    """Pictures of a browser's page: light, dark, and on a phone. full: to its end."""
+    pictures = {}
+    for look, (theme, width, height) in LOOKS.items():
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=theme)
+        page.wait_for_timeout(1_000)
+        pictures[look] = page.screenshot(full_page=full and look != "phone")
+    return pictures
 
 
 def slow_picture(data: Path) -> bytes:
