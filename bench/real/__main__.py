@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.real import nanobench, program, slow
+from bench.real import nanobench, program, slow, swing
 from bench.real.reference import Flight, explained, read_flight, reference_gain
 from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
-PARTS = ("fit", "agreement", "find", "tasks", "slow")
+PARTS = ("fit", "agreement", "find", "tasks", "slow", "swing")
 AXES = {"roll": "c0", "pitch": "c1", "yaw": "c2"}
 Case = dict[str, Any]
 
@@ -134,6 +134,11 @@ class Bench:
         """How much of the slow moments the velocity explains."""
         if self.only is None:
             yield from slow.table(self.data)
+
+    def swing(self) -> Iterator[str]:
+        """How much of the force in the plane a load on a line explains."""
+        if self.only is None:
+            yield from swing.table(self.data)
 
     def _payload(self) -> Iterator[str]:
         brushless = next((one for one in self.sets if one.name == "brushless"), None)

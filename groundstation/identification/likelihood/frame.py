@@ -30,8 +30,8 @@ class Frame:
     """The craft's configuration and scale, filter gains, the user's own effects, and the rotors'
     motors in proportion to each other (None: alike).
 
-    gyro_filter_hz: corner of the on-board low-pass of second order that the rates have passed; 0:
-    none.
+    gyro_filter_hz, accelerometer_filter_hz: corners of the on-board low-passes of second order that
+    the readings have passed; 0: none.
     """
 
     vehicle: Vehicle
@@ -39,6 +39,7 @@ class Frame:
     rate_gain: tuple[float, float, float] = (0.5, 0.5, 0.5)
     own: tuple[Variant, ...] = ()
     gyro_filter_hz: float = 0.0
+    accelerometer_filter_hz: float = 0.0
 
     @cached_property
     def unknowns(self) -> dict[str, Key]:

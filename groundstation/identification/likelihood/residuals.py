@@ -356,7 +356,8 @@ class _Evaluation:
         return self._moved[one.key]
 
     def _sensors(self, moved: Moved) -> Sensors:
-        return Sensors(self.effects("sensor", moved), self.craft, self.frame.gyro_filter_hz)
+        filters = self.frame.gyro_filter_hz, self.frame.accelerometer_filter_hz
+        return Sensors(self.effects("sensor", moved), self.craft, filters)
 
     def _put_change(self, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
         """Store the difference of two models over a step."""

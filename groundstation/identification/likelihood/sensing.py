@@ -82,9 +82,16 @@ class Sensors:
     behind gain u by lag du/dt on a ramp. undo: inverse of gain. turn: (3, 3), sensor to body axes.
     """
 
-    def __init__(self, effects: tuple[Acting, ...], craft: Craft, filter_hz: float = 0.0) -> None:
-        """filter_hz: corner of the on-board low-pass of second order behind them; 0: none."""
-        self.effects, self.craft, self.filter_hz = effects, craft, filter_hz
+    def __init__(
+        self,
+        effects: tuple[Acting, ...],
+        craft: Craft,
+        filter_hz: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """filter_hz: corners of the on-board low-passes of second order behind gyro and
+        accelerometer; 0: none."""
+        self.effects, self.craft = effects, craft
+        self.gyro_filter_hz, self.accelerometer_filter_hz = filter_hz
         self.gain, self.lag, self.offset = np.eye(6), np.zeros((6, 6)), np.zeros(6)
         self.linear = [_near_rest(one, craft) for one in effects]
         for one in self.linear:
@@ -133,8 +140,10 @@ class Sensors:
         """Angular acceleration and specific force (n, 3) in body axes that readings stand for."""
         count, period = len(moving), moving.period_s
         angular, force = stacked(shown.angular, count), stacked(shown.force, count)
-        if self.filter_hz:
-            angular = _filtered_on_board(angular, self.filter_hz, period)
+        if self.gyro_filter_hz:
+            angular = _filtered_on_board(angular, self.gyro_filter_hz, period, mean=True)
+        if self.accelerometer_filter_hz:
+            force = _filtered_on_board(force, self.accelerometer_filter_hz, period, mean=False)
         if not self.effects:
             return angular, force
         force = force - self.offset[FORCES]
@@ -153,8 +162,9 @@ class Sensors:
 
         behind: how many of the sensors they have passed already.
         """
-        if part == RATES and self.filter_hz:
-            values = _filtered_on_board(values, self.filter_hz, moving.period_s)
+        corner = self.gyro_filter_hz if part == RATES else self.accelerometer_filter_hz
+        if corner:
+            values = _filtered_on_board(values, corner, moving.period_s, mean=part == RATES)
         matrix = np.eye(3)
         for near in self.linear[behind:]:
             if near.c[part].any():
@@ -299,12 +309,18 @@ def _discrete(near: Linear, rates: bool, h: float) -> Array:
     return np.block([[keep, ramp, held - ramp], [c @ keep, c @ ramp + d, c @ (held - ramp)]])
 
 
-def _filtered_on_board(values: Array, corner_hz: float, period_s: float) -> Array:
-    """Means (n, m) over periods behind the firmware's Butterworth filter, which runs at 1 kHz."""
+def _filtered_on_board(values: Array, corner_hz: float, period_s: float, mean: bool) -> Array:
+    """Rows (n, m) behind the firmware's Butterworth filter, which runs at 1 kHz: means over the
+    periods before them (mean), or values at the rows with straight lines between."""
     from scipy.signal import butter, lfilter, lfilter_zi
 
     steps = max(round(FIRMWARE_HZ * period_s), 1)
     b, a = butter(2, corner_hz, fs=steps / period_s)
     start = lfilter_zi(b, a)[:, None] * values[:1]
-    out, _ = lfilter(b, a, np.repeat(values, steps, axis=0), axis=0, zi=start)
-    return np.asarray(out.reshape(len(values), steps, -1).mean(axis=1))
+    given = np.repeat(values, steps, axis=0)
+    if not mean:
+        back = np.tile(np.arange(steps - 1, -1, -1) / steps, len(values))[:, None]
+        given -= back * np.repeat(np.diff(values, axis=0, prepend=values[:1]), steps, axis=0)
+    out, _ = lfilter(b, a, given, axis=0, zi=start)
+    rows = out.reshape(len(values), steps, -1)
+    return np.asarray(rows.mean(axis=1) if mean else rows[:, -1])
