@@ -125,6 +125,7 @@ def motor(
         segment=None,
         select="",
         html=html,
+        rerun=None,
         as_json=as_json,
     )
 

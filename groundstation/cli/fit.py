@@ -47,6 +47,9 @@ MODEL = typer.Option(
     None, "--model", help="Model to start from: its motor, its effects, what is not fitted."
 )
 WITH = typer.Option("", "--with", help="Effects known to be there, separated by commas.")
+RERUN = typer.Option(
+    None, "--rerun", help="Write what it was fitted to, and says, to this new .rrd for the viewer."
+)
 SEGMENT = typer.Option(
     None, "--segment", metavar="FROM:TO", help="Only these seconds of each recording; repeatable."
 )
@@ -82,6 +85,7 @@ def fit_motor(
     segment: list[str] | None = SEGMENT,
     select: str = SELECT,
     html: Path | None = HTML,
+    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit a0, a1, a2 on recordings of the motor bench, or of each rotor on flights with recorded
@@ -103,7 +107,7 @@ def fit_motor(
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, as_json),
+        _Files(recordings, validate or [], output, html, rerun, as_json),
         *(vehicle, mass, model, select, segment),
         motor_runs_in,
     )
@@ -121,9 +125,16 @@ def fit_body(
     measured: bool = typer.Option(
         False, "--measured-rotors", help="Use recorded rotor speeds instead of the motor model."
     ),
+    by: str = typer.Option(
+        "",
+        "--by",
+        help="Fit groups apart as well, altitude, motion or recording, and tell which constants"
+        " differ beyond their errors.",
+    ),
     segment: list[str] | None = SEGMENT,
     select: str = SELECT,
     html: Path | None = HTML,
+    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit c0, c1, c2 and thrust_per_mass on flights, in closed loop as they were flown.
@@ -141,11 +152,12 @@ def fit_body(
             measured,
             task.selection,
             progress,
+            by,
         )
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, as_json),
+        _Files(recordings, validate or [], output, html, rerun, as_json),
         *(vehicle, mass, model, select, segment),
         bridged_runs_in,
     )
@@ -171,6 +183,7 @@ def fit_arx(
     segment: list[str] | None = SEGMENT,
     select: str = SELECT,
     html: Path | None = HTML,
+    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Search ARX models of the angles, as the thesis does (its tables 7.3 and 7.5).
@@ -199,7 +212,7 @@ def fit_arx(
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, as_json),
+        _Files(recordings, validate or [], output, html, rerun, as_json),
         *(vehicle, mass, model, select, segment),
     )
 
@@ -210,6 +223,7 @@ class _Files:
     validate: Sequence[Path]
     output: Path
     html: Path | None
+    rerun: Path | None
     as_json: bool
 
 
@@ -236,9 +250,9 @@ def _carry_out(
     from groundstation.identification.segments import parse_selection
     from groundstation.recording.craft_family import vehicle_of
 
-    require_new(files.output)
-    if files.html is not None:
-        require_new(files.html)
+    for path in (files.output, files.html, files.rerun):
+        if path is not None:
+            require_new(path)
     require_apart(files.recordings, files.validate)
     selection = parse_selection(select, tuple(segment or ()))
     with shown("reading") as progress:
@@ -273,6 +287,11 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
 
         progress(0.9, "drawing the report")
         report(whole, account, found.evidence).write(files.html)
+    if files.rerun is not None:
+        from groundstation.viewer.panels import write_panels
+
+        progress(0.95, "writing for the viewer")
+        write_panels(found.evidence.panels(), _about(account, files), files.rerun)
     if files.as_json:
         show_json(json.loads(files.output.read_bytes()))
     else:
@@ -280,6 +299,24 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         for line in origin_notes(whole):
             show(f"  in the file: {line}")
         say_written(files.html)
+        say_written(files.rerun)
+
+
+def _about(account: dict[str, Any], files: _Files) -> str:
+    """The text beside the viewer's plots."""
+    names = ", ".join(path.name for path in files.recordings)
+    found = [f"# {account['what']} of {names}", f"by {account['method']}", ""]
+    estimates = account.get("estimates")
+    if estimates:
+        columns = (estimates[key] for key in ("names", "values", "stderr"))
+        found += [f"- {n}: {v:.5g} ± {e:.2g}" for n, v, e in zip(*columns, strict=True)]
+    for axis, one in account.get("axes", {}).items():
+        found.append(f"- {axis}: {one['chosen']}")
+    found += [
+        "",
+        "What the recording became before the fit, and what the fit says of held-out rows.",
+    ]
+    return "\n".join(found)
 
 
 def _unit_of(name: str) -> str:
@@ -319,5 +356,22 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
             f"  held out: {one['recording']}: fit {one['rotor_fit_percent']:.1f} %,"
             f" RMS {one['rotor_rms_rev_s']:.2f} rev/s"
         )
+    _print_groups(account.get("groups"))
     for line in account["warnings"]:
         show(f"  warning: {line}")
+
+
+def _print_groups(groups: dict[str, Any] | None) -> None:
+    """Constants of the groups beside each other, and what differs."""
+    if groups is None:
+        return
+    for one in groups["groups"]:
+        if one["estimates"] is not None:
+            names, values, errors = (one["estimates"][key] for key in ("names", "values", "stderr"))
+            found = ", ".join(
+                f"{name} {value:.5g} +- {error:.2g}"
+                for name, value, error in zip(names, values, errors, strict=True)
+            )
+            show(f"  {one['name']}, {one['seconds']:.0f} s: {found}")
+    for line in groups["lines"]:
+        show(f"  {line}")

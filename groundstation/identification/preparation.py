@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.motor import armature_mv
-from groundstation.identification.fit_record import liveliest
+from groundstation.identification.fit_record import Panel, liveliest
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
@@ -36,13 +36,12 @@ class BenchPreparation:
 
     def figures(self) -> list[tuple[Figure, str]]:
         """Half periods with the glitches that were left out, rotor speed, armature voltage."""
-        volts = armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3
+        volts = self._volts()
         rows = liveliest(volts, self.run.period_s, BENCH_S)
         run, volts, name = self.run[rows], volts[rows], f"M{self.motor + 1}"
         gate = speed_from_gate(run)
         kept = np.isfinite(gate.rev_s)
-        periods = {"left out": np.where(kept, np.nan, 1e3 * run.debug_s)}
-        periods["kept"] = np.where(kept, 1e3 * run.debug_s, np.nan)
+        periods = _half_periods_ms(run, kept)
         return [
             (
                 points(run.time_s, periods, "half period, ms"),
@@ -56,6 +55,20 @@ class BenchPreparation:
                 "Armature voltage: duty times the reported battery voltage (3.84).",
             ),
         ]
+
+    def panels(self) -> list[Panel]:
+        """Half periods, rotor speed and armature voltage of the whole run."""
+        run, name = self.run, f"M{self.motor + 1}"
+        time, gate = run.time_s - run.recording_start_s, speed_from_gate(run)
+        periods = _half_periods_ms(run, np.isfinite(gate.rev_s))
+        return [
+            Panel("Half periods (ms)", time, periods, singly=True),
+            Panel("Rotor speed (rev/s)", time, {name: gate.rev_s}),
+            Panel("Armature voltage (V)", time, {name: self._volts(), "battery": run.supply_v}),
+        ]
+
+    def _volts(self) -> Array:
+        return np.asarray(armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +98,33 @@ class FlightPreparation:
                 found.append((made, f"{name.capitalize()} and, dashed, its torque (7.19)."))
         return found
 
+    def panels(self) -> list[Panel]:
+        """Armature voltages, rotor speeds, angles and torques of the run that the stretch is of."""
+        run, squares = self.stretch.run, self.stretch.squares
+        torque, time = squares.mixed(self.configuration), run.time_s - run.recording_start_s
+        volts = _by_motor(armature_mv(run.duty, run.supply_v) / 1e3)
+        found = [
+            Panel("Armature voltages (V)", time, volts),
+            Panel("Rotor speeds (rev/s)", time, _by_motor(np.sqrt(squares.end))),
+        ]
+        for axis, name in enumerate(AXES):
+            angle = {name: np.degrees(run.attitude[:, axis])}
+            found.append(Panel(f"{name.capitalize()} (deg)", time, angle))
+            found.append(
+                Panel(f"{name.capitalize()} torque: {TORQUE}", time, {name: torque[:, axis]})
+            )
+        return found
+
     def _liveliest(self, values: Array) -> slice:
         """The rows of the stretch in which a channel of the run (n,) moves most."""
         first = self.stretch.first
         rows = liveliest(values[self.stretch.rows], self.stretch.run.period_s, FLOWN_S)
         return slice(first + rows.start, first + rows.stop)
+
+
+def _half_periods_ms(run: Run, kept: NDArray[np.bool_]) -> dict[str, Array]:
+    half = 1e3 * run.debug_s
+    return {"left out": np.where(kept, np.nan, half), "kept": np.where(kept, half, np.nan)}
 
 
 def _by_motor(values: Array) -> dict[str, Array]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
 from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
 from groundstation.viewer.new_rrd import fresh_rrd
+from groundstation.viewer.panels import layout_of, send_series
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""
-ROWS_PER_CHUNK = 4096
 NEAR_S = 1.0
 """The channels' plots show so much before and after the cursor: 50 ms must be seen in them."""
 FINDINGS, GAP, FLIGHTS = "/findings", "/gap", "/flights"
@@ -41,10 +39,10 @@ def _write(overlay: Overlay, path: Path, name: str) -> None:
         # A row whose prediction is missing would break the measured line as well: each series
         # is an entity of its own.
         for column, series in enumerate(SERIES):
-            _send(stream, f"{_entity(channel)}/{series}", overlay.time_s, values[:, column])
+            send_series(stream, f"{_entity(channel)}/{series}", overlay.time_s, values[:, column])
     _lines(stream, GAP, SERIES[1:], COLORS[1:])
     for column, series in enumerate(SERIES[1:]):
-        _send(stream, f"{GAP}/{series}", overlay.gap_time_s, overlay.gap[:, column])
+        send_series(stream, f"{GAP}/{series}", overlay.gap_time_s, overlay.gap[:, column])
     for begin, flight in overlay.flights:
         stream.set_time(DEVICE_TIME, duration=begin)
         stream.log(FLIGHTS, rr.TextLog(f"{flight} begins"), strict=True)
@@ -63,21 +61,6 @@ def _lines(stream: Any, entity: str, names: tuple[str, ...], colors: Any) -> Non
         width = 2.0 if name == SERIES[0] else 1.2
         lines = rr.SeriesLines(names=name, colors=color, widths=width)
         stream.log(f"{entity}/{name}", lines, static=True, strict=True)
-
-
-def _send(stream: Any, entity: str, time_s: Any, values: Any) -> None:
-    import rerun as rr
-
-    known = np.flatnonzero(np.isfinite(values))
-    for first in range(0, len(known), ROWS_PER_CHUNK):
-        rows = known[first : first + ROWS_PER_CHUNK]
-        times = np.rint(time_s[rows] * 1e9).astype("timedelta64[ns]")
-        stream.send_columns(
-            entity,
-            indexes=[rr.TimeColumn(DEVICE_TIME, duration=times)],
-            columns=rr.Scalars.columns(scalars=values[rows]),
-            strict=True,
-        )
 
 
 def _blueprint(overlay: Overlay) -> Any:
@@ -109,12 +92,5 @@ def _blueprint(overlay: Overlay) -> Any:
         plot("Gap over all channels (1: noise)", GAP),
         row_shares=[3, 2],
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Grid(*plots, grid_columns=3), column_shares=[2, 7]),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    grid = rrb.Grid(*plots, grid_columns=3)
+    return layout_of(rrb.Horizontal(left, grid, column_shares=[2, 7]))

@@ -1,0 +1,98 @@
+"""An .rrd file of what a fit was made of: a plot for every panel, all on one time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.identification.fit_record import Panel
+from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
+from groundstation.viewer.new_rrd import fresh_rrd
+
+COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255), (120, 220, 160))
+"""On the viewer's dark ground."""
+ROWS_PER_CHUNK = 4096
+ABOUT = "/about"
+MOST_COLUMNS = 2
+
+
+def write_panels(panels: Sequence[Panel], text: str, path: Path) -> None:
+    """Write them with their layout into a new file. text: Markdown, shown beside them.
+
+    Raises as ``fresh_rrd`` does, and leaves nothing half-written behind.
+    """
+    with fresh_rrd(path) as part:
+        _write(panels, text, part, path.name)
+
+
+def send_series(stream: Any, entity: str, time_s: Any, values: Any) -> None:
+    """The rows (n,) of a series that are known; the others are gaps."""
+    import rerun as rr
+
+    known = np.flatnonzero(np.isfinite(values))
+    for first in range(0, len(known), ROWS_PER_CHUNK):
+        rows = known[first : first + ROWS_PER_CHUNK]
+        times = np.rint(time_s[rows] * 1e9).astype("timedelta64[ns]")
+        stream.send_columns(
+            entity,
+            indexes=[rr.TimeColumn(DEVICE_TIME, duration=times)],
+            columns=rr.Scalars.columns(scalars=values[rows]),
+            strict=True,
+        )
+
+
+def layout_of(views: Any) -> Any:
+    """The blueprint that shows views and nothing else, from the first moment on."""
+    import rerun.blueprint as rrb
+
+    return rrb.Blueprint(
+        views,
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _write(panels: Sequence[Panel], text: str, path: Path, name: str) -> None:
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION, recording_id=name)
+    stream.save(path, default_blueprint=_blueprint(panels))
+    stream.send_recording_name(name)
+    document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+    stream.log(ABOUT, document, static=True, strict=True)
+    for number, panel in enumerate(panels):
+        for color, (line, values) in zip(COLORS, panel.lines.items(), strict=False):
+            entity = rr.new_entity_path(["panels", str(number), line])
+            shape = (
+                rr.SeriesPoints(names=line, colors=color, marker_sizes=1.5)
+                if panel.singly
+                else rr.SeriesLines(names=line, colors=color, widths=1.2)
+            )
+            stream.log(entity, shape, static=True, strict=True)
+            send_series(stream, entity, panel.time_s, values)
+    stream.flush()
+    stream.disconnect()
+
+
+def _blueprint(panels: Sequence[Panel]) -> Any:
+    import rerun.blueprint as rrb
+
+    plots = [
+        rrb.TimeSeriesView(
+            name=panel.title,
+            origin=f"/panels/{number}",
+            contents=[f"/panels/{number}/**"],
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(panel.lines) > 1),
+        )
+        for number, panel in enumerate(panels)
+    ]
+    about = rrb.TextDocumentView(name="About", origin=ABOUT, contents=[ABOUT])
+    grid = rrb.Grid(*plots, grid_columns=MOST_COLUMNS if len(plots) > 3 else 1)
+    return layout_of(rrb.Horizontal(about, grid, column_shares=[2, 7]))
