@@ -33,7 +33,7 @@ from groundstation.paths import digest
 if TYPE_CHECKING:
     from groundstation.dynamics.model import Model
     from groundstation.dynamics.vehicle import Vehicle
-    from groundstation.identification.fit_record import Identified, Progress
+    from groundstation.identification.fit_record import Evidence, Identified, Progress
     from groundstation.identification.runs import Run
     from groundstation.identification.segments import Selection
     from groundstation.recording.session import Recording
@@ -291,7 +291,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         from groundstation.viewer.panels import write_panels
 
         progress(0.95, "writing for the viewer")
-        write_panels(found.evidence.panels(), _about(account, files), files.rerun)
+        write_panels(found.evidence.panels(), _about(account, found.evidence, files), files.rerun)
     if files.as_json:
         show_json(json.loads(files.output.read_bytes()))
     else:
@@ -302,7 +302,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         say_written(files.rerun)
 
 
-def _about(account: dict[str, Any], files: _Files) -> str:
+def _about(account: dict[str, Any], evidence: Evidence, files: _Files) -> str:
     """The text beside the viewer's plots."""
     names = ", ".join(path.name for path in files.recordings)
     found = [f"# {account['what']} of {names}", f"by {account['method']}", ""]
@@ -312,10 +312,8 @@ def _about(account: dict[str, Any], files: _Files) -> str:
         found += [f"- {n}: {v:.5g} ± {e:.2g}" for n, v, e in zip(*columns, strict=True)]
     for axis, one in account.get("axes", {}).items():
         found.append(f"- {axis}: {one['chosen']}")
-    found += [
-        "",
-        "What the recording became before the fit, and what the fit says of held-out rows.",
-    ]
+    found += ["", "Plots: what the recording became before the fit, and held-out rows:", ""]
+    found += [f"- {one.channel}: {one.note}" for one in evidence.traces]
     return "\n".join(found)
 
 

@@ -121,7 +121,7 @@ class Evidence:
             *prepared,
             *(
                 Panel(
-                    f"{one.channel} ({one.unit}), held out: {one.note}",
+                    f"{one.channel.capitalize()} ({one.unit}), held out",
                     one.time_s,
                     {"measured": one.measured, "modelled": one.modelled},
                 )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.motor import armature_mv
 from groundstation.identification.fit_record import Panel, liveliest
-from groundstation.identification.motor.rotor_speed import speed_from_gate
+from groundstation.identification.motor.rotor_speed import GateReading, speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.torque import AXES
@@ -41,13 +41,13 @@ class BenchPreparation:
         run, volts, name = self.run[rows], volts[rows], f"M{self.motor + 1}"
         gate = speed_from_gate(run)
         kept = np.isfinite(gate.rev_s)
-        periods = _half_periods_ms(run, kept)
+        periods = _half_periods_ms(run, gate)
         return [
             (
                 points(run.time_s, periods, "half period, ms"),
                 f"Half a revolution as the gate times it: {100 * gate.glitches:.1f} % of the fresh"
                 " readings are left out as missed or doubled passages; those that repeat the one"
-                " before are no readings.",
+                " before are no readings, and not shown.",
             ),
             (lines(run.time_s[kept], {name: gate.rev_s[kept]}, "rev/s"), "Rotor speed."),
             (
@@ -60,7 +60,7 @@ class BenchPreparation:
         """Half periods, rotor speed and armature voltage of the whole run."""
         run, name = self.run, f"M{self.motor + 1}"
         time, gate = run.time_s - run.recording_start_s, speed_from_gate(run)
-        periods = _half_periods_ms(run, np.isfinite(gate.rev_s))
+        periods = _half_periods_ms(run, gate)
         return [
             Panel("Half periods (ms)", time, periods, singly=True),
             Panel("Rotor speed (rev/s)", time, {name: gate.rev_s}),
@@ -122,9 +122,12 @@ class FlightPreparation:
         return slice(first + rows.start, first + rows.stop)
 
 
-def _half_periods_ms(run: Run, kept: NDArray[np.bool_]) -> dict[str, Array]:
-    half = 1e3 * run.debug_s
-    return {"left out": np.where(kept, np.nan, half), "kept": np.where(kept, half, np.nan)}
+def _half_periods_ms(run: Run, gate: GateReading) -> dict[str, Array]:
+    half, kept = 1e3 * run.debug_s, np.isfinite(gate.rev_s)
+    return {
+        "kept": np.where(kept, half, np.nan),
+        "left out": np.where(gate.rejected, half, np.nan),
+    }
 
 
 def _by_motor(values: Array) -> dict[str, Array]:

@@ -30,7 +30,7 @@ def lines(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: str
 def points(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: str) -> Figure:
     """Readings (n,) that come singly, by name."""
     made, (axes,) = figure(height=HEIGHT)
-    for color, (name, values) in zip((MODELLED, MEASURED), channels.items(), strict=False):
+    for color, (name, values) in zip((MEASURED, MODELLED), channels.items(), strict=False):
         shown = thinned(time_s, values)
         axes.plot(*shown, ".", color=color, markersize=2.5, label=name)
     axes.set_ylabel(label)

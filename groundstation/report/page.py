@@ -57,8 +57,9 @@ class Page:
         self._parts.append(f"<ul>{items}</ul>")
 
     def code(self, lines: Iterable[str]) -> None:
-        """Adds lines to be typed as they stand."""
-        self._parts.append(f"<pre>{'<br>'.join(map(_clean, lines))}</pre>")
+        """Adds lines to be typed as they stand; words of a line are kept whole (``-o``)."""
+        words = (" ".join(f"<span>{w}</span>" for w in _clean(line).split(" ")) for line in lines)
+        self._parts.append(f"<pre>{'<br>'.join(words)}</pre>")
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Cell]], caption: str = "") -> None:
         """Adds a table; None is an empty cell, numbers stand to the right."""

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from groundstation.identification.arx.residual_tests import CorrelationTest
 
 Array = NDArray[np.float64]
+LOST = (-3.0, 5.0)
+"""A response over its step that leaves these bounds is not drawn further."""
 
 
 def overlay(
@@ -58,12 +60,14 @@ def both_steps(time_s: Array, output: Array, label: str) -> Figure:
 
 
 def responses(panels: Mapping[str, Sequence[tuple[str, Array]]], period_s: float) -> Figure:
-    """Step responses, one panel an axis, several lines in each."""
+    """Step responses, one panel an axis, several lines in each; what diverges ends where it leaves
+    the panel for good."""
     made, every = figure(height=2.8, columns=len(panels), sharey=True)
     for axes, (title, here) in zip(every, panels.items(), strict=True):
         for color, (label, y) in zip(SERIES, here, strict=False):
-            clipped = np.clip(y, -3.0, 5.0)
-            axes.plot(period_s * np.arange(len(y)), clipped, color=color, label=label)
+            lost = np.flatnonzero((y < LOST[0]) | (y > LOST[1]))
+            shown = np.clip(y[: lost[0] + 1] if len(lost) else y, *LOST)
+            axes.plot(period_s * np.arange(len(shown)), shown, color=color, label=label)
         axes.axhline(1.0, color=NEUTRAL, linewidth=0.8)
         axes.set_title(title)
         axes.set_ylim(-0.5, 2.5)

@@ -19,7 +19,7 @@ INTRODUCTION = (
 NOTHING, COMMANDS = "Without a counterpart", "Commands"
 COMMANDS_TEXT = (
     "All, in order, for a folder with the files that groundstation thesis puts there first"
-    " (excerpt.csv, hand.toml, whole.toml); commands.sh there runs them anew."
+    " (excerpt.csv, hand.toml, printed.toml); commands.sh there runs them anew."
 )
 
 

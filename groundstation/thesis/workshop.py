@@ -8,11 +8,10 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any, TypeVar
 
-from groundstation.control.pid import AXES
-from groundstation.control.thesis_loop import counts_per_control
+from groundstation.control.gains_file import gains_text
 from groundstation.control.thesis_tables import GAINS
 from groundstation.demo.shell import Shell
-from groundstation.dynamics.model import THESIS, Model, load_model
+from groundstation.dynamics.model import Model, load_model
 from groundstation.identification.runs import Run, runs_of
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.samples import SampleBatch
@@ -50,29 +49,20 @@ RECIPES = {
     "controllers.json": "groundstation pid evaluate --thesis --json > controllers.json",
     "limits.json": "groundstation pid design --model thesis --form thesis --delay 2 --axis roll"
     " --json > limits.json",
+    "whole.toml": "groundstation pid convert printed.toml --model thesis --to whole -o whole.toml",
     "whole.json": "groundstation pid evaluate --model thesis --loop whole --gains whole.toml"
     " --delay 2 --seconds 1 --json > whole.json",
 }
 """File -> the command that makes it; the files it is made of are named in it."""
-WHOLE_GAINS = "whole.toml"
+WHOLE_GAINS, PRINTED_GAINS = "whole.toml", "printed.toml"
+"""The printed PD gains (Table 8.3), in PWM counts per rad and as printed."""
 INPUTS = {"hand.toml": "[sensor]\ngyro_bias_dps = [1.5, -1.2, 0.8]\n"}
 
 
 def inputs() -> dict[str, str]:
     """Files that the folder begins with, by name: the printed excerpt and settings."""
     excerpt = (files("groundstation.thesis") / "excerpt.csv").read_text(encoding="utf-8")
-    return {**INPUTS, "excerpt.csv": excerpt, WHOLE_GAINS: _printed_in_counts()}
-
-
-def _printed_in_counts() -> str:
-    """The printed PD gains (Table 8.3), which act on u', in PWM counts per rad at hover."""
-    scale = dict(zip(AXES, counts_per_control(THESIS), strict=True))
-    lines = []
-    for axis, gains in GAINS["PD"].items():
-        values = dict(zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True))
-        lines.append(f"[{axis}]")
-        lines += [f"{key} = {value * scale[axis]:.6g}" for key, value in values.items()]
-    return "\n".join(lines) + "\n"
+    return {**INPUTS, "excerpt.csv": excerpt, PRINTED_GAINS: gains_text(GAINS["PD"], loop="direct")}
 
 
 class Workshop:
@@ -91,9 +81,9 @@ class Workshop:
         self._used = []
 
     def commands(self) -> tuple[list[str], list[str]]:
-        """(the commands that made what was used since ``begin``, those and all that they need, in
-        the order in which they make it from nothing)."""
-        direct = [RECIPES[name] for name in self._used if name in RECIPES]
+        """(the commands that made what was used since ``begin``, those and all that they need;
+        both in the order in which they make it from nothing)."""
+        direct = [line for name, line in RECIPES.items() if name in self._used]
         found: list[str] = []
         for name in self._used:
             found += [line for line in chain(name) if line not in found]

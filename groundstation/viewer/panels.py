@@ -82,13 +82,17 @@ def _write(panels: Sequence[Panel], text: str, path: Path, name: str) -> None:
 
 
 def _blueprint(panels: Sequence[Panel]) -> Any:
+    import rerun as rr
     import rerun.blueprint as rrb
 
+    ends = rr.TimeRangeBoundary.infinite()
+    whole = rr.VisibleTimeRange(DEVICE_TIME, start=ends, end=ends)
     plots = [
         rrb.TimeSeriesView(
             name=panel.title,
             origin=f"/panels/{number}",
             contents=[f"/panels/{number}/**"],
+            time_ranges=whole,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=len(panel.lines) > 1),
         )
         for number, panel in enumerate(panels)

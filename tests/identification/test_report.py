@@ -134,4 +134,4 @@ def test_the_viewer_is_given_what_the_fit_was_made_of(pages):
     assert set(body["Rotor speeds (rev/s)"].lines) == {"M1", "M2", "M3", "M4"}
     angle, torque = body["Roll (deg)"], body["Roll torque: u', (rev/s)^2"]
     assert len(angle.time_s) == len(torque.lines["roll"]) > 15000
-    assert [name for name in arx if name.startswith("roll")]
+    assert [name for name in arx if name.startswith("Roll")]

@@ -30,7 +30,7 @@ class Prepared:
 def test_every_series_is_in_the_file_without_what_is_not_known(tmp_path):
     trace = Trace("roll rate", "deg/s", TIME_S, np.sin(TIME_S), np.cos(TIME_S), "20 ms ahead")
     panels = Evidence(traces=[trace], preparation=Prepared()).panels()
-    assert panels[1].title == "roll rate (deg/s), held out: 20 ms ahead"
+    assert panels[1].title == "Roll rate (deg/s), held out"
     write_panels(panels, "# body of flight.mcap", tmp_path / "body.rrd")
     found = entities(tmp_path / "body.rrd")
     assert len(found["/panels/0/kept"]) == 4500

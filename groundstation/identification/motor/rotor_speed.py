@@ -33,13 +33,14 @@ class GateReading:
     rev_s: (n,), NaN in rows without a fresh, credible reading. Each is the mean speed of the half
     revolution whose middle lies ``age_s`` (n,) before the row, give or take ``jitter_s`` (n,;
     standard deviation).
-    glitches: share of the fresh readings that were rejected.
+    glitches: share of the fresh readings that were rejected; rejected: (n,) these rows.
     """
 
     rev_s: Array
     age_s: Array
     jitter_s: Array
     glitches: float
+    rejected: NDArray[np.bool_]
 
 
 def speed_from_gate(run: Run) -> GateReading:
@@ -70,7 +71,9 @@ def speed_from_gate(run: Run) -> GateReading:
     speed[kept] = 0.5 / period[kept]
     age[kept] = 0.5 * period[kept] + 0.5 * window
     jitter[kept] = window / np.sqrt(12)
-    return GateReading(speed, age, jitter, float(1 - credible.mean()))
+    rejected = np.zeros(len(run), np.bool_)
+    rejected[rows[~credible]] = True
+    return GateReading(speed, age, jitter, float(1 - credible.mean()), rejected)
 
 
 @dataclass(frozen=True, slots=True)
