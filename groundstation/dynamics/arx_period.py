@@ -50,11 +50,24 @@ def _faster(axis: ArxAxis, name: str, period_s: float, rates: bool) -> ArxAxis:
     inputs[::every] = axis.b
     b, nk = np.convolve(weights, inputs), axis.nk * every
     if rates:
-        sooner = min(0.5 * (every - 1), nk)  # in rows; what acts at once cannot act before
-        nk -= int(np.ceil(sooner))
-        share = np.ceil(sooner) - sooner
+        late = 0.5 * (every - 1)  # in rows
+        nk -= int(np.ceil(late))
+        share = np.ceil(late) - late
         b = np.convolve(b, [1.0 - share, share] if share else [1.0])
+        if nk < 0:
+            b, nk = _from_now_on(b, nk), 0
     return ArxAxis(len(a), len(b), nk, tuple(a.tolist()), tuple(b.tolist()), period_s)
+
+
+def _from_now_on(b: Array, nk: int) -> Array:
+    """Weights (m,) of inputs from ``nk`` < 0 on, with those of inputs to come extrapolated from the
+    latest two: u', behind the motors, hardly bends within half a step."""
+    rows = np.arange(nk, nk + len(b))
+    ahead, kept = rows < 0, np.zeros(max(nk + len(b), 2))
+    kept[: (~ahead).sum()] = b[~ahead]
+    weight, lead = b[ahead].sum(), -(b[ahead] * rows[ahead]).sum()
+    kept[:2] += weight + lead, -lead
+    return kept
 
 
 def _denominator(axis: ArxAxis, every: int) -> tuple[Array, Array]:

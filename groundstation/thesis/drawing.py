@@ -70,6 +70,7 @@ def responses(panels: Mapping[str, Sequence[tuple[str, Array]]], period_s: float
             axes.plot(period_s * np.arange(len(shown)), shown, color=color, label=label)
         axes.axhline(1.0, color=NEUTRAL, linewidth=0.8)
         axes.set_title(title)
+        axes.set_xlim(0.0, period_s * max(len(y) for _, y in here))
         axes.set_ylim(-0.5, 2.5)
         axes.set_xlabel("s")
         axes.legend(loc="lower right")

@@ -44,7 +44,7 @@ def as_polynomials(body, rows, kind, every=1):
 
 
 @pytest.mark.parametrize("vehicle", ["crazyflie1", "crazyflie21"])
-@pytest.mark.parametrize(("rows", "every", "apart"), [(2, 1, 1e-3), (4, 4, 5e-3)])
+@pytest.mark.parametrize(("rows", "every", "apart"), [(2, 1, 1e-3), (4, 4, 5e-3), (0, 4, 5e-3)])
 def test_polynomials_of_the_body_s_rates_fly_as_the_late_body_does(vehicle, rows, every, apart):
     body = body_that_is_late(rows, vehicle)
     plants = [plant_of_model(one) for one in (body, as_polynomials(body, rows, "gyro", every))]
