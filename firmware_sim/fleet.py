@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.monte_carlo import fly_many
 from firmware_sim.output import write_npz
+from firmware_sim.settings import Sensor
 from groundstation.dynamics.vehicle import Vehicle, load_vehicle
 from groundstation.kernel_cache import provide_cache
 from groundstation.telemetry.packet import Packets
@@ -35,9 +36,9 @@ FIRST = datetime(2026, 1, 5, 9, tzinfo=UTC)
 BETWEEN = timedelta(hours=7)
 SPREAD = {"mass": 0.01, "inertia": 0.02, "thrust": 0.01, "drag": 0.02, "internal_ohm": 0.05}
 """Standard deviation of crafts, as a share."""
-FATES = ("rotor", "load", "battery", "shift")
+FATES = ("rotor", "load", "battery", "shift", "bent")
 """A rotor weaker since a flight, more mass since, resistance that rises, a moved centre of
-gravity since."""
+gravity since, more vibration since a crash that bent an axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--for", dest="seconds", type=float, default=60.0, help="of each flight")
     parser.add_argument("--wear", type=int, default=4, help="crafts of which something becomes")
     parser.add_argument("--craft", default="crazyflie1", help="the profile they are all near to")
+    parser.add_argument("--program", help="pilot programme, built in or a TOML file")
     parser.add_argument("--plant", choices=("reduced", "faithful"), default="faithful")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, required=True, help="a new folder")
@@ -144,6 +146,7 @@ def _fates(options: argparse.Namespace, random: np.random.Generator) -> list[Fat
             "load": float(random.uniform(0.04, 0.08)),
             "battery": float(random.uniform(0.5, 1.0)),
             "shift": float(random.uniform(0.0008, 0.0015)),
+            "bent": float(random.uniform(0.5, 1.0)),
         }[kind]
         found.append(
             Fate(
@@ -198,9 +201,14 @@ def _flight(
     folder: Path,
 ) -> StandInSettings:
     effects: dict[str, dict[str, float]] = {}
+    sensor = Sensor()
     if fate is not None and flight + 1 >= fate.since:
         if fate.kind == "rotor":
             effects["rotor_mismatch"] = {"rotor": float(fate.rotor), "excess": fate.size}
+        elif fate.kind == "bent":
+            still = sensor.shake
+            more = 1.0 + fate.size
+            sensor = Sensor(shake=(more * still[0], more * still[1], more * still[2]))
         elif fate.kind == "load":
             effects["mass_change"] = {"percent": 100.0 * fate.size}
         elif fate.kind == "shift":
@@ -213,10 +221,13 @@ def _flight(
             vehicle = msgspec.structs.replace(vehicle, battery=battery)
     profile = folder / f"{flight}.toml"
     profile.write_text(_profile(options.craft, vehicle), encoding="utf-8")
+    programme = {} if options.program is None else {"program": options.program}
     return StandInSettings(
         craft=str(profile),
+        **programme,
         plant=options.plant,
         effects=effects,
+        sensor=sensor,
         seed=1_000_000 * options.seed + 1000 * place + flight,
         copies=2,
     )

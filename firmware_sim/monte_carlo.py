@@ -32,5 +32,10 @@ def fly_many(
         craft = StandIn(settings)
         return judge(craft, *craft.advance(seconds))
 
+    settings = list(crafts)
+    for one in settings[:1]:
+        StandIn(
+            one
+        )  # msgspec 0.22 crashes where two threads decode a nested type for the first time
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        return list(pool.map(flight, crafts))
+        return list(pool.map(flight, settings))

@@ -19,6 +19,7 @@ SCHEDULER = typer.Option(
 VEHICLE = typer.Option(
     None, "--vehicle", help="Profile of all crafts (default: what each recording says)."
 )
+RERUN = typer.Option(None, "--rerun", help="Write crafts and their trends to this new .rrd.")
 CATALOGUE = typer.Argument(metavar="CATALOGUE", help="The folder that fleet index made.")
 
 
@@ -210,6 +211,7 @@ def report(
         None, "--compare-before", metavar="DATE", help="Did it help: all crafts before and since."
     ),
     html: Path | None = HTML,
+    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Say what changed since when, which craft differs from the others, and what to fly next.
@@ -226,8 +228,8 @@ def report(
     from groundstation.fleet.search import effects_table
     from groundstation.fleet.twin import twin_table
 
-    if html is not None:
-        require_new(html)
+    for new in filter(None, (html, rerun)):
+        require_new(new)
     date = None if compare_before is None else parse_date(compare_before)
     recordings, fits = recordings_of(catalogue), fits_table(catalogue).rows()
     fleet = findings_of(recordings, fits)
@@ -240,6 +242,10 @@ def report(
 
         more = More(effects, watched, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
+    if rerun is not None:
+        from groundstation.fleet.rrd import write_rrd
+
+        write_rrd(fleet, effects, catalogue.name, rerun)
     if as_json:
         known = {"effects": list(effects.values()), "twin": list(watched.values())}
         compared = None if date is None else [asdict(one) for one in since]
@@ -260,4 +266,4 @@ def report(
         show(f"  {craft} lacks {', '.join(row['effects'] or ()) or 'nothing that has a name'}")
     for craft, lines in needed.items():
         show(f"  to fly with {craft}: {'; '.join(lines)}")
-    say_written(html)
+    say_written(html, rerun)

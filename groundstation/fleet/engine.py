@@ -50,13 +50,15 @@ def carried_out(
     *,
     workers: int,
     scheduler: str | None = None,
+    largest: int = LARGEST_BATCH,
 ) -> Iterator[tuple[Task, Result | None]]:
     """(task, result) as they arrive, in any order; None for one that workers die of.
 
     tasks: a recording's address, or whatever else is small and can be pickled. work: a function of
     a module, called once for each; it must not raise. workers: 1 is this process alone, without
     Dask. scheduler: ``tcp://HOST:PORT`` of a running one, whose workers must be able to read the
-    recordings.
+    recordings. largest: so many tasks are one of the scheduler's at most, what a worker that dies
+    costs.
 
     Raises BadInputError where Dask is missing or the scheduler does not answer, GroundStationError
     where it went away and none came in its place.
@@ -72,7 +74,7 @@ def carried_out(
         with _client(workers, scheduler) as client:
             count = max(1, sum(client.nthreads().values()))
             if work_left is None:
-                work_left = _Left.batched(tasks, count)
+                work_left = _Left.batched(tasks, count, largest)
             try:
                 yield from _through(client, work, work_left, MOST_AT_ONCE * count)
             except _SchedulerLostError:
@@ -92,8 +94,8 @@ class _Left(Generic[Task]):
     suspects: deque[Task] = field(default_factory=deque)
 
     @classmethod
-    def batched(cls, tasks: Sequence[Task], threads: int) -> _Left[Task]:
-        size = min(LARGEST_BATCH, max(1, math.ceil(len(tasks) / (8 * threads))))
+    def batched(cls, tasks: Sequence[Task], threads: int, largest: int) -> _Left[Task]:
+        size = min(largest, max(1, math.ceil(len(tasks) / (8 * threads))))
         return cls(deque(list(tasks[k : k + size]) for k in range(0, len(tasks), size)))
 
     def __bool__(self) -> bool:

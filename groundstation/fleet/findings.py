@@ -31,6 +31,9 @@ TOGETHER = 3
 OPPOSITE = 0.6
 """Share of a rotor's change that the one across shows the other way where the weight moved."""
 
+MOST = 0.5
+"""Share of a change of thrust that one rotor must account for to be named for it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
@@ -206,6 +209,10 @@ def _grouped(tests: Sequence[_Test]) -> list[Finding]:
         first, rest = rest[0], rest[1:]
         along = [one for one in rest if _same_event(first, one)]
         rest = [one for one in rest if one not in along]
+        cause = _weaker_rotor(first, along)
+        if cause is not None:
+            along = [first, *(one for one in along if one is not cause)]
+            first = cause
         found.append(_finding(first, along))
     return found
 
@@ -221,6 +228,17 @@ def _same_event(one: _Test, other: _Test) -> bool:
     return one.change.drift == other.change.drift and (
         abs(one.change.flight - other.change.flight) <= TOGETHER
     )
+
+
+def _weaker_rotor(first: _Test, along: Sequence[_Test]) -> _Test | None:
+    """The rotor whose lift accounts for most of what thrust per mass changed by, if one does."""
+    if first.series.quantity != "thrust_per_mass":
+        return None
+    rotors = [one for one in along if one.series.quantity in ROTORS]
+    clearest = max(rotors, key=lambda one: abs(one.size), default=None)
+    if clearest is None or _lift(clearest.size) / 4.0 / (100.0 * math.expm1(first.size)) < MOST:
+        return None
+    return clearest
 
 
 def _finding(first: _Test, along: Sequence[_Test]) -> Finding:
@@ -267,4 +285,6 @@ def _likely(first: _Test, along: Sequence[_Test]) -> str:
         ("thrust_per_mass", True): "it is lighter, or its rotors are stronger",
         ("cell_ohm", True): "the battery ages, or a contact is bad",
         ("cell_ohm", False): "another battery",
+        ("shake_dps", True): "a bent axis, or a propeller out of balance",
+        ("shake_dps", False): "propellers or axes in better balance",
     }.get((name, up), "its inertia, its arms or its rotors are others")

@@ -24,10 +24,11 @@ Array = NDArray[np.float64]
 
 CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
 ROTORS = ("rotor_1", "rotor_2", "rotor_3", "rotor_4")
-QUANTITIES = (*CONSTANTS, *ROTORS, "cell_ohm")
+QUANTITIES = (*CONSTANTS, *ROTORS, "cell_ohm", "shake_dps")
 """c0..c2, thrust_per_mass: of ``fit body``. rotor_1..4: by how much more the rotor is driven than
 the mean of the four (squared speed, share of the mean) - a weaker one more, those opposite a
-shifted centre of gravity less. cell_ohm: behind the battery's terminals."""
+shifted centre of gravity less. cell_ohm: behind the battery's terminals. shake_dps: what of the
+roll and pitch rates changes from row to row, their noise included."""
 WORDS = {
     "c0": "turning about roll",
     "c1": "turning about pitch",
@@ -35,8 +36,9 @@ WORDS = {
     "thrust_per_mass": "thrust per mass",
     **{name: f"what rotor {name[-1]} is asked for" for name in ROTORS},
     "cell_ohm": "the battery's resistance",
+    "shake_dps": "the gyro's vibration",
 }
-RELATIVE = frozenset((*CONSTANTS, "cell_ohm"))
+RELATIVE = frozenset((*CONSTANTS, "cell_ohm", "shake_dps"))
 """Positive constants, compared by their logarithms: a change is a share."""
 BLOCK_S = 1.0
 
@@ -103,6 +105,7 @@ def _told(
     runs = bridged(recording.samples, recording.path.name)
     stretches = stretches_of(runs, profile.motor)
     found = _trims(stretches)
+    found["shake_dps"] = (_shake_dps(stretches), 0.0)
     longest = max(runs, key=len)
     found["cell_ohm"] = (estimate_supply(longest, profile.motor, profile).cell_ohm, 0.0)
     fit = fit_body(stretches, profile, effects)
@@ -127,3 +130,15 @@ def _trims(stretches: list[Stretch]) -> dict[str, tuple[float, float]]:
     mean = shares.mean(axis=0)
     stderr = shares.std(axis=0, ddof=1) / math.sqrt(len(shares))
     return {name: (float(mean[i]), float(stderr[i])) for i, name in enumerate(ROTORS)}
+
+
+def _shake_dps(stretches: list[Stretch]) -> float:
+    """Standard deviation of white noise with the same second differences, of roll and pitch: the
+    median over blocks of a second, for a landing is no vibration."""
+    blocks = []
+    for one in stretches:
+        bend = np.diff(np.degrees(one.run.gyro[one.rows, :2]), n=2, axis=0)
+        width = round(BLOCK_S / one.run.period_s)
+        count = len(bend) // width
+        blocks.extend((bend[: count * width].reshape(count, -1) ** 2).mean(axis=1) / 6.0)
+    return math.sqrt(float(np.median(blocks)))

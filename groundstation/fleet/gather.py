@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from groundstation.errors import GroundStationError
-from groundstation.fleet.engine import Task, carried_out
+from groundstation.fleet.engine import LARGEST_BATCH, Task, carried_out
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress
 
@@ -43,7 +43,8 @@ def gathered(
     what a run that is killed loses at most. doing: what is shown of it.
     """
     fresh: list[Row] = []
-    arriving = carried_out(work, tasks, workers=workers, scheduler=scheduler)
+    largest = min(at_once, LARGEST_BATCH)
+    arriving = carried_out(work, tasks, workers=workers, scheduler=scheduler, largest=largest)
     try:
         for count, (task, row) in enumerate(arriving, 1):
             fresh.append(dead(task) if row is None else row)

@@ -97,8 +97,7 @@ def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
     step_cost = _step_cost(values, variance, places[best])
     if drift_cost + 2.0 < step_cost + math.log(n):  # a step has its place besides
         span = float(n - 1)
-        z = min(abs(slope) / slope_stderr, _order(values))
-        p = min(1.0, 2.0 * float(t.sf(z, freedom)))
+        p = max(2.0 * float(t.sf(abs(slope) / slope_stderr, freedom)), _order(values))
         return Change(0, slope * span, slope_stderr * span, True, p)
     return Change(places[best], size, stderr, False, p)
 
@@ -192,7 +191,8 @@ def _trend(values: Array, variance: Array) -> tuple[float, float, float]:
 
 
 def _order(values: Array) -> float:
-    """Mann and Kendall's z: whether later values are mostly larger, or mostly smaller."""
-    n = len(values)
-    score = float(np.sign(values[None, :] - values[:, None])[np.triu_indices(n, 1)].sum())
-    return max(0.0, abs(score) - 1.0) / math.sqrt(n * (n - 1) * (2 * n + 5) / 18.0)
+    """How often chance puts values in such an order: mostly rising, or mostly falling (Mann and
+    Kendall; exact for short series)."""
+    from scipy.stats import kendalltau
+
+    return float(kendalltau(np.arange(len(values)), values).pvalue)

@@ -79,6 +79,16 @@ def test_a_drift_is_told_from_a_step():
     assert drifts >= 18
 
 
+def test_a_drift_over_twelve_flights_of_a_small_fleet_is_told():
+    random = np.random.default_rng(9)
+    told = 0
+    for _ in range(40):
+        series = fleet(random, 4, 12)
+        series[0][0][:] += np.linspace(0.0, 10.0 * SCATTER, 12)
+        told += likeliest(series, 0).p < 1e-3
+    assert told >= 36
+
+
 def test_one_wild_flight_is_no_change():
     random = np.random.default_rng(5)
     for place in (0, 10, 18, 19):
