@@ -61,7 +61,7 @@ def index(
         counts = brought_up(
             output, sources, workers=workers or cores(), scheduler=scheduler, progress=progress
         )
-        rows = recordings_of(output)
+        rows = recordings_of(output, ("craft", "state", "reason"))
     crafts = sorted({row["craft"] for row in rows if row["craft"]})
     if as_json:
         show_json({**asdict(counts), "recordings": len(rows), "crafts": crafts})
@@ -223,6 +223,7 @@ def report(
     from groundstation.fleet.before_after import parse_date, shifts
     from groundstation.fleet.findings import findings_of
     from groundstation.fleet.fit import fits_table
+    from groundstation.fleet.flight_fit import VALUES
     from groundstation.fleet.index import recordings_of
     from groundstation.fleet.report_sections import to_fly
     from groundstation.fleet.search import effects_table
@@ -231,7 +232,8 @@ def report(
     for new in filter(None, (html, rerun)):
         require_new(new)
     date = None if compare_before is None else parse_date(compare_before)
-    recordings, fits = recordings_of(catalogue), fits_table(catalogue).rows()
+    recordings = recordings_of(catalogue, ("craft", "begun", "state", "reason"))
+    fits = fits_table(catalogue).rows(VALUES)
     fleet = findings_of(recordings, fits)
     effects, watched = effects_table(catalogue).rows(), twin_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)

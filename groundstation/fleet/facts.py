@@ -104,7 +104,11 @@ def fetched(address: str) -> Iterator[Path]:
         local = Path(folder, PurePosixPath(address).name)
         with opened as source, local.open("wb") as copy:
             shutil.copyfileobj(source, copy)
-        yield local
+        try:
+            yield local
+        except GroundStationError as error:  # the copy has another name each time
+            error.args = (str(error).replace(str(local), address),)
+            raise
 
 
 def _described(path: Path, address: str) -> Row:

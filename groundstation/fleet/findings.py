@@ -203,31 +203,33 @@ def findings_of(recordings: Sequence[Row], fits: dict[str, Row]) -> Fleet:
 
 def _grouped(tests: Sequence[_Test]) -> list[Finding]:
     """One finding for what happened to one craft at one time: the clearest quantity leads."""
-    rest = sorted(tests, key=lambda one: (one.p, -abs(one.size) / one.stderr))
+    by_craft: dict[str, list[_Test]] = {}
+    for one in sorted(tests, key=lambda one: (one.p, -abs(one.size) / one.stderr)):
+        by_craft.setdefault(one.series.craft, []).append(one)
     found = []
-    while rest:
-        first, rest = rest[0], rest[1:]
-        along = [one for one in rest if _same_event(first, one)]
-        rest = [one for one in rest if one not in along]
-        cause = _weaker_rotor(first, along)
-        if cause is not None:
-            along = [first, *(one for one in along if one is not cause)]
-            first = cause
-        found.append(_finding(first, along))
+    for rest in by_craft.values():
+        while rest:
+            first = rest.pop(0)
+            along = [one for one in rest if _same_event(first, one)]
+            rest[:] = [one for one in rest if not _same_event(first, one)]
+            cause = _weaker_rotor(first, along)
+            if cause is not None:
+                along = [first, *(one for one in along if one is not cause)]
+                first = cause
+            found.append(_finding(first, along))
     return found
 
 
 def _same_event(one: _Test, other: _Test) -> bool:
-    if one.series.craft != other.series.craft:
-        return False
+    """Whether what ``other`` tells of the same craft belongs to the clearer ``one``."""
     if one.change is None or other.change is None:
         # A craft that changed is no longer like the others: that is not news.
         both_rotors = {one.series.quantity, other.series.quantity} <= set(ROTORS)
         alike = both_rotors or one.series.quantity == other.series.quantity
         return one.change is other.change or alike
-    return one.change.drift == other.change.drift and (
-        abs(one.change.flight - other.change.flight) <= TOGETHER
-    )
+    # What a step explains as well as a drift, at a time when the craft changed, is no other event.
+    together = abs(one.change.step - other.change.step) <= TOGETHER
+    return together and other.change.drift >= one.change.drift
 
 
 def _weaker_rotor(first: _Test, along: Sequence[_Test]) -> _Test | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from groundstation.fleet.flight_fit import COLUMNS, KEY, fitting, row_of, settings_of
 from groundstation.fleet.gather import gathered, set_aside
-from groundstation.fleet.index import changed_since, lasting, recordings_of, usable
+from groundstation.fleet.index import SETTLED, changed_since, lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts
 from groundstation.identification.fit_record import Progress, silent
 
@@ -44,10 +44,10 @@ def fit_all(
 
     Raises BadInputError where there is no catalogue.
     """
-    rows = usable(recordings_of(catalogue))
+    rows = usable(recordings_of(catalogue, ("sha256", "state", "airborne_s")))
     table, settings = fits_table(catalogue), settings_of(vehicle, effects)
     long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
-    to_fit = changed_since(table.rows(), long, settings)
+    to_fit = changed_since(table.rows(SETTLED), long, settings)
     fitted = gathered(
         *(table, fitting(vehicle, effects), to_fit),
         lambda address: set_aside(row_of(address, settings, long[address]["sha256"]), "fits"),

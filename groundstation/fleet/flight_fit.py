@@ -53,6 +53,8 @@ COLUMNS = {
 }
 """Of the catalogue's table ``fits``. seconds: of flight; reason: why it told nothing."""
 KEY = "address"
+VALUES = ("reason", *QUANTITIES, *(f"{name}_stderr" for name in QUANTITIES))
+"""Columns that findings are made of."""
 
 
 def fitting(vehicle: str | None, effects: tuple[str, ...]) -> partial[Row]:

@@ -17,6 +17,8 @@ SUFFIXES = (".mcap", ".csv", ".npz", ".rrd", ".db3", ".ulg")
 """Of recordings; a microSD log has no suffix of its own and is named itself."""
 UNFIT = ("damaged", "bad")
 """States of recordings that nothing is made of."""
+SETTLED = ("sha256", "settings")
+"""Columns that tell whether a recording was worked on already."""
 KEPT_AT = 200
 """Rows that make a file of their own."""
 
@@ -35,9 +37,12 @@ def recordings_table(catalogue: Path) -> Parts:
     return Parts(catalogue / "recordings", COLUMNS, KEY)
 
 
-def recordings_of(catalogue: Path) -> list[Row]:
-    """The rows of a catalogue. Raises BadInputError where there is none."""
-    rows = recordings_table(catalogue).rows()
+def recordings_of(catalogue: Path, columns: Sequence[str] | None = None) -> list[Row]:
+    """The rows of a catalogue, or only these columns and the address of each.
+
+    Raises BadInputError where there is none.
+    """
+    rows = recordings_table(catalogue).rows(columns)
     if not rows:
         raise BadInputError(
             f"{catalogue}: no catalogue; make one with: groundstation fleet index FOLDER -o"
@@ -131,7 +136,7 @@ def index(
     Rows of other sources stay. A file that is gone loses its row.
     """
     table = recordings_table(catalogue)
-    known = table.rows()
+    known = table.rows(["stamp"])
     addresses = addresses_of(sources)
     changed = [one for one in addresses if one not in known or _changed(known[one])]
     rows = gathered(

@@ -33,14 +33,16 @@ class Parts:
         self._columns = columns
         self._key = key
 
-    def rows(self) -> dict[str, Row]:
+    def rows(self, columns: Sequence[str] | None = None) -> dict[str, Row]:
         """The newest row of each key, by key in alphabetical order.
+
+        columns: only these and the key, for a table may have more rows than memory.
 
         Raises RecordingError where a file cannot be read.
         """
         found: dict[str, Row] = {}
         for path in self._files():
-            for row in self._read(path):
+            for row in self._read(path, columns).to_pylist():
                 found[row[self._key]] = row
         return dict(sorted(found.items()))
 
@@ -49,20 +51,45 @@ class Parts:
 
         Raises RecordingError where it cannot be written.
         """
+        import pyarrow as pa
+
         if rows:
-            self._write(self._next(), rows)
+            table = pa.Table.from_pylist(list(rows), schema=self._schema())
+            self._write(self._next(), table)
 
     def compact(self, keys: Sequence[str] | None = None) -> None:
-        """Each row once, in few files; of ``keys`` alone where given."""
+        """Each row once, in few files; of ``keys`` alone where given. Nothing is written where it
+        is so already; otherwise file by file, never the whole table in memory."""
+        import pyarrow as pa
+
         old = self._files()
-        rows = self.rows()
-        kept = list(rows.values()) if keys is None else [rows[k] for k in keys if k in rows]
-        if len(old) <= 1 and len(kept) == len(rows):
+        known = [self._read(path, ()).column(self._key).to_pylist() for path in old]
+        newest = {key: (i, k) for i, some in enumerate(known) for k, key in enumerate(some)}
+        wanted = newest.keys() if keys is None else newest.keys() & set(keys)
+        count = sum(map(len, known))
+        if count == len(wanted) and len(old) <= 2 + 2 * (count // PART_ROWS):
             return
-        number = self._next()
-        for first in range(0, len(kept), PART_ROWS):
-            self._write(number, kept[first : first + PART_ROWS])
-            number += 1
+        number = first = self._next()
+        waiting: list[Any] = []
+
+        def write() -> None:
+            nonlocal number, waiting
+            if waiting:
+                self._write(number, pa.concat_tables(waiting))
+                number, waiting = number + 1, []
+
+        try:
+            for i, path in enumerate(old):
+                mask = [key in wanted and newest[key] == (i, k) for k, key in enumerate(known[i])]
+                kept = self._read(path).filter(pa.array(mask, pa.bool_()))
+                if waiting and sum(map(len, waiting)) + len(kept) > PART_ROWS:
+                    write()
+                waiting.append(kept)
+            write()
+        except RecordingError:
+            for place in range(first, number):  # the old ones are whole: leave the disk as it was
+                self._path(place).unlink(missing_ok=True)
+            raise
         for path in old:  # the new ones are newer, so that a crash in between changes nothing
             path.unlink()
 
@@ -87,31 +114,39 @@ class Parts:
         }
         return pa.schema([(name, kinds[kind]) for name, kind in self._columns.items()])
 
-    def _read(self, path: Path) -> list[Row]:
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number:08d}{_SUFFIX}"
+
+    def _read(self, path: Path, columns: Sequence[str] | None = None) -> Any:
+        """An Arrow table of all our columns, or of these and the key."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         try:
-            table = pq.read_table(path)
+            with pq.ParquetFile(path) as file:
+                there = set(file.schema_arrow.names)
+                wanted = [
+                    one
+                    for one in self._schema()
+                    if columns is None or one.name in columns or one.name == self._key
+                ]
+                table = file.read([one.name for one in wanted if one.name in there])
         except (OSError, pa.ArrowException) as error:
             raise RecordingError(
                 f"{path}: cannot be read ({error}); remove it, what it held is computed again"
             ) from error
-        found: list[Row] = table.to_pylist()
-        for row in found:
-            for name in self._columns:  # a table of an older version has fewer
-                row.setdefault(name, None)
-        return found
+        for one in wanted:  # a table of an older version has fewer
+            if one.name not in there:
+                table = table.append_column(one, pa.nulls(len(table), one.type))
+        return table.select([one.name for one in wanted])
 
-    def _write(self, number: int, rows: Sequence[Row]) -> None:
-        import pyarrow as pa
+    def _write(self, number: int, table: Any) -> None:
         import pyarrow.parquet as pq
 
-        path = self._folder / f"{number:08d}{_SUFFIX}"
+        path = self._path(number)
         beside = path.with_suffix(".new")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            table = pa.Table.from_pylist(list(rows), schema=self._schema())
             pq.write_table(table, beside, compression="zstd")
             os.replace(beside, path)
         except OSError as error:

@@ -9,6 +9,7 @@ the spread of crafts and their middle (DerSimonian and Laird's model, medians in
 from __future__ import annotations
 
 import math
+from bisect import insort
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,10 +33,12 @@ MEDIAN_STDERR = 1.2533
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """flight: index of the first flight after it. size, stderr: after less before; of a drift, from
-    the first flight to the last. p: how often chance does as much, anywhere in this series."""
+    """flight: index of the first flight after it. step: the same of the likeliest step, of a drift
+    too. size, stderr: after less before; of a drift, from the first flight to the last. p: how
+    often chance does as much, anywhere in this series."""
 
     flight: int
+    step: int
     size: float
     stderr: float
     drift: bool
@@ -81,25 +84,21 @@ def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
     from scipy.stats import t
 
     n = len(values)
-    places = range(LEAST_PART, n - LEAST_PART + 1)
+    places = np.arange(LEAST_PART, n - LEAST_PART + 1)
     if len(places) < 1:
         return None
-    found = [_step(values, variance, at) for at in places]
-    clearest = max(abs(z) for _, _, z in found)
+    sizes, stderrs, z, costs = _steps(values, variance, places)
     # Medians hardly say where: of the places that they allow, the means choose.
-    best = max(
-        (i for i, one in enumerate(found) if abs(one[2]) >= ALMOST * clearest),
-        key=lambda i: abs(found[i][0]) / found[i][1],
-    )
-    size, stderr, z = found[best]
-    p = min(1.0, len(found) * 2.0 * float(t.sf(abs(z), freedom)))
+    allowed = np.abs(z) >= ALMOST * np.abs(z).max()
+    best = int(np.argmax(np.where(allowed, np.abs(sizes) / stderrs, -1.0)))
+    size, stderr = float(sizes[best]), float(stderrs[best])
+    p = min(1.0, len(places) * 2.0 * float(t.sf(abs(z[best]), freedom)))
     slope, slope_stderr, drift_cost = _trend(values, variance)
-    step_cost = _step_cost(values, variance, places[best])
-    if drift_cost + 2.0 < step_cost + math.log(n):  # a step has its place besides
+    if drift_cost + 2.0 < float(costs[best]) + math.log(n):  # a step has its place besides
         span = float(n - 1)
         p = max(2.0 * float(t.sf(abs(slope) / slope_stderr, freedom)), _order(values))
-        return Change(0, slope * span, slope_stderr * span, True, p)
-    return Change(places[best], size, stderr, False, p)
+        return Change(0, int(places[best]), slope * span, slope_stderr * span, True, p)
+    return Change(int(places[best]), int(places[best]), size, stderr, False, p)
 
 
 def level(values: Array, variance: Array) -> tuple[float, float]:
@@ -160,23 +159,34 @@ def discoveries(p: Array, share: float) -> NDArray[np.bool_]:
     return believed
 
 
-def _step(values: Array, variance: Array, at: int) -> tuple[float, float, float]:
-    """Size, standard error and the weaker of two z: of means and of medians."""
-    (before, u), (after, v) = level(values[:at], variance[:at]), level(values[at:], variance[at:])
-    size, stderr = after - before, math.sqrt(u + v)
-    middle = float(np.median(values[at:]) - np.median(values[:at]))
-    z = size / stderr
-    robust = middle / (MEDIAN_STDERR * stderr)
-    if z * robust <= 0.0:
-        return size, stderr, 0.0
-    return size, stderr, math.copysign(min(abs(z), abs(robust)), z)
+def _steps(
+    values: Array, variance: Array, places: NDArray[np.int64]
+) -> tuple[Array, Array, Array, Array]:
+    """Of a step at each place: size, standard error, the weaker of two z (of means and of medians,
+    0 where they disagree on its sign), and the cost of the fit. By sums that grow along the series:
+    large fleets have many."""
+    values = values - values.mean()  # the sums' digits are for what differs
+    weight = 1.0 / variance
+    w, wv, wvv = (np.concatenate([[0.0], np.cumsum(weight * values**power)]) for power in (0, 1, 2))
+    before = wv[places] / w[places]
+    after = (wv[-1] - wv[places]) / (w[-1] - w[places])
+    sizes = after - before
+    stderrs = np.sqrt(1.0 / w[places] + 1.0 / (w[-1] - w[places]))
+    middle = _medians(values[::-1])[len(values) - places] - _medians(values)[places]
+    means, robust = sizes / stderrs, middle / (MEDIAN_STDERR * stderrs)
+    z = np.where(means * robust > 0.0, np.minimum(np.abs(means), np.abs(robust)), 0.0)
+    costs = wvv[-1] - w[places] * before**2 - (w[-1] - w[places]) * after**2 + 2.0
+    return sizes, stderrs, z, costs
 
 
-def _step_cost(values: Array, variance: Array, at: int) -> float:
-    expected = np.empty(len(values))
-    expected[:at] = level(values[:at], variance[:at])[0]
-    expected[at:] = level(values[at:], variance[at:])[0]
-    return float(((values - expected) ** 2 / variance).sum()) + 2.0
+def _medians(values: Array) -> Array:
+    """Of the first k values, for every k; nothing for none."""
+    ordered: list[float] = []
+    found = np.full(len(values) + 1, np.nan)
+    for k, value in enumerate(values.tolist(), 1):
+        insort(ordered, value)
+        found[k] = 0.5 * (ordered[(k - 1) // 2] + ordered[k // 2])
+    return found
 
 
 def _trend(values: Array, variance: Array) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from groundstation.dynamics.model import Model, require_body
 from groundstation.fleet.facts import fetched
 from groundstation.fleet.gather import gathered, set_aside, with_reason
-from groundstation.fleet.index import changed_since, lasting, recordings_of, usable
+from groundstation.fleet.index import SETTLED, changed_since, lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts, Row
 from groundstation.fleet.search import model_digest
 from groundstation.identification.fit_record import Progress, silent
@@ -63,10 +63,10 @@ def watch_all(
     Raises BadInputError where there is no catalogue, or the model has no body.
     """
     require_body(model)
-    rows = usable(recordings_of(catalogue))
+    rows = usable(recordings_of(catalogue, ("sha256", "state", "airborne_s")))
     table, settings = twin_table(catalogue), model_digest(model)
     long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
-    fresh = changed_since(table.rows(), long, settings)
+    fresh = changed_since(table.rows(SETTLED), long, settings)
     found = gathered(
         *(table, partial(watch_flight, model=model, settings=settings, asked=asked), fresh),
         lambda address: set_aside(_row(address, long[address]["sha256"], settings), "watches"),

@@ -62,6 +62,31 @@ def test_what_was_begun_and_not_finished_does_not_count(table, tmp_path):
     assert list(table.rows()) == ["a", "b"]
 
 
+def test_a_table_that_is_as_it_should_be_is_not_written_again(table, tmp_path):
+    for first in range(0, 3 * PART_ROWS, PART_ROWS):
+        table.append([row(f"{i:06d}") for i in range(first, first + PART_ROWS)])
+    before = {path: path.stat().st_mtime_ns for path in files(tmp_path)}
+    table.compact(list(table.rows(())))
+    assert {path: path.stat().st_mtime_ns for path in files(tmp_path)} == before
+
+
+def test_columns_that_are_not_asked_for_are_not_read(table):
+    table.append([row("a"), row("b", 2.0)])
+    assert table.rows(["value"]) == {
+        "a": {"name": "a", "value": 1.0},
+        "b": {"name": "b", "value": 2.0},
+    }
+
+
+def test_a_table_of_an_older_version_has_the_new_columns_empty(table, tmp_path):
+    Parts(tmp_path / "table", {"name": "text", "value": "number"}, "name").append(
+        [{"name": "a", "value": 1.0}]
+    )
+    table.append([row("b")])
+    table.compact(["a", "b"])
+    assert table.rows() == {"a": row("a") | {"words": None}, "b": row("b")}
+
+
 def test_a_damaged_file_is_named(table, tmp_path):
     table.append([row("a")])
     files(tmp_path)[0].write_bytes(b"PAR1 but not really")

@@ -2,14 +2,12 @@
 
 import os
 import signal
-import sys
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from dask_programs import scheduler, worker
 from installed import free_port
-from programs import Program
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.fleet import engine
@@ -87,25 +85,6 @@ def test_a_scheduler_that_does_not_answer_is_one_line():
 def patient(address):
     time.sleep(0.02)
     return address + address
-
-
-@contextmanager
-def dask(log, *words):
-    """``dask scheduler`` or ``dask worker`` as a process."""
-    command = [Path(sys.executable).with_name("dask"), *map(str, words)]
-    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # for what a test sends
-    with log.open("ab") as file, Program(command, stdout=file, stderr=file, env=places) as program:
-        yield program
-
-
-def scheduler(log, port):
-    return dask(log, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
-
-
-def worker(log, port, folder, *words):
-    folder.mkdir(exist_ok=True)
-    return dask(log, "worker", f"tcp://127.0.0.1:{port}", "--nthreads", 1, "--no-dashboard",
-                "--local-directory", folder, *words)  # fmt: skip
 
 
 def test_a_scheduler_that_is_killed_and_begun_anew_is_given_what_has_no_result(tmp_path):
