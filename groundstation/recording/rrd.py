@@ -112,7 +112,10 @@ def _write(recording: Recording, path: Path) -> None:
     from groundstation.viewer.log import ViewerLog
 
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
-    stream.save(path, default_blueprint=pilot_blueprint(window_s=None))
+    clock = RecordedClock(recording.samples)
+    take_off_ns = clock.take_off_ns()
+    layout = pilot_blueprint(window_s=None, from_take_off=take_off_ns is not None)
+    stream.save(path, default_blueprint=layout)
     stream.send_recording_name(recording.path.name)
     head: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -120,7 +123,7 @@ def _write(recording: Recording, path: Path) -> None:
         "metadata": recording.metadata,
         "tables": {},
     }
-    target = ViewerLog(stream, RecordedClock(recording.samples))
+    target = ViewerLog(stream, clock, take_off_ns)
     target.craft()
     for start in range(0, len(recording.samples), ROWS_PER_CHUNK):
         target.samples(recording.samples[start : start + ROWS_PER_CHUNK], start)

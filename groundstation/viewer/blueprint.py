@@ -8,24 +8,33 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
-from groundstation.viewer.channels import CRAFT, DEVICE_TIME, EVENTS, LINK
+from groundstation.viewer.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK
 
 LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""
 
 
-def pilot_blueprint(*, window_s: float | None, twin: bool = False) -> rrb.Blueprint:
+def pilot_blueprint(
+    *, window_s: float | None, twin: bool = False, from_take_off: bool = False
+) -> rrb.Blueprint:
     """The views over device time, following the newest data.
 
     window_s: length of the plots; None shows all there is, for a finished recording. twin: with
-    a tab, in front, of what the live twin predicts.
+    a tab, in front, of what the live twin predicts. from_take_off: over flight time, standing at
+    its beginning.
     """
     bounds = rr.TimeRangeBoundary
-    window = rr.VisibleTimeRange(
-        DEVICE_TIME,
-        start=bounds.infinite() if window_s is None else bounds.cursor_relative(seconds=-window_s),
-        end=bounds.infinite() if window_s is None else bounds.cursor_relative(),
-    )
+    timeline = FLIGHT_TIME if from_take_off else DEVICE_TIME
+    window = [
+        rr.VisibleTimeRange(
+            name,
+            start=bounds.infinite()
+            if window_s is None
+            else bounds.cursor_relative(seconds=-window_s),
+            end=bounds.infinite() if window_s is None else bounds.cursor_relative(),
+        )
+        for name in dict.fromkeys((timeline, DEVICE_TIME))
+    ]
 
     def plot(name: str, *entities: str, low: float | None = None, high: float | None = None) -> Any:
         return rrb.TimeSeriesView(
@@ -62,7 +71,7 @@ def pilot_blueprint(*, window_s: float | None, twin: bool = False) -> rrb.Bluepr
             origin=EVENTS,
             contents=[EVENTS],
             columns=rrb.TextLogColumns(
-                timeline_columns=[TimelineColumn(DEVICE_TIME)],
+                timeline_columns=[TimelineColumn(timeline)],
                 text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")],
             ),
         ),
@@ -89,7 +98,11 @@ def pilot_blueprint(*, window_s: float | None, twin: bool = False) -> rrb.Bluepr
         rrb.TopPanel(state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="following"),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=timeline,
+            play_state="paused" if from_take_off else "following",
+        ),
         auto_views=False,
         auto_layout=False,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from groundstation.viewer.channels import (
     CRAFT,
     DEVICE_TIME,
     ENTRY_ARCHETYPE,
+    FLIGHT_TIME,
     GROUPS,
     HOST_TIME,
     LINK,
@@ -39,11 +41,18 @@ _LEVELS = {
 
 
 class ViewerLog:
-    """Writes to one rerun stream, everything on the axis of ``clock``."""
+    """Writes to one rerun stream, everything on the axis of ``clock``.
 
-    def __init__(self, stream: rr.RecordingStream, clock: Clock) -> None:
+    take_off_ns: on that axis; what comes from there on has a flight time as well. rerun opens a
+    recording where its timeline begins, and a layout cannot say anything else (rerun 0.41).
+    """
+
+    def __init__(
+        self, stream: rr.RecordingStream, clock: Clock, take_off_ns: int | None = None
+    ) -> None:
         self._stream = stream
         self._clock = clock
+        self._take_off_ns = take_off_ns
 
     def craft(self) -> None:
         """The drawing of the craft and the names of the series: static, sent once."""
@@ -60,19 +69,26 @@ class ViewerLog:
         """Log a batch whose first sample has the number ``first_seq``."""
         if not len(batch):
             return
-        indexes = [
-            _device_time(self._clock.advance(batch)),
-            rr.TimeColumn(SEQUENCE, sequence=np.arange(first_seq, first_seq + len(batch))),
-            _host_time(batch.host_time_ns),
-        ]
-        for entity, columns in sample_columns(batch):
-            self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
+        times = self._clock.advance(batch)
+        numbers = np.arange(first_seq, first_seq + len(batch))
+        for rows in self._parts(times):
+            part = batch[rows]
+            indexes = [
+                *self._indexes(times[rows], part.host_time_ns),
+                rr.TimeColumn(SEQUENCE, sequence=numbers[rows]),
+            ]
+            for entity, columns in sample_columns(part):
+                self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
 
     def entries(self, entity: str, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log events or commands: dictionaries with ``time_ns`` (Unix) and whatever JSON can say.
 
         People read ``link`` and ``text`` where an entry has them, and the JSON otherwise.
         """
+        for rows in self._parts(self._clock.at_host(_times(entries))):
+            self._entries(entity, entries[rows])
+
+    def _entries(self, entity: str, entries: Sequence[Mapping[str, Any]]) -> None:
         texts, levels = [], []
         for entry in entries:
             text = str(entry.get("text") or _json(entry))
@@ -83,6 +99,10 @@ class ViewerLog:
 
     def statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log link statistics: dictionaries with ``time_ns`` (Unix) and numbers by name."""
+        for rows in self._parts(self._clock.at_host(_times(entries))):
+            self._statistics(entries[rows])
+
+    def _statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         times = _times(entries)
         self._send(LINK, times, _json_columns(entries))
         for name in STATISTICS:
@@ -93,8 +113,25 @@ class ViewerLog:
 
     def _send(self, entity: str, times: NDArray[np.int64], columns: Any) -> None:
         if len(times):
-            indexes = [_device_time(self._clock.at_host(times)), _host_time(times)]
+            indexes = self._indexes(self._clock.at_host(times), times)
             self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
+
+    def _parts(self, times_ns: NDArray[np.int64]) -> Iterator[slice]:
+        """Stretches of times (n,) that lie on one side of the take-off."""
+        flown = np.zeros(len(times_ns), bool)
+        if self._take_off_ns is not None:
+            flown = times_ns >= self._take_off_ns
+        for begin, end in pairwise([0, *(np.flatnonzero(np.diff(flown)) + 1), len(flown)]):
+            if end > begin:
+                yield slice(int(begin), int(end))
+
+    def _indexes(
+        self, times_ns: NDArray[np.int64], host_ns: NDArray[np.int64]
+    ) -> list[rr.TimeColumn]:
+        found = [_duration(DEVICE_TIME, times_ns), _host_time(host_ns)]
+        if self._take_off_ns is not None and times_ns[0] >= self._take_off_ns:
+            found.append(_duration(FLIGHT_TIME, times_ns - self._take_off_ns))
+        return found
 
 
 def sample_columns(batch: SampleBatch) -> Iterator[tuple[str, Any]]:
@@ -115,8 +152,8 @@ def quaternions(attitude: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.roll(quaternion_of_attitude(attitude), -1, axis=-1).astype(np.float32)
 
 
-def _device_time(times_ns: NDArray[np.int64]) -> rr.TimeColumn:
-    return rr.TimeColumn(DEVICE_TIME, duration=times_ns.astype("timedelta64[ns]"))
+def _duration(timeline: str, times_ns: NDArray[np.int64]) -> rr.TimeColumn:
+    return rr.TimeColumn(timeline, duration=times_ns.astype("timedelta64[ns]"))
 
 
 def _host_time(times_ns: NDArray[np.int64]) -> rr.TimeColumn:
