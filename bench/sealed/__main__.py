@@ -52,6 +52,9 @@ def main() -> int:
     run.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
     run.add_argument("--case", nargs="+", default=[], help="these cases only")
     run.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    run.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="of Dask, its workers begun in a checkout"
+    )
     run.add_argument("--keep", action="store_true", help="keep the folders of wrong cases")
     make = commands.add_parser("make", help="write one case's recordings and model")
     make.add_argument("case")
@@ -84,7 +87,9 @@ def _run(options: argparse.Namespace) -> int:
         for case in matrix(tuple(options.only), modes, options.seeds, options.first)
         if not options.names or set(case.names) & set(options.names)
     ]
-    for line in run(cases, options.results, options.workers, keep=options.keep):
+    for line in run(
+        cases, options.results, options.workers, keep=options.keep, scheduler=options.scheduler
+    ):
         word = "right" if line["right"] else "WRONG"
         word = word if line["counted"] else f"({word})"
         said = line.get("error") or f"{line['verdict']}: {', '.join(line['found']) or '-'}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import fcntl
 import json
 import shutil
 import subprocess
@@ -9,8 +11,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ from bench.sealed.flights import (
 )
 from bench.sealed.hidden import CONFUSABLE
 from bench.sealed.judge import judge
+from groundstation.fleet.engine import carried_out
 
 PATIENCE_S = 600.0
 SENSOR_NOISE = {
@@ -89,45 +92,72 @@ def search_arguments(folder: Path) -> list[str]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """What came of a case: its line, what was hidden and said, None where that failed."""
+
+    line: dict[str, Any]
+    opened: str | None
+
+
 def run(
     cases: Iterable[Case],
     results: Path,
     workers: int,
     keep: bool = False,
+    scheduler: str | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Judge every case that ``results`` does not hold yet, and append it there; what failed is
     tried again.
 
     results: a folder, with ``results.jsonl``, what was hidden and said in every case
     (``opened/``), and the base models' families. keep: leave the folders of wrong cases there.
+    scheduler: a running one of Dask, whose workers run in a checkout and share no disk with this.
     """
     results.mkdir(parents=True, exist_ok=True)
-    path = results / "results.jsonl"
     done = {line["case"] for line in read_results(results) if "error" not in line}
-    generator = Generator(results / "families")
-    lock, local = threading.Lock(), threading.local()
-    searches: list[Search] = []
-
-    def one(case: Case) -> dict[str, Any]:
-        if not hasattr(local, "search"):
-            local.search, local.names = Search(), Search("--names")
-            searches.extend((local.search, local.names))
-        search = local.names if case.group.startswith("power") else local.search
-        with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
-            folder = Path(parent) / "case"
-            line = _judged(case, generator, search, folder, lock, _opened(results, case))
-            if keep and not line["right"]:
-                kept = results / "wrong" / case.name.replace(":", "-")
-                shutil.rmtree(kept, ignore_errors=True)
-                shutil.copytree(folder, kept)
-        with lock, path.open("a") as file:
+    left = [case for case in cases if case.name not in done]
+    home = None if scheduler else str(results.absolute())
+    work = partial(carried, home=home, keep=keep)
+    arriving = carried_out(work, left, workers=workers, scheduler=scheduler, largest=1)
+    for case, came in arriving:
+        line = _failed(case, "its process dies, again and again") if came is None else came.line
+        if came is not None and came.opened is not None:
+            opened = _opened(results, case)
+            opened.parent.mkdir(exist_ok=True)
+            opened.write_text(came.opened)
+        with (results / "results.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
-        return line
+        yield line
 
-    with ThreadPoolExecutor(workers) as pool:
-        yield from pool.map(one, [case for case in cases if case.name not in done])
-    for search in searches:
-        search.close()
+
+def carried(case: Case, home: str | None, keep: bool) -> Carried:
+    """One case, for a worker. home: the folder of the results; None: one of the worker's own."""
+    results = Path(home) if home is not None else _own_home()
+    search = _search("--names") if case.group.startswith("power") else _search()
+    with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
+        folder = Path(parent) / "case"
+        came = _judged(case, results, search, folder)
+        if keep and not came.line["right"]:
+            kept = results / "wrong" / case.name.replace(":", "-")
+            shutil.rmtree(kept, ignore_errors=True)
+            shutil.copytree(folder, kept)
+    return came
+
+
+@cache
+def _own_home() -> Path:
+    folder = tempfile.TemporaryDirectory(prefix="sealed-")
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
+
+
+@cache
+def _search(*options: str) -> Search:
+    """This process's."""
+    search = Search(*options)
+    atexit.register(search.close)
+    return search
 
 
 def read_results(results: Path) -> list[dict[str, Any]]:
@@ -160,29 +190,21 @@ def _opened(results: Path, case: Case) -> Path:
     return results / "opened" / f"{case.name.replace(':', '-')}.json"
 
 
-def _judged(
-    case: Case,
-    generator: Generator,
-    search: Search,
-    folder: Path,
-    lock: threading.Lock,
-    opened: Path,
-) -> dict[str, Any]:
+def _judged(case: Case, results: Path, search: Search, folder: Path) -> Carried:
     sealed: Sealed | None = None
+    generator = Generator(results / "families")
     try:
-        with lock:
+        with (results / "families.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
             generator.family(case)
         sealed = generator.make(case, folder)
         answer = search(folder)
         if answer["error"]:
             raise RuntimeError(answer["error"])
     except RuntimeError as error:
-        line = {"case": case.name, "group": case.group, "counted": True, "right": False}
-        hidden = sealed.hidden if sealed else {}
-        return {**line, "hidden": hidden, "condition": case.condition, "error": str(error)}
+        return Carried(_failed(case, str(error), sealed), None)
     said = json.loads((folder / "report.json").read_text())
-    opened.parent.mkdir(exist_ok=True)
-    opened.write_text(json.dumps([asdict(sealed), said]))
+    opened = json.dumps([asdict(sealed), said])
     line = judge(case, sealed, said)
     line |= {key: answer[key] for key in ("seconds", "processor_s", "peak_mb")}
     if line["listed"] or case.group == "hover":
@@ -194,7 +216,13 @@ def _judged(
             line["flown"] = _flown(case, sealed, folder)
         except ValueError as error:
             line["not_flown"] = str(error)
-    return line
+    return Carried(line, opened)
+
+
+def _failed(case: Case, why: str, sealed: Sealed | None = None) -> dict[str, Any]:
+    line = {"case": case.name, "group": case.group, "counted": True, "right": False}
+    hidden = sealed.hidden if sealed else {}
+    return {**line, "hidden": hidden, "condition": case.condition, "error": why}
 
 
 def _after_manoeuvre(case: Case, sealed: Sealed, search: Search, folder: Path) -> dict[str, Any]:

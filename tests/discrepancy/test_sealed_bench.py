@@ -18,7 +18,7 @@ from bench.sealed.figures import draw as draw_figures
 from bench.sealed.flights import CARRY, PROGRAMME, Sealed, constants_alone, flown, record
 from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
-from bench.sealed.run import judged_again, search_arguments, settles
+from bench.sealed.run import judged_again, run, search_arguments, settles
 from bench.sealed.signals import Signals, effect_signals
 from bench.sealed.tables import tables
 from bench.sealed.worker import names_alone
@@ -471,3 +471,11 @@ def test_the_manoeuvre_settles_when_the_right_name_stands_without_its_double(
     right, rivals, settled
 ):
     assert settles({"right": right, "rivals": rivals}) is settled
+
+
+def test_a_run_goes_on_where_it_was(tmp_path):
+    done = {"case": "quiet:nothing:0:clean", "right": True}
+    lines = [json.dumps(one) for one in ({**done, "error": "died (-9)"}, done)]
+    (tmp_path / "results.jsonl").write_text("\n".join(lines) + "\n")
+    assert list(run([named(done["case"])], tmp_path, workers=1)) == []
+    assert (tmp_path / "results.jsonl").read_text().splitlines() == lines
