@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
-from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
 from groundstation.identification.likelihood.problem import Fit, Problem, bounded, linearise
-from groundstation.identification.likelihood.residuals import ACCELEROMETER, ATTITUDE
 
 Group = tuple[str, ...]
 """Constants that change or stay together."""
@@ -78,19 +75,6 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
             found.append((costs[0] - costs[1], key))
     gain, key = min(found, default=(KEEP, ""))
     return (key,) if gain < KEEP else None
-
-
-def settle_accelerometer_filter(problem: Problem, vehicle: Vehicle) -> None:
-    """Choose whether the accelerometer has passed the vehicle's on-board filter: a log may hold it
-    before or behind, and what moves the craft is in it up to the filter's corner only."""
-    corner, forces = vehicle.accelerometer_filter_hz, range(ACCELEROMETER, ATTITUDE)
-    if corner == 0.0 or not all(flight.has_accelerometer for flight in problem.flights):
-        return
-    plain = _free_cost(problem, problem.start, forces)
-    raw = problem.frame
-    problem.frame = replace(raw, accelerometer_filter_hz=corner)
-    if _free_cost(problem, problem.start, forces) >= plain:
-        problem.frame = raw
 
 
 def _free_cost(problem: Problem, point: Point, channels: Container[int]) -> float:

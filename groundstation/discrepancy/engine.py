@@ -14,7 +14,7 @@ from groundstation.comparison.consistency import broken_rotor_sensors, require_c
 from groundstation.comparison.refusals import require_channels
 from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
-from groundstation.discrepancy.base_constants import base_changes, settle_accelerometer_filter
+from groundstation.discrepancy.base_constants import base_changes
 from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
     Alternative,
@@ -178,7 +178,8 @@ def find_effects(
     every_own = joined(theirs, own)
     problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
-    settle_accelerometer_filter(problem, model_vehicle(model))
+    corner = model_vehicle(model).accelerometer_filter_hz
+    problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     lost = _lost([*fit_on, *held])
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs

@@ -143,7 +143,7 @@ class Sensors:
         if self.gyro_filter_hz:
             angular = _filtered_on_board(angular, self.gyro_filter_hz, period, mean=True)
         if self.accelerometer_filter_hz:
-            force = _filtered_on_board(force, self.accelerometer_filter_hz, period, mean=False)
+            force = self._force_filtered(force, period)
         if not self.effects:
             return angular, force
         force = force - self.offset[FORCES]
@@ -162,9 +162,10 @@ class Sensors:
 
         behind: how many of the sensors they have passed already.
         """
-        corner = self.gyro_filter_hz if part == RATES else self.accelerometer_filter_hz
-        if corner:
-            values = _filtered_on_board(values, corner, moving.period_s, mean=part == RATES)
+        if part == RATES and self.gyro_filter_hz:
+            values = _filtered_on_board(values, self.gyro_filter_hz, moving.period_s, mean=True)
+        elif part == FORCES and self.accelerometer_filter_hz:
+            values = self._force_filtered(values, moving.period_s)
         matrix = np.eye(3)
         for near in self.linear[behind:]:
             if near.c[part].any():
@@ -173,6 +174,15 @@ class Sensors:
             else:
                 matrix = near.d[part, part] @ matrix
         return _turned(values, self.undo[part, part] @ matrix)
+
+    def _force_filtered(self, force: Array, period_s: float) -> Array:
+        """Forces (n, 3) with those in the rotors' plane behind the filter.
+
+        Not along z: what is fast there is less thrust than the noise of modelled and measured rotor
+        speeds, and behind the filter it would say how late everything is.
+        """
+        plane = _filtered_on_board(force[:, :2], self.accelerometer_filter_hz, period_s, mean=False)
+        return np.column_stack([plane, force[:, 2]])
 
     def alike(self, other: Sensors) -> bool:
         """Whether reported angles turn alike behind the two."""
