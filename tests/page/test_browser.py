@@ -230,7 +230,7 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
 
 
 @pytest.mark.timeout(1200)
-def test_a_recording_is_found_inspected_and_fitted_and_the_report_read(flying, visit):
+def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read(flying, visit):
     shutil.copy(RECORDINGS / FLIGHT, flying.sessions)
     page = visit(flying.address())
     page.get_by_role("link", name="Flights").click()
@@ -248,19 +248,30 @@ def test_a_recording_is_found_inspected_and_fitted_and_the_report_read(flying, v
         expect(page.locator("#said")).to_contain_text("Begun")
     inspected = page.locator("#jobs tr", has_text="inspect")
     expect(inspected).to_contain_text("done")
-    fitted = page.locator("#jobs tr", has=page.get_by_role("cell", name="fit", exact=True))
-    expect(fitted.get_by_role("link", name="Report of")).to_be_visible(timeout=900_000)
-    expect(page.locator("#model")).to_contain_text("_fit")
-    with page.expect_popup() as opened:
-        fitted.get_by_role("link", name="Report of").click()
-    report = opened.value
+    report = report_of(page, "fit")
     expect(report.locator("svg").first).to_be_visible()
     expect(report.locator("body")).to_contain_text("thrust_per_mass")
+    page.locator("#model").select_option(index=0)
+    page.get_by_role("button", name="Find the discrepancy").click()
+    expect(page.locator("#said")).to_contain_text("Begun")
+    report = report_of(page, "discrepancy")
+    expect(report.locator("svg").first).to_be_visible()
+    expect(report.locator("body")).to_contain_text("held-out")
     fitted_model_flies_and_watches(page)
     page.get_by_role("link", name="Flights").click()
     with page.expect_popup() as opened:
         inspected.get_by_role("link", name="Log of").click()
     expect(opened.value.locator("body")).to_contain_text("verdict")
+
+
+def report_of(page, work):
+    """The report of a job, in a window of its own, when the job is done."""
+    job = page.locator("#jobs tr", has=page.get_by_role("cell", name=work, exact=True))
+    link = job.get_by_role("link", name="Report of")
+    expect(link).to_be_visible(timeout=900_000)
+    with page.expect_popup() as opened:
+        link.click()
+    return opened.value
 
 
 def fitted_model_flies_and_watches(page):
