@@ -58,6 +58,8 @@ AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
+FILTER_SHOWS = 0.125
+"""Corner over row rate below which most of what rows hold is what the filter has taken out."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 
@@ -179,7 +181,8 @@ def find_effects(
     problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
     corner = model_vehicle(model).accelerometer_filter_hz
-    problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
+    if all(corner * flight.period_s < FILTER_SHOWS for flight in fit_on):
+        problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     lost = _lost([*fit_on, *held])
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs
