@@ -1,13 +1,13 @@
 """Recordings for other programs: the MCAP profile ros2, and Parquet."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.formats import writer_of
@@ -140,7 +140,7 @@ def test_rerun_converts_every_row_without_us(written, flight, tmp_path):
 
     target = tmp_path / "flight.rrd"
     command = [str(rerun_program()), "mcap", "convert", str(written), "-o", str(target)]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    run_program(command, check=True)
     rows, fields = dict.fromkeys(("/row", "/imu", "/battery", "/pose"), 0), set()
     for chunk in RrdReader(target).stream():
         table = chunk.to_record_batch()
