@@ -181,7 +181,7 @@ def body_slope(p: Any, n: Any, n_slope: Any, push: Any, y: Any, dy: Any, who: in
     force = (0.0, 0.0, wrench[0] / c.mass)
     if who > BARE and p.acts_body != 0:
         body = Body(y[2], place, speed, rate, n, n_slope, wrench[0], turn, force)
-        if who == ALL:
+        if who == ALL and y.size > 17:  # of a craft whose effects have states
             states = read_states(y, 17)
             added, slopes = body_chain(p.effects[BODY], c, body, (turn, force), states)
             write_states(dy, 17, slopes)

@@ -1,9 +1,13 @@
 """A new effect is one file: a yaw moment from sideways velocity that lags behind it."""
 
+import os
+import sys
+
 import msgspec
 import numpy as np
 import pytest
 from affected_flights import BASE
+from programs import run_program
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
@@ -82,3 +86,38 @@ def test_its_file_says_what_a_listed_one_says(model):
     assert [p.name for p in effect.sizes] == ["turn"]
     assert effect.absent({"turn": 0.0})
     assert not effect.absent({})
+
+
+LISTED = """
+import numpy as np
+from groundstation.dynamics import effects
+effects.__path__.append({folder!r})
+from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.model import EffectTerm, Estimate, load_model
+from groundstation.dynamics.simulation import accelerations, simulate
+from groundstation.dynamics.state import craft_state
+from msgspec.structs import replace
+
+own = load_model({model!r})
+(vane,) = own.effects
+start = craft_state(velocity_m_s=(0.0, 1.5, 0.0))
+for term in (replace(vane, source=""), EffectTerm("rate_damping", {{}})):
+    craft = craft_of_model(replace(own, effects=(term,))).view(np.recarray)
+    turned = accelerations(craft, np.tile(start, (100, 1)))[-1, 2]
+    flown = simulate(craft, start, np.zeros((3, 4)))
+    print(craft["body_states"][0], round(turned, 2), flown.shape[1])
+"""
+"""Kernels as Python, which minds the ends of arrays."""
+
+
+def test_among_the_listed_ones_it_acts_and_leaves_crafts_without_it_alone(model, tmp_path):
+    (tmp_path / "yaw_weather_vane.py").write_text(FILE)
+    path = tmp_path / "model.json"
+    save_model(model, path)
+    code = LISTED.format(folder=str(tmp_path), model=str(path))
+    slow = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    said = run_program([sys.executable, "-c", code], env=slow, check=True).stdout.splitlines()
+    with_it, without = (line.split() for line in said)
+    expected = TURN * 1.5 * (1.0 - np.exp(-0.198 / LAG_S))
+    assert float(with_it[1]) == pytest.approx(expected, abs=0.01)
+    assert without == ["0", "0.0", "17"]
