@@ -34,8 +34,7 @@ def fly_many(
 
     settings = list(crafts)
     for one in settings[:1]:
-        StandIn(
-            one
-        )  # msgspec 0.22 crashes where two threads decode a nested type for the first time
+        # msgspec 0.22 crashes where two threads decode a nested type for the first time.
+        StandIn(one)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         return list(pool.map(flight, settings))

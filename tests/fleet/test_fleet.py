@@ -106,10 +106,12 @@ def sound(fitted, tmp_path_factory):
 def test_a_craft_is_searched_on_its_flights_together_and_whole_flights_are_held_out(sound):
     folder, row = sound
     assert (len(row["fitted"]), len(row["held_out"])) == (2, 1)
-    assert {"rotor_acceleration_torque", "dead_time"} <= set(row["effects"])
+    assert {"attitude_filter_lean", "dead_time"} <= set(row["effects"])
     assert row["gap_after"] < row["gap_before"]
     sizes = dict(zip(row["parameters"], row["values"], strict=True))
-    assert sizes["rotor_acceleration_torque.rotor_inertia_kg_m2"] == pytest.approx(4e-8, rel=0.1)
+    assert sizes["attitude_filter_lean.strength"] == pytest.approx(1.0, abs=0.01)
+    assert sizes["dead_time.delay_s"] == pytest.approx(3.4e-3, abs=3e-4)
+    assert any("yaw steps" in one for one in row["to_fly"])  # so short a flight has none
     again = answer(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
     assert (again["searched"], again["unchanged"]) == (0, 1)
 
