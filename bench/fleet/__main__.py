@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from bench.fleet.judge import table
-from bench.fleet.run import FleetCase, read_results, run
+from bench.fleet.run import FleetCase, run
+from bench.results import read_results
 
 EXAMPLE = """example:
   python -m bench.fleet --sound 20 --ill 10 --results results

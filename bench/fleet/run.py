@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bench.results import append, judged
 from groundstation.fleet.engine import carried_out
 
 CRAFTS, FLIGHTS, SECONDS = 4, 12, 15
@@ -39,22 +40,12 @@ def run(
     """The line of every case that ``results`` does not hold yet, appended there; what failed is
     tried again."""
     results.mkdir(parents=True, exist_ok=True)
-    done = {line["case"] for line in read_results(results) if "error" not in line}
+    done = judged(results)
     left = [case for case in cases if case.name not in done]
     for case, line in carried_out(told, left, workers=workers, scheduler=scheduler, largest=1):
         kept = line or {"case": case.name, "error": "its process dies, again and again"}
-        with (results / "results.jsonl").open("a") as file:
-            file.write(json.dumps(kept) + "\n")
+        append(results, kept)
         yield kept
-
-
-def read_results(results: Path) -> list[dict[str, Any]]:
-    """The lines written so far; the last one of a case counts."""
-    path = results / "results.jsonl"
-    if not path.exists():
-        return []
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    return list({line["case"]: line for line in lines}.values())
 
 
 def told(case: FleetCase) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.results import append, judged, read_results
 from bench.sealed.cases import Case, named
 from bench.sealed.flights import (
     FLIGHT_S,
@@ -115,7 +116,7 @@ def run(
     scheduler: a running one of Dask, whose workers run in a checkout and share no disk with this.
     """
     results.mkdir(parents=True, exist_ok=True)
-    done = {line["case"] for line in read_results(results) if "error" not in line}
+    done = judged(results)
     left = [case for case in cases if case.name not in done]
     home = None if scheduler else str(results.absolute())
     work = partial(carried, home=home, keep=keep)
@@ -126,8 +127,7 @@ def run(
             opened = _opened(results, case)
             opened.parent.mkdir(exist_ok=True)
             opened.write_text(came.opened)
-        with (results / "results.jsonl").open("a") as file:
-            file.write(json.dumps(line) + "\n")
+        append(results, line)
         yield line
 
 
@@ -158,15 +158,6 @@ def _search(*options: str) -> Search:
     search = Search(*options)
     atexit.register(search.close)
     return search
-
-
-def read_results(results: Path) -> list[dict[str, Any]]:
-    """The lines written so far; the last one of a case counts."""
-    path = results / "results.jsonl"
-    if not path.exists():
-        return []
-    lines = [json.loads(line) for line in path.read_text().splitlines()]
-    return list({line["case"]: line for line in lines}.values())
 
 
 def judged_again(results: Path) -> list[dict[str, Any]]:

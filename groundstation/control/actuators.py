@@ -10,8 +10,13 @@ from groundstation.control.evaluate import STEADY_S, WHOLE_STEP_RAD, calms
 from groundstation.control.gain_conversion import scaled
 from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import AXES, PidGains
-from groundstation.control.plant import Plant, motors_of_model, plant_of_model
-from groundstation.control.thesis_loop import SUPPLY_MV, body_of, counts_per_control, run_whole
+from groundstation.control.thesis_loop import (
+    SUPPLY_MV,
+    body_of,
+    counts_per_control,
+    motors_and_body,
+    run_whole,
+)
 from groundstation.dynamics.model import Model
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
@@ -22,7 +27,7 @@ MORE = 2.0
 
 def most_control(model: Model, axis: str, supply_mv: float = SUPPLY_MV) -> float:
     """The largest u' in (rev/s)^2 that the rotors give around hover with the thrust kept."""
-    plant = _plant(model)
+    plant = motors_and_body(model)
     hover, motor = plant.hover_rev_s, model.motor
     # a0 u = a1 n + a2 n^2 at rest (thesis eq. 3.82)
     root = math.sqrt(motor.a1**2 + 4 * motor.a2 * motor.a0 * supply_mv)
@@ -61,7 +66,7 @@ def reason_not_followed(
         return ""
     asked = (gains.kp + gains.kd / SAMPLE_PERIOD_S) * WHOLE_STEP_RAD  # in the step's first row
     most = most_control(model, axis, supply_mv)
-    lag = 1.0 / (model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s)
+    lag = 1.0 / (model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s)
     return (
         f"{axis}: kp {gains.kp:.3g}, kd {gains.kd:.3g} ask u' = {asked:.2g} (rev/s)^2 for a step of"
         f" {WHOLE_STEP_RAD:g} rad; the rotors give {most:.2g} around hover and follow with a lag of"
@@ -73,9 +78,3 @@ def reason_not_followed(
             else "the loop is unstable"
         )
     )
-
-
-def _plant(model: Model) -> Plant:
-    if model.body is None:
-        return motors_of_model(model)
-    return plant_of_model(model, fusion=False, turning="body")

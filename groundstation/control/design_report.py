@@ -36,6 +36,7 @@ from groundstation.control.report import (
     BROKEN_AT,
     DEFINITIONS,
     LOOP_NAMES,
+    METRICS_HEAD,
     front_figure,
     metrics_row,
     step_figure,
@@ -323,17 +324,7 @@ def limits_line(limits: Limits) -> str:
     )
 
 
-BESIDE_HEAD = (
-    "axis",
-    "gains",
-    "RMS error",
-    "overshoot %",
-    "settling s (5 %)",
-    "steady-state error",
-    "max sensitivity",
-    "gain may grow by",
-    "delay margin ms",
-)
+BESIDE_HEAD = (METRICS_HEAD[0], "gains", *METRICS_HEAD[1:])
 
 
 def _beside(stock: AxisResult, ours: AxisResult) -> list[list[Any]]:

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.control.plant import RATES
 from groundstation.dynamics import quaternion
+from groundstation.dynamics.arx import SLOPE_ROWS
 from groundstation.dynamics.attitude_filter import fuse, smoothed
 from groundstation.dynamics.compiled import kernel, spliced
 from groundstation.dynamics.craft import SENSOR_STATES
@@ -21,7 +23,6 @@ from groundstation.dynamics.sensing import begin, follow, sense
 DEGREES = 180.0 / math.pi
 PWM_FULL = 4096.0
 ROTOR, RATE = 13, 10
-RATES, SLOPE_ROWS = 2, 2
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -40,6 +41,21 @@ def _body(p: Any, volts: Any, y: Any, dy: Any) -> Any:
     """The body at a state, its rotors on armature voltages (4)."""
     n = (y[13], y[14], y[15], y[16])
     return body_slope(p, n, motor_slopes(p, volts, n, ALL), STILL, y, dy, ALL)
+
+
+@spliced
+def _answer(a: Any, b: Any, nk: Any, k: int, inputs: Any, outputs: Any) -> None:
+    """Outputs (n, 3) of polynomials a (3, na), b (3, nb), nk (3,) at row k, from rows before it and
+    inputs (n, 3) up to it; those not known yet are 0."""
+    for axis in range(3):
+        value = 0.0
+        for i in range(min(a.shape[1], k)):
+            value -= a[axis, i] * outputs[k - 1 - i, axis]
+        for j in range(b.shape[1]):
+            at = k - nk[axis] - j
+            if at >= 0:
+                value += b[axis, j] * inputs[at, axis]
+        outputs[k, axis] = value
 
 
 @kernel
@@ -78,18 +94,9 @@ def whole_run(
     torque = np.zeros((rows, 3))
     true = np.zeros((rows, 3))
     integral, before, duty = np.zeros(3), np.zeros(3), np.zeros(4)
-    na, nb = arx_a.shape[1], arx_b.shape[1]
     for k in range(rows):
         if body == 0:
-            for axis in range(3):
-                value = 0.0
-                for i in range(min(na, k)):
-                    value -= arx_a[axis, i] * angles[k - 1 - i, axis]
-                for i in range(nb):
-                    at = k - arx_nk[axis] - i
-                    if at >= 0 and at < k:
-                        value += arx_b[axis, i] * torque[at, axis]
-                angles[k, axis] = value
+            _answer(arx_a, arx_b, arx_nk, k, torque, angles)
         else:
             if body == 1:
                 for axis in range(3):
@@ -215,15 +222,7 @@ def _turn(
     turns: int, a: Any, b: Any, nk: Any, period: float, k: int, inputs: Any, outputs: Any, y: Any
 ) -> None:  # fmt: skip
     """Rates, and angles where the polynomials are theirs, of row k into the state."""
-    for axis in range(3):
-        value = 0.0
-        for i in range(min(a.shape[1], k)):
-            value -= a[axis, i] * outputs[k - 1 - i, axis]
-        for j in range(b.shape[1]):
-            at = k - nk[axis] - j
-            if at >= 0:
-                value += b[axis, j] * inputs[at, axis]
-        outputs[k, axis] = value
+    _answer(a, b, nk, k, inputs, outputs)
     if turns == RATES:
         for axis in range(3):
             y[RATE + axis] = outputs[k, axis]

@@ -78,7 +78,7 @@ def run_whole(
 
     if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
-    plant = _plant(model)
+    plant = motors_and_body(model)
     a, b, nk = np.zeros((3, 1)), np.zeros((3, 1)), np.zeros(3, np.int64)
     if body is Body.ARX:
         model = at_period(model, SAMPLE_PERIOD_S)
@@ -120,7 +120,7 @@ def counts_per_control(model: Model, supply_mv: float = SUPPLY_MV) -> Array:
 
     Turns gains of the direct loop into gains of the whole simulation.
     """
-    plant, motor = _plant(model), model.motor
+    plant, motor = motors_and_body(model), model.motor
     slope = motor.a0 * supply_mv / PWM_FULL / (motor.a1 + 2 * motor.a2 * plant.hover_rev_s)
     return np.asarray(1.0 / (2 * plant.hover_rev_s * slope * np.array([2.0, 2.0, 4.0])))
 
@@ -155,7 +155,8 @@ def counts_response(
     slope and their lag before the body.
     """
     if body is Body.RIGID:
-        plant = replace(_plant(model), firmware=RELEASE_2014)  # its controller's output is PWM
+        # its controller's output is PWM
+        plant = replace(motors_and_body(model), firmware=RELEASE_2014)
         own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S) if delay is None else delay
         s = 1j * omega
         late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
@@ -165,7 +166,7 @@ def counts_response(
         model = msgspec.structs.replace(model, arx=None)
         delay = None if delay is None else delay + 1  # the held double integrator's own
     polynomials = axis_plant(at_period(model, SAMPLE_PERIOD_S), axis, delay)
-    pole = model.motor.a1 + 2 * model.motor.a2 * _plant(model).hover_rev_s
+    pole = model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
     return np.asarray(frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor)
@@ -176,7 +177,8 @@ def body_of(model: Model) -> Body:
     return Body.ARX if model.arx is not None else Body.RIGID
 
 
-def _plant(model: Model) -> Plant:
+def motors_and_body(model: Model) -> Plant:
+    """What the loop flies beside polynomials: the motors, and the body where the model has one."""
     if model.body is None:
         return motors_of_model(model)
     return plant_of_model(model, fusion=False, turning="body")

@@ -33,8 +33,7 @@ def _listed() -> dict[str, Effect]:
 
 EFFECTS: Mapping[str, Effect] = _listed()
 """The listed effects by name, in alphabetical order."""
-(_LATE,) = (effect for effect in EFFECTS.values() if effect.stage == "delay")
-DELAY = f"{_LATE.name}.{_LATE.sizes[0].name}"
+DELAY = "dead_time.delay_s"
 """The key under which fits and searches estimate how late every measurement is, s."""
 COMPILED: tuple[Stage, ...] = ("supply", "motor", "rotor", "body", "sensor")
 """Stages whose laws act within the equations of motion; the others are evaluated once."""

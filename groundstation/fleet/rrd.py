@@ -170,6 +170,8 @@ def _blueprint(fleet: Fleet) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
 
+    from groundstation.viewer.blueprint import layout_of
+
     all_time = rr.VisibleTimeRange(
         DATE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
     )
@@ -202,12 +204,5 @@ def _blueprint(fleet: Fleet) -> Any:
         rrb.TextLogView(name="Since when", origin=EVENTS, contents=[EVENTS]),
         row_shares=[3, 4, 2],
     )
-    return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Grid(*plots, grid_columns=2), column_shares=[4, 5]),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=DATE, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    grid = rrb.Grid(*plots, grid_columns=2)
+    return layout_of(rrb.Horizontal(left, grid, column_shares=[4, 5]), DATE)

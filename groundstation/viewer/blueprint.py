@@ -93,15 +93,20 @@ def pilot_blueprint(
             name="Twin",
         )
         right = rrb.Tabs(beside, right, active_tab=0)
+    return layout_of(
+        rrb.Horizontal(left, right, column_shares=[4, 5]), timeline, follow=not from_take_off
+    )
+
+
+def layout_of(views: Any, timeline: str = DEVICE_TIME, follow: bool = False) -> rrb.Blueprint:
+    """Views and nothing else, from the first moment on, or following the newest data."""
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[4, 5]),
+        views,
         rrb.TopPanel(state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(
-            state="collapsed",
-            timeline=timeline,
-            play_state="paused" if from_take_off else "following",
+            state="collapsed", timeline=timeline, play_state="following" if follow else "paused"
         ),
         auto_views=False,
         auto_layout=False,

@@ -8,7 +8,7 @@ from typing import Any
 from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
 from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
 from groundstation.viewer.new_rrd import fresh_rrd
-from groundstation.viewer.panels import layout_of, send_series
+from groundstation.viewer.panels import send_series
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""
@@ -66,6 +66,8 @@ def _lines(stream: Any, entity: str, names: tuple[str, ...], colors: Any) -> Non
 def _blueprint(overlay: Overlay) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
+
+    from groundstation.viewer.blueprint import layout_of
 
     bounds = rr.TimeRangeBoundary
     near = rr.VisibleTimeRange(

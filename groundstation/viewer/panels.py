@@ -44,21 +44,6 @@ def send_series(stream: Any, entity: str, time_s: Any, values: Any) -> None:
         )
 
 
-def layout_of(views: Any) -> Any:
-    """The blueprint that shows views and nothing else, from the first moment on."""
-    import rerun.blueprint as rrb
-
-    return rrb.Blueprint(
-        views,
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=DEVICE_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
-
-
 def _write(panels: Sequence[Panel], text: str, path: Path, name: str) -> None:
     import rerun as rr
 
@@ -84,6 +69,8 @@ def _write(panels: Sequence[Panel], text: str, path: Path, name: str) -> None:
 def _blueprint(panels: Sequence[Panel]) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
+
+    from groundstation.viewer.blueprint import layout_of
 
     ends = rr.TimeRangeBoundary.infinite()
     whole = rr.VisibleTimeRange(DEVICE_TIME, start=ends, end=ends)

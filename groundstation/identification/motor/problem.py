@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.dynamics.registry import at_stage
+from groundstation.dynamics.registry import EFFECTS as LISTED
 
 Array = NDArray[np.float64]
 
 DELAY, SHARED = 3, 4
 """Places among the parameters: the common delay, and what comes after a0, a1, a2 and it: the
 effects', then each run's initial speed."""
-EFFECTS = {effect.name: effect.sizes[0] for effect in at_stage("motor")}
+EFFECTS = {
+    name: LISTED[name].sizes[0] for name in ("motor_dead_voltage", "motor_braking_asymmetry")
+}
 """Effects that can be fitted along and their parameter, in the order of the kernel's arguments."""
 ABSENT = {name: one.absent for name, one in EFFECTS.items()}
 LONGEST_DELAY_S = 0.03

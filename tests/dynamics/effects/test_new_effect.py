@@ -121,3 +121,23 @@ def test_among_the_listed_ones_it_acts_and_leaves_crafts_without_it_alone(model,
     expected = TURN * 1.5 * (1.0 - np.exp(-0.198 / LAG_S))
     assert float(with_it[1]) == pytest.approx(expected, abs=0.01)
     assert without == ["0", "0.0", "17"]
+
+
+OF_OTHER_STAGES = """
+from groundstation.dynamics import effects
+effects.__path__.append({folder!r})
+from groundstation.dynamics.registry import DELAY, EFFECTS
+from groundstation.identification.body.setup import FIT_WITH
+from groundstation.identification.motor.problem import EFFECTS as FITTED
+assert {{"another_delay", "another_loss"}} <= set(EFFECTS)
+print(DELAY, *FITTED)
+"""
+
+
+def test_a_listed_one_of_the_delay_or_the_motors_changes_no_other_fit(tmp_path):
+    for name, stage in (("another_delay", "delay"), ("another_loss", "motor")):
+        text = FILE.replace("yaw_weather_vane", name).replace('stage="body"', f'stage="{stage}"')
+        (tmp_path / f"{name}.py").write_text(text.replace("    states=", "    # "))
+    code = OF_OTHER_STAGES.format(folder=str(tmp_path))
+    said = run_program([sys.executable, "-c", code], check=True).stdout.split()
+    assert said == ["dead_time.delay_s", "motor_dead_voltage", "motor_braking_asymmetry"]
