@@ -182,7 +182,7 @@ async def _open_page(station: Station) -> None:
 
 def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None:
     config = station.config
-    lines = [("link", station.link.name)]
+    lines = [("link", station.receiver.link.name)]
     folder = config.recording.folder if config.recording.enabled else "off"
     lines.append(("recordings", folder))
     lines += [("viewer", url) for url in station.viewer.status()["urls"]] or [("viewer", "off")]
@@ -213,22 +213,23 @@ def _conclude(station: Station) -> None:
         raise GroundStationError(
             f"not complete: {'; '.join(faults.values())}" + (f" ({last} is complete)" * bool(whole))
         )
-    if station.damaged:
+    if station.journal.damaged:
         raise GroundStationError(
-            f"{station.link.name} is damaged; what could be read was delivered "
+            f"{station.receiver.link.name} is damaged; what could be read was delivered "
             "(see 'groundstation inspect')"
         )
 
 
 def _require_something(station: Station) -> None:
     """A run that ended by itself and never did what it was asked to has failed."""
-    troubles = {event.link: event.text for event in station.events if event.kind in _TROUBLES}
-    if station.newest() is None and troubles:
+    events = station.journal.events
+    troubles = {event.link: event.text for event in events if event.kind in _TROUBLES}
+    if station.newest.telemetry() is None and troubles:
         # many texts begin with the link's name by themselves
         texts = "; ".join(f"{link}: {t.removeprefix(f'{link}: ')}" for link, t in troubles.items())
         raise GroundStationError(f"nothing was received: {texts}")
     command = station.config.command
-    connected = any(event.link == command and event.kind == "connected" for event in station.events)
+    connected = any(event.link == command and event.kind == "connected" for event in events)
     if command in troubles and not connected:
         raise GroundStationError(f"{command} was never connected: {troubles[command]}")
 
@@ -238,7 +239,7 @@ _TROUBLES = ("waiting", "fault")
 
 async def _stop_after(station: Station, duration_s: float) -> None:
     """Preparing the link does not count."""
-    await station.tried.wait()
+    await station.receiver.tried.wait()
     await asyncio.sleep(duration_s)
     station.stop()
 
@@ -252,7 +253,7 @@ async def _display(station: Station) -> None:
             continue
         latency = "" if statistics.latency_ms is None else f"{statistics.latency_ms:6.1f} ms late"
         say(
-            f"{station.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
+            f"{station.receiver.link.state.value:<10}{statistics.rate_hz:7.1f} samples/s"
             f"{statistics.loss_pct:6.2f} % lost {latency}   "
             f"{recording['state']} {recording['bytes'] / 1e6:.1f} MB",
             end="",

@@ -13,7 +13,7 @@ from groundstation.errors import BadInputError
 from groundstation.links.base import LinkEvent
 from groundstation.links.factory import STAND_IN, is_stand_in, split_name
 from groundstation.recording.catalogue import CatalogueEntry
-from groundstation.service import requests
+from groundstation.service import overview, requests
 from groundstation.service.answers import Status
 from groundstation.service.config import settings
 from groundstation.service.devices import Devices
@@ -44,17 +44,17 @@ def operations(station: Station) -> list[Operation]:
     commander = station.commander
 
     async def status(_: None) -> Any:
-        return station.status()
+        return overview.status(station)
 
     async def events(_: None) -> Any:
-        return [asdict(event) for event in station.events]
+        return [asdict(event) for event in station.journal.events]
 
     async def record_start(_: None) -> Any:
-        await station.start_recording()
+        await station.recordings.start()
         return station.sessions.status()
 
     async def record_stop(_: None) -> Any:
-        return await station.stop_recording()
+        return await station.recordings.stop()
 
     async def record_mark(body: requests.Mark) -> Any:
         station.mark(body.text, body.details)
@@ -68,7 +68,7 @@ def operations(station: Station) -> list[Operation]:
         if is_stand_in(name) and name != STAND_IN:
             model = await asyncio.to_thread(station.models.file, split_name(name)[1])
         await station.switch_link(name, model)
-        return station.status()
+        return overview.status(station)
 
     async def configuration(_: None) -> Any:
         return {each.name: each.value for each in settings(station.config)}
@@ -93,8 +93,8 @@ def operations(station: Station) -> list[Operation]:
         )
         return requests.Sent(
             time_ns=time_ns,
-            telemetry=station.newest(),
-            link_state=station.link_state().value,
+            telemetry=station.newest.telemetry(),
+            link_state=station.receiver.state.value,
         )
 
     async def stop(_: None) -> Any:
@@ -110,8 +110,8 @@ def operations(station: Station) -> list[Operation]:
         return requests.Done()
 
     async def connect(body: requests.CommandUri) -> Any:
-        await station.connect_command(body.uri)
-        return station.status()
+        await station.craft.connect_command(body.uri)
+        return overview.status(station)
 
     async def thumbnail(body: requests.RecordingName) -> Any:
         return requests.Thumbnail(svg=await station.thumbnails.of(body.file))
@@ -143,7 +143,7 @@ def operations(station: Station) -> list[Operation]:
     async def watch(body: requests.Watched) -> Any:
         model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
         station.twin.configure(model)
-        return station.status()
+        return overview.status(station)
 
     async def page_address(_: None) -> Any:
         return requests.PageAddress(url=station.page.address())

@@ -29,6 +29,7 @@ from groundstation.errors import (
     NotAuthorisedError,
     TakenError,
 )
+from groundstation.service import overview
 from groundstation.service.api import Operation, operations
 from groundstation.service.control_socket import ControlPort, ControlSocket
 from groundstation.service.limits import RateLimit
@@ -204,7 +205,7 @@ def control_app(station: Station) -> Starlette:
             except ClientDisconnect:
                 return Response(status_code=499)
             except Exception as error:
-                station.fault(f"{where}: {error!r}", source="control")
+                station.journal.fault(f"{where}: {error!r}", source="control")
                 return _refusal(500, f"{where}: internal fault: {error!r}")
 
         return answer
@@ -222,7 +223,7 @@ def control_app(station: Station) -> Starlette:
         )
 
     async def health(request: Request) -> Response:
-        found = station.health.status(station.problems())
+        found = station.health.status(overview.problems(station))
         return _Json(found, status_code=200 if found["healthy"] else 503)
 
     async def scrape(request: Request) -> Response:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
+from groundstation.service import overview
+
 if TYPE_CHECKING:
     from groundstation.service.station import Station
 
@@ -63,7 +65,7 @@ class _Collector:
         self._station = station
 
     def collect(self) -> Iterator[Any]:
-        status = self._station.status()
+        status = overview.status(self._station)
         for name, text, path in _GAUGES:
             if (value := _at(status, path)) is not None:
                 yield GaugeMetricFamily(PREFIX + name, text, value=float(value))

@@ -30,7 +30,7 @@ def test_a_mark_nested_without_end_is_refused_and_events_go_on(tmp_path, config)
         with pytest.raises(GroundStationError, match="nested deeper"):
             ask(path, "POST", "/record/mark", {"text": "deep", "details": details})
         ask(path, "POST", "/record/mark", {"text": "flat", "details": {"a": {"b": [1]}}})
-        return ask(path, "GET", "/events"), station.faults
+        return ask(path, "GET", "/events"), station.journal.faults
 
     events, faults = serve(config, path, conversation)
     assert [event["text"] for event in events if event["kind"] == "mark"] == ["flat"]

@@ -93,7 +93,7 @@ def ported(tmp_path):
             await server.start()
             running = asyncio.create_task(station.run())
             try:
-                await station.tried.wait()
+                await station.receiver.tried.wait()
                 return await asyncio.to_thread(conversation, station, port)
             finally:
                 station.stop()

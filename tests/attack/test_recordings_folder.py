@@ -104,7 +104,7 @@ def test_a_folder_that_fails_at_run_time_is_words(tmp_path):
             with pytest.raises(GroundStationError, match="File name too long") as refusal:
                 ask(path, method, route)
             assert "internal fault" not in str(refusal.value)
-        return station.faults
+        return station.journal.faults
 
     assert serve(config, path, conversation) == 0
 
@@ -129,7 +129,7 @@ def test_a_command_link_that_could_never_connect_is_a_failure_too(tmp_path):
     station = Station(config)
     station._take_samples(empty_samples(1, TICK_S))
     _require_something(station)  # nothing was told yet
-    station._tell_no_craft()
+    station.craft.tell_no_craft()
     with pytest.raises(GroundStationError, match=r"never connected.*another craft"):
         _require_something(station)
 
@@ -145,5 +145,5 @@ def test_a_fault_that_repeats_under_other_file_names_is_told_once(tmp_path):
             await asyncio.sleep(0.002)
 
     asyncio.run(fail_often())
-    faults = [event.text for event in station.events if event.kind == "fault"]
+    faults = [event.text for event in station.journal.events if event.kind == "fault"]
     assert len(faults) == 1

@@ -25,7 +25,7 @@ def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T
         await server.start()
         running = asyncio.create_task(station.run())
         try:
-            await station.tried.wait()
+            await station.receiver.tried.wait()
             return await asyncio.to_thread(conversation, station)
         finally:
             station.stop()

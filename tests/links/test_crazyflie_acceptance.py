@@ -139,7 +139,7 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
 
     async def heard() -> None:
         before = station.statistics
-        await until(lambda: station.link_state() is LinkState.STREAMING)
+        await until(lambda: station.receiver.state is LinkState.STREAMING)
         await until(lambda: station.statistics not in (None, before))
 
     async def session() -> None:
@@ -151,7 +151,7 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
                 from_s = craft.craft.time_s
                 if segments > 1:
                     monkeypatch.setattr(patience, 0.1)
-                    await until(lambda: station.link_state() is LinkState.LOST)
+                    await until(lambda: station.receiver.state is LinkState.LOST)
                     monkeypatch.setattr(patience, PATIENCE_S)
                 craft.skip_s = max(silent_s - (craft.craft.time_s - from_s), 0.0)
                 await until(lambda: craft.craft.time_s - from_s >= silent_s)
@@ -172,8 +172,8 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
     assert (steps > 0).all()
     assert steps.max() >= silent_s - 0.05
     assert np.sum(steps > 0.4) == 1
-    lost = [event for event in station.events if event.kind == "lost"]
+    lost = [event for event in station.journal.events if event.kind == "lost"]
     assert bool(lost) == (segments > 1)
     if segments == 1:
-        counted = station.link.sample_counts().lost
+        counted = station.receiver.link.sample_counts().lost
         assert counted == pytest.approx(steps.max() / 0.01 - 1, abs=2)

@@ -63,7 +63,7 @@ def fly(tmp_path, path, crafts, stations):
                 "the command link is connected",
             )
             stations.append(station)
-            crafts.append(station.link._craft)
+            crafts.append(station.receiver.link._craft)
             conversation()
 
         serve(config, path, connected)
@@ -428,7 +428,7 @@ def test_where_no_craft_can_be_commanded_a_client_is_told_why(tmp_path, path, li
     def conversation(station):
         with pytest.raises(GroundStationError, match=says), Pilot(path, "hopeful"):
             pass
-        told = [event.text for event in station.events if event.kind == "waiting"]
+        told = [event.text for event in station.journal.events if event.kind == "waiting"]
         assert (len(told) == 1 and says in told[0]) == bool(command)
 
     serve(config, path, conversation)

@@ -167,7 +167,7 @@ def test_a_slow_stream_client_loses_the_oldest_and_is_told_how_much(serve, path)
     def conversation(station):
         slow = live(path)
         next(slow)
-        batch = station._newest
+        batch = station.newest.batch
         for _ in range(3 * ROWS_MOST // len(batch)):
             station._loop.call_soon_threadsafe(station.stream.samples, batch)
         until(lambda: station.stream.dropped > 0, "something is dropped")

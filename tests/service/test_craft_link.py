@@ -15,6 +15,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.command import CommandState
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
+from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
 
@@ -77,11 +78,11 @@ def test_a_flight_is_recorded_without_loss_and_says_whose_it_was(craft, tmp_path
     assert recording.samples.accelerometer[:, 2].mean() == pytest.approx(9.81, rel=0.05)
     assert np.abs(np.degrees(recording.samples.gyro)).max() < 5
     assert station.statistics.packets > 2 * 300
-    (found,) = [event for event in station.events if event.kind == "found"]
+    (found,) = [event for event in station.journal.events if event.kind == "found"]
     assert "Crazyflie 2.1" in found.text
     assert "250 times a second" in found.text
     assert "no rotor speeds (rpm.m1 or motor.m1_rpm)" in found.text
-    assert any(event.kind == "console" for event in station.events)
+    assert any(event.kind == "console" for event in station.journal.events)
 
 
 def test_the_same_connection_carries_commands(craft, tmp_path):
@@ -115,11 +116,11 @@ def test_a_silent_craft_is_connected_to_again_and_the_recording_goes_on(
     send = server._send
 
     async def scenario() -> None:
-        await until(lambda: station.link_state() is LinkState.STREAMING)
+        await until(lambda: station.receiver.state is LinkState.STREAMING)
         server._send = lambda packet, addr: None
-        await until(lambda: station.link_state() is LinkState.LOST)
+        await until(lambda: station.receiver.state is LinkState.LOST)
         server._send = send
-        await until(lambda: station.link_state() is LinkState.STREAMING)
+        await until(lambda: station.receiver.state is LinkState.STREAMING)
         before = station.statistics
         await until(lambda: station.statistics is not before)
 
@@ -136,11 +137,11 @@ def test_what_a_craft_says_it_is_does_not_override_the_configuration(craft, tmp_
     station = Station(msgspec.structs.replace(config, vehicle="brushless"))
 
     async def scenario() -> None:
-        await until(lambda: station.link_state() is LinkState.STREAMING)
+        await until(lambda: station.receiver.state is LinkState.STREAMING)
 
     run(station, scenario)
     assert recorded(tmp_path).metadata["vehicle"] == {"profile": "brushless"}
-    (said,) = [event.text for event in station.events if event.kind == "vehicle"]
+    (said,) = [event.text for event in station.journal.events if event.kind == "vehicle"]
     assert said == "the craft says it is a crazyflie21; recordings say brushless, as configured"
 
 
@@ -150,9 +151,9 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
     async def scenario() -> None:
         link = station.commander.link
         await until(lambda: link.state is CommandState.CONNECTED)
-        assert station.status()["command"]["armed"] is None
+        assert overview.status(station)["command"]["armed"] is None
         await station.commander.arm(True)
-        assert station.status()["command"]["armed"] is True
+        assert overview.status(station)["command"]["armed"] is True
         with pytest.raises(LinkError, match="refuses to disarm"):  # brushed motors always are
             await station.commander.arm(False)
 

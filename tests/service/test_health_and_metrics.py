@@ -81,7 +81,7 @@ def test_a_daemon_that_records_what_streams_is_healthy(tmp_path):
     path = tmp_path / "control.sock"
 
     def conversation(station):
-        until(lambda: station.link_state() is LinkState.STREAMING, "telemetry")
+        until(lambda: station.receiver.state is LinkState.STREAMING, "telemetry")
         status, text = get(path, "/health")
         assert (status, json.loads(text)["problems"]) == (200, [])
 
@@ -94,13 +94,13 @@ def test_a_silent_link_a_dead_task_and_a_blocked_loop_are_not_healthy(tmp_path):
     async def session():
         station = Station(config(tmp_path, enabled=False))
         link = SilentLink()
-        link.on_event, station.link = station.take_event, link
+        link.on_event, station.receiver.link = station.journal.take, link
         control = ControlSocket(path)
         server = ControlServer(station, control)
         await server.start()
         running = asyncio.create_task(station.run())
         async with asyncio.timeout(20):
-            while station.link_state() is not LinkState.SILENT:
+            while station.receiver.state is not LinkState.SILENT:
                 await asyncio.sleep(0.01)
         station.supervisor._tasks["statistics"].cancel()
         station.health._lags_s.append(2.5)

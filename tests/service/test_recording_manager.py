@@ -11,7 +11,7 @@ from groundstation.errors import BadInputError
 from groundstation.recording.catalogue import catalogue
 from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.open_recording import open_recording
-from groundstation.service import recording_manager
+from groundstation.service import overview, recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.recording_manager import delete_oldest
 from groundstation.service.station import Station
@@ -43,7 +43,7 @@ def run(tmp_path, monkeypatch):
 
 
 def recorded(station):
-    return station.status()["recording"]["samples"]
+    return overview.status(station)["recording"]["samples"]
 
 
 async def until(condition):
@@ -97,7 +97,7 @@ def test_as_fast_as_possible_rotation_loses_nothing_either(run, tmp_path):
     assert sum(entry.raw_packets for entry in catalogue(tmp_path / "sessions")) == (
         station.statistics.packets
     )
-    assert station.status()["recording"]["dropped"] == 0
+    assert overview.status(station)["recording"]["dropped"] == 0
 
 
 def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, tmp_path):
@@ -106,9 +106,9 @@ def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, t
         gone_s = asyncio.get_running_loop().time()
         await until(lambda: station.recordings.resumed == 1)
         print(f"recording again after {asyncio.get_running_loop().time() - gone_s:.2f} s")
-        await until(lambda: station.status()["recording"]["samples"] > 100)
-        assert station.status()["recording"]["state"] == "recording"
-        assert station.status()["recording"]["wanted"]
+        await until(lambda: overview.status(station)["recording"]["samples"] > 100)
+        assert overview.status(station)["recording"]["state"] == "recording"
+        assert overview.status(station)["recording"]["wanted"]
 
     run(conversation)
     (path,) = files(tmp_path)
@@ -118,16 +118,16 @@ def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, t
 
 def test_what_an_operator_stopped_is_not_resumed(run, tmp_path):
     async def conversation(station):
-        await station.stop_recording()
+        await station.recordings.stop()
         await asyncio.sleep(0.3)
         with pytest.raises(BadInputError, match="nothing is being recorded"):
             station.mark("too late", {})
         with pytest.raises(BadInputError, match="nothing is being recorded"):
-            await station.stop_recording()
+            await station.recordings.stop()
 
     station = run(conversation, rotate_minutes=0.02)
     assert station.recordings.resumed == 0
-    assert station.status()["recording"]["state"] == "finished"
+    assert overview.status(station)["recording"]["state"] == "finished"
 
 
 def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
@@ -147,7 +147,7 @@ def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
     ours = [path for path in files(tmp_path) if path.name != "flight.mcap"]
     assert len(ours) == 2 + station.recordings.rotations - station.recordings.deleted
     assert all(open_recording(path).damage == [] for path in ours)
-    told = [event.text for event in station.events if event.kind == "deleted"]
+    told = [event.text for event in station.journal.events if event.kind == "deleted"]
     assert len(told) == station.recordings.deleted
 
 
@@ -195,7 +195,7 @@ def test_a_recording_that_cannot_be_deleted_is_told_once_and_the_next_ones_go(
 
     station = run(conversation, rotate_mb=0.05, keep_mb=0.2)
     assert held.exists()
-    told = [event.text for event in station.events if event.kind == "fault"]
+    told = [event.text for event in station.journal.events if event.kind == "fault"]
     assert told == [f"not deleted, though there is too much: {held.name}: Operation not permitted"]
 
 

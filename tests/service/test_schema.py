@@ -113,9 +113,10 @@ def fuzz(tmp_path, monkeypatch):
 
         def talk(station):
             conversation(Api(path))
-            assert station.faults == 0, [e.text for e in station.events if e.kind == "fault"]
-            assert station.link_state().value == "streaming"
-            assert station.link.name == "stand-in"
+            told = [event.text for event in station.journal.events if event.kind == "fault"]
+            assert station.journal.faults == 0, told
+            assert station.receiver.state.value == "streaming"
+            assert station.receiver.link.name == "stand-in"
             assert station.commander.setpoints == 0
 
         serve(config, path, talk)

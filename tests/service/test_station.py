@@ -9,9 +9,10 @@ from flights import COPIES, flight
 from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkLostError
 from groundstation.links.base import Link
 from groundstation.recording.open_recording import open_recording
+from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
-from groundstation.service import station as station_module
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
+from groundstation.service.journal import EVENTS_KEPT
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import RawBatch
 
@@ -63,7 +64,8 @@ def run(tmp_path, monkeypatch):
                     recording=RecordingConfig(folder=folder, enabled=enabled, low_space_mb=0),
                 )
             )
-            link.on_event, station.link = station.take_event, link
+            link.on_event, link.station = station.journal.take, station
+            station.receiver.link = link
             link.clock = station.clock
             async with asyncio.timeout(30):
                 await station.run()
@@ -81,7 +83,7 @@ def later(batch, seconds):
 
 
 def kinds(station, link):
-    return [event.kind for event in station.events if event.link == link]
+    return [event.kind for event in station.journal.events if event.link == link]
 
 
 def test_what_comes_in_is_decoded_recorded_and_counted(run):
@@ -120,7 +122,7 @@ def test_a_device_that_is_absent_at_first_is_waited_for_and_told_of(run):
     station, recording = run(link)
     assert link.opened == 5
     assert len(recording.samples) == 50
-    waiting = [event.text for event in station.events if event.kind == "waiting"]
+    waiting = [event.text for event in station.journal.events if event.kind == "waiting"]
     assert waiting == ["no device 0483:5741", "permission denied"]
 
 
@@ -141,8 +143,7 @@ def test_the_status_says_lost_until_the_device_is_back(run):
 
     class WatchedLink(ScriptedLink):
         async def _open(self):
-            station = self.on_event.__self__
-            states.append(station.status()["link"]["state"])
+            states.append(overview.status(self.station)["link"]["state"])
             await super()._open()
 
     link = WatchedLink(
@@ -167,7 +168,7 @@ def test_a_link_that_once_worked_is_waited_for_whatever_opening_it_says(run):
     link = ScriptedLink(script, refuse=[None, BadInputError("is no serial port")])
     station, recording = run(link)
     assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
-    waiting = [event.text for event in station.events if event.kind == "waiting"]
+    waiting = [event.text for event in station.journal.events if event.kind == "waiting"]
     assert waiting == ["is no serial port"]
 
 
@@ -177,9 +178,9 @@ def test_a_fault_of_the_link_is_survived_counted_and_told(run):
     link = ScriptedLink([first, ZeroDivisionError("in the reader"), later(second, 0.0)])
     station, recording = run(link)
     assert link.opened == 2
-    assert station.faults == station.status()["faults"] == 1
+    assert station.journal.faults == overview.status(station)["faults"] == 1
     assert recording.samples.segment.tolist() == [0] * 50 + [1] * 50
-    (told,) = [event.text for event in station.events if event.kind == "fault"]
+    (told,) = [event.text for event in station.journal.events if event.kind == "fault"]
     assert "in the reader" in told
 
 
@@ -232,5 +233,5 @@ def test_old_events_are_forgotten_not_hoarded(run):
     raw, _ = flight(0, 5)
     script = [step for _ in range(1200) for step in (raw, LinkLostError("flapping"))]
     station, _ = run(ScriptedLink(script), enabled=False)
-    assert len(station.events) == station_module.EVENTS_KEPT
-    assert station.events[-1].kind == "closed"
+    assert len(station.journal.events) == EVENTS_KEPT
+    assert station.journal.events[-1].kind == "closed"

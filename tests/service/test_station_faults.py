@@ -12,6 +12,7 @@ from flights import COPIES, flight
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
 from groundstation.recording.open_recording import open_recording
+from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
 from groundstation.service import station as station_module
 from groundstation.service.client import TIMEOUT_S, ask
@@ -70,7 +71,8 @@ def live(tmp_path, monkeypatch):
                 )
             )
             link = FedLink()
-            link.on_event, station.link, link.clock = station.take_event, link, station.clock
+            link.on_event, link.clock = station.journal.take, station.clock
+            station.receiver.link = link
             running = asyncio.create_task(station.run())
             await until(lambda: link.state is LinkState.OPENING)
             try:
@@ -104,8 +106,8 @@ def test_stopping_and_starting_at_the_same_time_loses_no_recording(live, tmp_pat
         await until(lambda: station.sessions.status()["state"] == "recording")
         for _ in range(5):
             async with asyncio.TaskGroup() as both:
-                both.create_task(station.stop_recording())
-                both.create_task(station.start_recording())
+                both.create_task(station.recordings.stop())
+                both.create_task(station.recordings.start())
 
     station = live(conversation)
     assert len(files(tmp_path)) == 6
@@ -117,7 +119,7 @@ def test_two_who_stop_at_once_finish_one_recording(live, tmp_path):
     async def conversation(station, link):
         await until(lambda: station.sessions.status()["state"] == "recording")
         done = await asyncio.gather(
-            station.stop_recording(), station.stop_recording(), return_exceptions=True
+            station.recordings.stop(), station.recordings.stop(), return_exceptions=True
         )
         assert done[0]["state"] == "finished"
         assert isinstance(done[1], BadInputError)
@@ -134,9 +136,9 @@ def test_the_samples_of_a_files_packets_are_in_that_file(live, tmp_path):
     async def conversation(station, link):
         for part in pieces(RawBatch(raw.packets[:middle], raw.host_time_ns[:middle])):
             link.queue.put_nowait(part)
-        await until(lambda: station._decoder.counts().packets == middle)
-        await station.stop_recording()
-        await station.start_recording()
+        await until(lambda: station.receiver.decoder.counts().packets == middle)
+        await station.recordings.stop()
+        await station.recordings.start()
         for part in pieces(RawBatch(raw.packets[middle:], raw.host_time_ns[middle:])):
             link.queue.put_nowait(part)
 
@@ -158,16 +160,16 @@ def test_while_the_device_is_away_windows_close_and_the_status_says_lost(
         await until(lambda: station.statistics and station.statistics.samples)
         link.present.clear()
         link.queue.put_nowait(LinkLostError("unplugged"))
-        await until(lambda: station.status()["link"]["state"] == "lost")
+        await until(lambda: overview.status(station)["link"]["state"] == "lost")
         before = station.statistics
         await until(lambda: station.statistics is not before and station.statistics.rate_hz == 0)
         silent = station.statistics
         await until(lambda: station.statistics is not silent)
-        status = station.status()["link"]
+        status = overview.status(station)["link"]
         assert (status["state"], status["rate_hz"], status["latency_ms"]) == ("lost", 0.0, None)
         link.present.set()
         link.queue.put_nowait(flight(1000, 50)[0])
-        await until(lambda: station.status()["link"]["state"] == "streaming")
+        await until(lambda: overview.status(station)["link"]["state"] == "streaming")
 
     live(conversation)
     recorded = open_recording(files(tmp_path)[0]).statistics
@@ -186,11 +188,11 @@ def test_the_recording_is_finished_whatever_else_fails_at_the_end(
             raise RuntimeError("broken on purpose")
 
         link.queue.put_nowait(flight(0, 50)[0])
-        await until(lambda: station._decoder.counts().packets)
+        await until(lambda: station.receiver.decoder.counts().packets)
         if broken == "link":
             monkeypatch.setattr(link, "_close", fail)
         else:
-            monkeypatch.setattr(station._decoder, "finish", fail_at_once)
+            monkeypatch.setattr(station.receiver.decoder, "finish", fail_at_once)
 
     with pytest.raises(RuntimeError, match="on purpose"):
         live(conversation, end=False)
@@ -208,7 +210,7 @@ def test_statistics_are_on_the_time_base_of_the_packets(live, tmp_path):
         ahead = station.clock() + 3_600_000_000_000
         shifted = RawBatch(raw.packets, raw.host_time_ns - raw.host_time_ns[0] + ahead)
         link.queue.put_nowait(shifted)
-        await until(lambda: station._decoder.counts().packets)
+        await until(lambda: station.receiver.decoder.counts().packets)
 
     live(conversation)
     recording = open_recording(files(tmp_path)[0])
@@ -221,7 +223,7 @@ def test_a_fault_of_the_daemon_is_an_answer_an_event_and_a_count(tmp_path):
         control = ControlSocket(tmp_path / "control.sock")
         server = ControlServer(station, control)
         await server.start()
-        station.status = lambda: 1 / 0
+        station.recordings.status = lambda: 1 / 0
         try:
             with pytest.raises(GroundStationError) as told:
                 await asyncio.to_thread(ask, control.path, "GET", "/status")
@@ -232,8 +234,8 @@ def test_a_fault_of_the_daemon_is_an_answer_an_event_and_a_count(tmp_path):
 
     station, told = asyncio.run(session())
     assert "GET /status: internal fault: ZeroDivisionError" in told
-    assert station.faults == 1
-    assert station.events[-1].kind == "fault"
+    assert station.journal.faults == 1
+    assert station.journal.events[-1].kind == "fault"
 
 
 def test_a_daemon_that_does_not_answer_is_told_with_what_to_do(tmp_path, monkeypatch):
@@ -324,15 +326,16 @@ def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time
         )
         running = asyncio.create_task(station.run())
         process, began_s = psutil.Process(), time.monotonic()
+        reached = LinkState.OPENING, LinkState.STREAMING
         for cycle in range(cycles):
             with SerialPort(f"pty:{name}") as port:
-                await until(lambda: station.link.state in (LinkState.OPENING, LinkState.STREAMING))
+                await until(lambda: station.receiver.link.state in reached)
                 wanted = station.receiver.decoder.counts().samples + 20
                 while station.receiver.decoder.counts().samples < wanted:
                     port.send(craft.advance(time.monotonic() - began_s)[0])
                     assert not running.done(), running
                     await asyncio.sleep(0.002)
-            await until(lambda: station.link_state() in (LinkState.LOST, LinkState.OPENING))
+            await until(lambda: station.receiver.state in (LinkState.LOST, LinkState.OPENING))
             if cycle in (cycles // 5, cycles - 1):
                 memory = process.memory_info().rss / 1e6
                 used.append((process.num_fds(), process.num_threads(), memory))
@@ -353,4 +356,4 @@ def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time
     assert late[0] <= early[0] + 1
     assert late[1] <= early[1] + 1
     assert late[2] - early[2] < 10
-    assert station.faults == 0
+    assert station.journal.faults == 0

@@ -84,17 +84,17 @@ def test_what_nobody_catches_is_a_fault_of_the_station(tmp_path):
     async def session():
         station = Station(Config(recording=RecordingConfig(folder=str(tmp_path), enabled=False)))
         running = asyncio.create_task(station.run())
-        await station.tried.wait()
+        await station.receiver.tried.wait()
         asyncio.get_running_loop().call_soon(lambda: 1 // 0)
         async with asyncio.timeout(20):
-            while station.faults == 0:
+            while station.journal.faults == 0:
                 await asyncio.sleep(0.01)
         station.stop()
         await running
         return station
 
     station = asyncio.run(session())
-    (fault,) = [event.text for event in station.events if event.kind == "fault"]
+    (fault,) = [event.text for event in station.journal.events if event.kind == "fault"]
     assert "ZeroDivisionError" in fault
 
 

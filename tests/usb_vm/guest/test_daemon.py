@@ -40,7 +40,7 @@ def loaded(flight, tmp_path_factory):
             station = station_in(tmp_path_factory.mktemp("loaded"))
             running = asyncio.create_task(station.run())
             bridge.plug()
-            await until(station, lambda: station._decoder.counts().samples > 200)
+            await until(station, lambda: station.receiver.decoder.counts().samples > 200)
             station.stop()
             await running
         for path in Path(station.config.recording.folder).glob("*.mcap"):
@@ -74,13 +74,13 @@ def test_no_frame_of_twenty_thousand_is_lost_while_recording(bridge, flight, tmp
         station.sessions.raw = record_and_look
         running = asyncio.create_task(station.run())
         bridge.plug()
-        await until(station, lambda: station.link.state.value == "streaming")
+        await until(station, lambda: station.receiver.link.state.value == "streaming")
         blocking = asyncio.create_task(Blocker(blocked_s).run() if blocked_s else _nothing())
         before_s, start_s = time.process_time(), time.monotonic()
-        await until(station, lambda: station.link.counts.frames > FRAMES)
+        await until(station, lambda: station.receiver.link.counts.frames > FRAMES)
         share = (time.process_time() - before_s) / (time.monotonic() - start_s)
         blocking.cancel()
-        counts = replace(station.link.counts)
+        counts = replace(station.receiver.link.counts)
         theirs = bridge.counts()
         station.stop()
         await running

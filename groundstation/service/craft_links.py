@@ -1,0 +1,191 @@
+"""Which craft is heard and which is commanded: the telemetry link, the command link, and whether
+both lead to the same one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import msgspec
+
+from groundstation.clock import HostClock
+from groundstation.errors import BadInputError, TakenError
+from groundstation.links.base import Link
+from groundstation.links.command import CommandLink
+from groundstation.links.factory import (
+    CRAFT,
+    is_stand_in,
+    make_command_link,
+    make_link,
+    serve_commands,
+)
+from groundstation.service.commander import Commander
+from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
+from groundstation.service.journal import Journal
+from groundstation.service.receiver import Receiver
+
+
+def telemetry_link(
+    config: Config, name: str, journal: Journal, clock: HostClock, *, port: str, model: str = ""
+) -> Link:
+    """A link as configured, that tells the journal. port: where a stand-in takes commands. model:
+    file of the model that ``stand-in:MODEL`` names. Raises BadInputError."""
+    link = make_link(
+        name,
+        speed=link_speed(config.link.speed),
+        stand_in=config.stand_in,
+        model=model,
+        command=port,
+        usb=msgspec.to_builtins(config.usb),
+        rate_hz=config.radio.rate_hz,
+        wanted=[name.strip() for name in config.radio.log.split(",") if name.strip()],
+        clock=clock,
+    )
+    link.on_event = journal.take
+    return link
+
+
+def command_link(config: Config, telemetry: Link, clock: HostClock) -> CommandLink | None:
+    """The configured one, or that of a craft that is commanded where its telemetry comes from."""
+    own = telemetry.commands
+    if config.command and (own is None or config.command != own.uri):
+        return make_command_link(config.command, clock=clock)
+    return own
+
+
+class CraftLinks:
+    """The links of the moment, and what an operator can choose instead.
+
+    on_entry: given what is sent to the craft, for the recording.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        journal: Journal,
+        clock: HostClock,
+        receiver: Receiver,
+        commander: Commander,
+        *,
+        on_entry: Callable[[dict[str, Any]], None],
+    ) -> None:
+        self.metadata = {"profile": config.vehicle or DEFAULT_VEHICLE}
+        """What recordings say of the vehicle, kept true."""
+        self._config, self._journal, self._clock = config, journal, clock
+        self._receiver, self._commander = receiver, commander
+        self._on_entry = on_entry
+        self._port = config.command  # at which a stand-in takes commands
+        self._switching = False
+        self.command_uri = ""
+        if commander.link is not None:
+            self._listen(commander.link)
+
+    @property
+    def vehicle(self) -> str:
+        """The profile that recordings name."""
+        return self.metadata["profile"]
+
+    async def switch(self, name: str, model: str = "") -> None:
+        """Receive from another link, the recording going on. Where it cannot be opened the
+        present one stays: LinkError or BadInputError; TakenError while a client commands.
+
+        model: file of the model that ``stand-in:MODEL`` names."""
+        self._require_free()
+        if self._switching:
+            raise TakenError("the link is being switched already")
+        self._switching = True
+        try:
+            link = telemetry_link(
+                self._config, name, self._journal, self._clock, port=self._port, model=model
+            )
+            before = self._receiver.link
+            async with _port_of(before, link):
+                await self._receiver.switch(link)
+            if is_stand_in(before.name):  # the craft that took commands is gone
+                await self._commander.disconnect()
+        finally:
+            self._switching = False
+        self.tell()
+
+    async def connect_command(self, uri: str) -> None:
+        """Command the craft at ``uri`` from now on; it is connected as soon as it answers. A
+        stand-in that is flown answers there. Raises BadInputError, TakenError."""
+        if not uri.startswith(CRAFT):
+            raise BadInputError(f"command link {uri!r}: give {' or '.join(CRAFT)}...")
+        self._require_free()
+        telemetry = self._receiver.link
+        own = telemetry.commands
+        if own is None or own.uri != uri:
+            own = make_command_link(uri, clock=self._clock)
+        await serve_commands(telemetry, uri)
+        await self._commander.replace(own)
+        self._listen(own)
+        self._port = uri
+        self.tell_no_craft()
+
+    def tell(self) -> None:
+        """Of a link that was just opened."""
+        self.tell_no_craft()
+        self._tell_vehicle()
+
+    def tell_no_craft(self) -> None:
+        """Of a command link that is not used with this telemetry, before somebody wonders."""
+        if self.command_uri and (reason := self.no_craft()):
+            self._journal.note("waiting", f"not connected: {reason}", source=self.command_uri)
+
+    def no_craft(self) -> str:
+        """Why nothing that could be commanded is behind the telemetry, or empty."""
+        link = self._receiver.link
+        if self._switching:
+            return "the link is being switched"
+        if link.finite:
+            return f"{link.name} is a recording"
+        if is_stand_in(link.name) and not self.command_uri.startswith("udp://"):
+            # who watches a simulated flight must not fly a real craft
+            return f"the telemetry is the stand-in's, and {self.command_uri} is another craft"
+        return ""
+
+    def flies_by_dongle(self) -> bool:
+        """Whether a dongle or cable is in use, so that nobody else may look for craft with it."""
+        command = self._commander.link
+        uris = self._receiver.link.name, "" if command is None else command.uri
+        return any(uri.startswith(("radio://", "usb://")) for uri in uris)
+
+    def _tell_vehicle(self) -> None:
+        """What the craft says it is goes into the recordings, unless the configuration says."""
+        link = self._receiver.link
+        said, configured = link.vehicle, self._config.vehicle
+        self.metadata["profile"] = configured or said or DEFAULT_VEHICLE
+        if said and configured and said != configured:
+            self._journal.note(
+                "vehicle",
+                f"the craft says it is a {said}; recordings say {configured}, as configured",
+                source=link.name,
+            )
+
+    def _listen(self, command: CommandLink) -> None:
+        command.on_event = self._journal.take
+        command.on_entry = self._on_entry
+        self.command_uri = command.uri
+
+    def _require_free(self) -> None:
+        client = self._commander.client
+        if client is not None:
+            raise TakenError(f"{client} is commanding; it must release first")
+
+
+@contextlib.asynccontextmanager
+async def _port_of(before: Link, link: Link) -> AsyncIterator[None]:
+    """One stand-in after the other answers commands at the same port."""
+    from groundstation.links.stand_in import StandInLink
+
+    if not (isinstance(before, StandInLink) and isinstance(link, StandInLink)):
+        yield
+        return
+    await before.serve_no_more()
+    try:
+        yield
+    except BaseException:
+        await before.serve()
+        raise

@@ -1,0 +1,71 @@
+"""What happened: events of links, clients and the daemon itself, kept, logged and handed on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import structlog
+
+from groundstation.clock import HostClock
+from groundstation.links.base import LinkEvent
+from groundstation.service.twin import BEGAN
+from groundstation.text import printable
+
+EVENTS_KEPT = 1000
+_WARNINGS = frozenset(
+    {
+        "fault",
+        "lost",
+        "loss",
+        "silent",
+        "waiting",
+        "restart",
+        "damage",
+        "dead man",
+        "stop",
+        "deleted",
+        BEGAN,
+    }
+)
+
+
+class Journal:
+    """The daemon's events.
+
+    clock: stamps events of the daemon itself. is_repetition: whether an event of (source, kind) is
+    no news. listeners: handed every other event.
+    """
+
+    def __init__(self, clock: HostClock, is_repetition: Callable[[str, str], bool]) -> None:
+        self.events: deque[LinkEvent] = deque(maxlen=EVENTS_KEPT)
+        self.damaged = False
+        """Whether the source had parts that could not be read."""
+        self.faults = 0
+        """Faults of the program itself, each survived and told as an event."""
+        self.listeners: list[Callable[[LinkEvent], None]] = []
+        self._clock = clock
+        self._is_repetition = is_repetition
+        self._log = structlog.get_logger("groundstation")
+
+    def note(self, kind: str, text: str, *, source: str) -> None:
+        """An event of the daemon itself."""
+        self.take(LinkEvent(self._clock(), source, kind, text))
+
+    def fault(self, text: str, *, source: str) -> None:
+        """A fault of the program that it survives: counted and told."""
+        self.faults += 1
+        self.note("fault", text, source=source)
+
+    def take(self, event: LinkEvent) -> None:
+        """Keep and log an event, and hand it on."""
+        event = replace(event, link=printable(event.link), text=printable(event.text))
+        if self._is_repetition(event.link, event.kind):
+            return
+        self.events.append(event)
+        self.damaged |= event.kind == "damage"
+        level = self._log.warning if event.kind in _WARNINGS else self._log.info
+        level(event.text, source=event.link, kind=event.kind)
+        for listener in self.listeners:
+            listener(event)
