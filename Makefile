@@ -56,7 +56,7 @@ bench-discrepancy: $(VENV)/.ready-dev
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@echo "once: an environment of its own in $(VENV)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "once: groundstation and its libraries (a minute or two)"
+	@echo "once: groundstation and its libraries (about a minute)"
 	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
