@@ -21,10 +21,11 @@ from groundstation.dynamics.quaternion import of_angles, to_body, to_inertial
 
 @spliced
 def _law_slope(context: Any, half: int, y: Any, dy: Any) -> None:
-    address, values, given, x, size, numbers = context
+    address, values, given, x, size, passed = context
+    numbers = len(passed)
     for i in range(len(y)):
         given[size + i] = y[i]
-    x[:] = 0.0
+    x[:numbers] = passed
     call_law(address, values, given, x)
     for i in range(len(y)):
         dy[i] = x[numbers + i]
@@ -56,8 +57,10 @@ def run_law(
     y, before, dy = initial.copy(), initial.copy(), np.zeros(states)
     base, total = np.zeros(states), np.zeros(states)
     given[: len(craft)] = craft
-    context = (address, values, given, x, size, numbers)
+    passed = np.zeros(numbers)
+    context = (address, values, given, x, size, passed)
     for k in range(len(rows)):
+        passed[:] = out[k]
         given[len(craft) : size] = rows[k]
         if states > 0 and k > 0:
             before[:] = y
@@ -65,7 +68,7 @@ def run_law(
                 _law_step(context, period / substeps, states, y, dy, base, total)
         for i in range(states):
             given[size + i] = 0.5 * (before[i] + y[i]) if mean else y[i]
-        x[:numbers] = out[k]
+        x[:numbers] = passed
         call_law(address, values, given, x)
         out[k] = x[:numbers]
 

@@ -80,14 +80,20 @@ def _place(one: Acting) -> tuple[int, str]:
 def _row_by_row(
     one: Acting, given: tuple[Any, ...], period_s: float = 0.0, mean: bool = False
 ) -> Any:
-    """A law of rotors, body or sensors as compiled code."""
+    """A law of rotors, body or sensors as compiled code.
+
+    One of the body that acts after others (``order``) is passed what they have made of the craft,
+    as the chain of a flight passes it on, and what it adds is the difference.
+    """
     from groundstation.dynamics.chains import own_address
     from groundstation.identification.likelihood.kernels import run_law
 
     effect, (craft, body, *passed) = one.effect, given
     count = len(body.height)
     rows = _columns(tuple(getattr(body, field) for field in Body._fields), count)
-    x = _columns(passed[0], count) if passed else np.zeros((count, 6))
+    late = effect.stage == "body" and effect.order > 0
+    before = (body.angular, body.force) if late else (0.0,) * 6
+    x = _columns(passed[0] if passed else before, count)
     values = np.zeros(VALUE_SLOTS)
     values[: len(one.values)] = one.values
     fastest = 0.0 if effect.fastest is None else effect.fastest(one.named)
@@ -102,6 +108,8 @@ def _row_by_row(
         mean,
         x,
     )
+    if late:
+        x -= _columns(before, count)
     found = tuple(np.ascontiguousarray(x.T))
     if effect.stage == "sensor":
         return Reading(found[:3], found[3:6], found[6:])

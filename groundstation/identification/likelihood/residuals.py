@@ -407,6 +407,11 @@ class _Evaluation:
         self._put_change(out, above, below, step)
 
     def _body_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
+        ends_of = (*high.values(), *low.values())
+        if any(one is not None and one.effect.order > 0 for one in ends_of):
+            # Its law reads what the effects before it add, which the rows' sum is not.
+            self._put_change(out, self._bodies(high), self._bodies(low), step)
+            return
         ends = []
         for moved in (high, low):
             bodies = []

@@ -111,6 +111,38 @@ def test_states_run_along_the_rows():
     np.testing.assert_allclose(mean[1:], 0.5 * (ends[1:] + ends[:-1]), atol=1e-6)
 
 
+def heavier(values, craft, body):
+    """As ``mass_change``, with a branch that no array can follow."""
+    share = values[0] if body.height > 0.0 else 0.0
+    x, y, z = body.force
+    return (0.0, 0.0, 0.0), (-share * x, -share * y, -share * z)
+
+
+def sloshing(values, craft, body, state):
+    """A load that follows the force on the craft, and holds back a share of it."""
+    share, lag = values
+    _, _, z = body.force
+    return (0.0, 0.0, 0.0), (0.0, 0.0, -share * state[0]), ((z - state[0]) / lag,)
+
+
+def test_a_law_that_acts_late_reads_what_the_others_made_of_the_craft():
+    body = rows()
+    angular, force = Acting(effect_of(heavier, order=9), (0.1, 0.05)).law(CRAFT, body)
+    np.testing.assert_allclose(force, -0.1 * np.array(body.force) * (body.height > 0.0), atol=1e-12)
+    assert not np.abs(angular).any()
+
+
+def test_so_do_its_states():
+    body, lag = rows(), 0.05
+    states = {"states": (State("load"),), "fastest": lambda values: 1.0 / values["b"]}
+    one = Acting(effect_of(sloshing, order=9, **states), (0.1, lag))
+    keep = np.exp(-PERIOD / lag)
+    pulled = np.concatenate([[0.0], body.force[2][1:]])
+    expected = -0.1 * lfilter([1.0 - keep], [1.0, -keep], pulled)
+    _, (_, _, found) = one.body_law(CRAFT, body, PERIOD, mean=False)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 SENSORS = {
     "gyro_low_pass": (30.0,),
     "imu_misalignment": (3.0, -5.0, 8.0),
