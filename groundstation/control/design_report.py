@@ -31,7 +31,7 @@ from groundstation.control.firmwares import Release
 from groundstation.control.linear_loop import DirectJudge, direct_loop
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.margins import Margins
-from groundstation.control.pid import PidGains
+from groundstation.control.pid import PidGains, gain_unit
 from groundstation.control.report import (
     BROKEN_AT,
     DEFINITIONS,
@@ -56,6 +56,12 @@ Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
 DIRECT = ("kp", "ki", "kd")
+PURPOSES = (
+    ("kp", "holds the unstable pole and sets how fast the angle follows"),
+    ("ki", "removes the steady-state error"),
+    ("kd", "damps; the delay limits it"),
+)
+GAINS_HEAD = ("gain", "value", "unit", "meaning")
 SEEN, SEEN_PCT = 1.05, 1.0
 """Ratio of settling times, and points of overshoot, from which drawn models differ to the eye."""
 
@@ -184,7 +190,7 @@ def firmware_page(
     add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
     page.heading("Gains and reasons")
     page.table(
-        ("gain", "value", "unit", "meaning"),
+        GAINS_HEAD,
         [(name, value, *gain_meaning(name)) for name, value in gains.items()],
     )
     page.bullets([line for e in report["axes"].values() for line in e["reasons"]])
@@ -213,6 +219,7 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     add_loop_figures(page, loops, BROKEN_AT["direct"], report["max_sensitivity"])
     for axis, (_, design, _, plant) in found.items():
         page.heading(f"{axis}, {plant.nk} samples of delay")
+        page.table(GAINS_HEAD, gain_rows(report["axes"][axis]["gains"], "direct", dict(PURPOSES)))
         page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])
         page.figure(
             front_figure(axis, design, printed=_printed(axis) if report["printed"] else ()),
@@ -220,6 +227,13 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
         )
     page.bullets(report["notes"])
     return page
+
+
+def gain_rows(
+    gains: Mapping[str, float], loop: str, purposes: Mapping[str, str]
+) -> list[list[Any]]:
+    """Rows under ``GAINS_HEAD`` for the PID of a ``direct`` or ``whole`` loop."""
+    return [[name, value, gain_unit(name, loop), purposes[name]] for name, value in gains.items()]
 
 
 DESIGN_HEAD = (
@@ -281,14 +295,9 @@ def axis_entry(
 def _reasons(gains: PidGains, plant: ArxAxis, limits: Limits) -> list[str]:
     """One line a gain: what it is for, and what a quarter more or a fifth less would do."""
     judge = DirectJudge([plant], 2.0)
-    purposes = (
-        ("kp", "holds the unstable pole and sets how fast the angle follows"),
-        ("ki", "removes the steady-state error"),
-        ("kd", "damps; the delay limits it"),
-    )
     values = np.array(gains.as_tuple())
     lines = []
-    for index, (name, purpose) in enumerate(purposes):
+    for index, (name, purpose) in enumerate(PURPOSES):
         rows = np.array([values, values, values])
         rows[1, index] *= 1.25
         rows[2, index] *= 0.8

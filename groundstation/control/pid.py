@@ -49,6 +49,15 @@ class PidGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.kp, self.ki, self.kd
 
 
+_OUTPUT = {"direct": "(rev/s)²", "whole": "PWM counts"}
+_PER = {"kp": "rad", "ki": "rad s", "kd": "rad/s"}
+
+
+def gain_unit(name: str, loop: str) -> str:
+    """Of ``kp``, ``ki`` or ``kd`` on the ``direct`` or the ``whole`` loop."""
+    return f"{_OUTPUT[loop]} per {_PER[name]}"
+
+
 def require_finite(gains: PidGains, where: str) -> None:
     """Raises BadInputError for a gain that is no finite number."""
     for name, value in zip(("kp", "ki", "kd"), gains.as_tuple(), strict=True):

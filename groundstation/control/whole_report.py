@@ -11,8 +11,10 @@ from groundstation.control.design import Limits
 from groundstation.control.design_report import (
     DESIGN_HEAD,
     DIRECT,
+    GAINS_HEAD,
     axis_entry,
     design_row,
+    gain_rows,
     limits_line,
     outcome,
 )
@@ -86,6 +88,7 @@ def whole_page(
     for one in designs:
         page.heading(one.axis)
         entry = report["axes"][one.axis]
+        page.table(GAINS_HEAD, gain_rows(entry["gains"], "whole", dict(PURPOSES)))
         page.bullets([*entry["reasons"], *entry["notes"]])
         page.figure(
             front_figure(one.axis, one.design, one.nominal),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from groundstation.dynamics.model import ArxAxis
 from groundstation.dynamics.registry import EFFECTS
 
 _CONSTANTS = {
@@ -28,3 +29,16 @@ def meaning_of(name: str) -> tuple[str, str]:
         if one.unknown is not None and key == one.unknown.name:
             return one.unknown.unit, EFFECTS[effect].adds
     return "", EFFECTS[effect].adds
+
+
+def arx_meaning(name: str, axis: ArxAxis, *, rates: bool) -> tuple[str, str]:
+    """(unit, meaning) of a coefficient ``a1``... or ``b1``... of one axis's polynomials.
+
+    rates: they give a body rate (``arx.of_rates``) and not an angle.
+    """
+    output, unit = ("rate", "rad/s") if rates else ("angle", "rad")
+    order = int(name[1:])
+    if name[0] == "a":
+        return "1", f"{output} {1e3 * axis.ts * order:g} ms before, taken off"
+    before_s = axis.ts * (axis.nk + order - 1)
+    return f"{unit} per (rev/s)²", f"{output} by u' {1e3 * before_s:g} ms before"

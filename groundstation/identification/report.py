@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from groundstation.dynamics.meanings import meaning_of
+from groundstation.dynamics.meanings import arx_meaning, meaning_of
 from groundstation.dynamics.model import Model
 from groundstation.identification.arx.residual_tests import CorrelationTest
 from groundstation.identification.estimate import Estimates
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PERCENT = 1e4
+Meaning = Callable[[str], tuple[str, str]]
 TITLES = {"motor": "Motor", "body": "Body", "arx": "ARX models"}
 
 
@@ -53,7 +54,12 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         page.bullets(account["findings"])
     for title, estimates in evidence.estimates.items():
         page.heading("Parameters" if len(evidence.estimates) == 1 else f"Parameters: {title}")
-        _parameters(page, estimates, account)
+        meaning = (
+            _arx_meaning(model, title, account["channel"])
+            if account["what"] == "arx"
+            else meaning_of
+        )
+        _parameters(page, estimates, account, meaning)
     if "groups" in account:
         _groups(page, account["groups"])
     page.heading("Measured and modelled")
@@ -123,7 +129,16 @@ def _verdict(account: dict[str, Any], evidence: Evidence) -> tuple[str, str]:
     return text, "bad" if failed or shares[worst] > 5 else "good"
 
 
-def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> None:
+def _arx_meaning(model: Model, title: str, channel: str) -> Meaning:
+    """Of the coefficients of the axis that a title begins with."""
+    polynomial = (model.arx or {})[title.partition(" ")[0]]
+    return lambda name: arx_meaning(name, polynomial, rates=channel == "gyro")
+
+
+def _parameters(
+    page: Page, estimates: Estimates, account: dict[str, Any], meaning_in_words: Meaning
+) -> None:
+    """meaning_in_words: (unit, meaning) of a name."""
     expected = dict(
         zip(
             account.get("excitation", {}).get("names", ()),
@@ -135,7 +150,7 @@ def _parameters(page: Page, estimates: Estimates, account: dict[str, Any]) -> No
     rows = []
     for i, name in enumerate(estimates.names):
         value, error = float(estimates.values[i]), float(estimates.stderr[i])
-        unit, meaning = meaning_of(name)
+        unit, meaning = meaning_in_words(name)
         rows.append(
             [
                 name,

@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from groundstation.dynamics.meanings import meaning_of
+from groundstation.dynamics.arx import of_rates
+from groundstation.dynamics.meanings import arx_meaning, meaning_of
 from groundstation.dynamics.model import BodyConstants, Model, load_model
 from groundstation.dynamics.origin import origin_notes, origin_of
 from groundstation.dynamics.vehicle import MotorConstants
@@ -121,13 +122,22 @@ def _parameters(model: Model) -> Iterator[ModelParameter]:
             name = f"{part}.{key}"
             unit, meaning = meaning_of(name)
             origin = model.origin.get(name, origins[part])
-            stderr = _stderr(model, part, key, value) if origin == "fitted" else None
+            stderr = _constant_stderr(model, part, key, value) if origin == "fitted" else None
             yield _parameter(name, value, unit, stderr, origin, meaning)
+    for axis, one in (model.arx or {}).items():
+        account = _mapping(_mapping(model.fit.get("arx"), "axes"), axis)
+        for letter, values in (("a", one.a), ("b", one.b)):
+            for order, value in enumerate(values, 1):
+                key = f"{letter}{order}"
+                stderr = _stderr(account, key, value) if origins["arx"] == "fitted" else None
+                unit, meaning = arx_meaning(key, one, rates=of_rates(model))
+                yield _parameter(f"arx.{axis}.{key}", value, unit, stderr, origins["arx"], meaning)
     for term in model.effects:
-        for key, one in term.parameters.items():
-            origin = "given" if one.stderr is None else "fitted"
+        for key, found in term.parameters.items():
+            origin = "given" if found.stderr is None else "fitted"
             name = f"{term.name}.{key}"
-            yield _parameter(name, one.value, one.unit, one.stderr, origin, meaning_of(name)[1])
+            meaning = meaning_of(name)[1]
+            yield _parameter(name, found.value, found.unit, found.stderr, origin, meaning)
 
 
 def _parameter(
@@ -146,20 +156,29 @@ def _parameter(
     )
 
 
-def _stderr(model: Model, part: str, key: str, value: float) -> float | None:
+def _constant_stderr(model: Model, part: str, key: str, value: float) -> float | None:
     """Of a constant, from the account that its value comes from; None where none is."""
     for change in _rows(model.fit.get("discrepancy"), "base_changes"):
         if change.get("name") == key and _same(change.get("to"), value):
             found = change.get("stderr")
             return float(found) if isinstance(found, int | float) else None
-    account = model.fit.get(part)
-    estimates = account.get("estimates") if isinstance(account, Mapping) else None
-    if isinstance(estimates, Mapping):
-        columns = (estimates.get(name) or () for name in ("names", "values", "stderr"))
-        for name, estimated, stderr in zip(*columns, strict=False):
-            if name == key and _same(estimated, value):
-                return float(stderr)
+    return _stderr(model.fit.get(part), key, value)
+
+
+def _stderr(account: Any, key: str, value: float) -> float | None:
+    """Of a number that a fit's account has estimated; None where it speaks of another value."""
+    estimates = _mapping(account, "estimates")
+    columns = (estimates.get(name) or () for name in ("names", "values", "stderr"))
+    for name, estimated, stderr in zip(*columns, strict=False):
+        if name == key and _same(estimated, value):
+            return float(stderr)
     return None
+
+
+def _mapping(account: Any, name: str) -> Mapping[str, Any]:
+    """A part of an account, empty where it is not there or something else."""
+    part = account.get(name) if isinstance(account, Mapping) else None
+    return part if isinstance(part, Mapping) else {}
 
 
 def _same(one: Any, other: float) -> bool:

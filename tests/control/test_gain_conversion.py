@@ -9,7 +9,7 @@ from groundstation.control.firmware_loop import loop_response
 from groundstation.control.firmwares import RELEASE_2014
 from groundstation.control.gain_conversion import convert_gains
 from groundstation.control.linear_loop import axis_plant, direct_loop
-from groundstation.control.pid import PidGains
+from groundstation.control.pid import PidGains, gain_unit
 from groundstation.control.plant import plant_of_model
 from groundstation.control.thesis_loop import Body, whole_loop
 from groundstation.dynamics.model import load_model
@@ -26,6 +26,17 @@ def at(loop, omega=OMEGA):
         np.interp(omega, loop.omega, part) for part in (loop.loop.real, loop.loop.imag)
     )
     return real + 1j * imaginary
+
+
+@pytest.mark.parametrize(
+    ("loop", "units"),
+    [
+        ("direct", ["(rev/s)² per rad", "(rev/s)² per rad s", "(rev/s)² per rad/s"]),
+        ("whole", ["PWM counts per rad", "PWM counts per rad s", "PWM counts per rad/s"]),
+    ],
+)
+def test_a_gain_has_the_unit_of_its_loops_output(loop, units):
+    assert [gain_unit(name, loop) for name in ("kp", "ki", "kd")] == units
 
 
 @pytest.mark.parametrize("axis", ["roll", "pitch", "yaw"])

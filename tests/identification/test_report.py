@@ -69,6 +69,16 @@ def test_every_parameter_stands_there_with_its_interval(pages, kind):
             assert f">{number:.4g}<" in row
 
 
+def test_arx_coefficients_have_units_and_not_the_motors_meanings(pages):
+    found, text = pages["arx"]  # of rates, a row in 8 ms
+    roll = found.model.arx["roll"]
+    table = text[text.index("Parameters: roll") :]
+    first_b = re.search(r"<tr><td>b1</td>(.*?)</tr>", table).group(1)
+    assert "rad/s per (rev/s)²" in first_b
+    assert f"rate by u&#x27; {8 * roll.nk} ms before" in first_b
+    assert "slowing down of a motor" not in text
+
+
 def test_the_verdict_speaks_of_the_least_certain_constant(pages):
     found, text = pages["body"]
     estimates = found.evidence.estimates["body"]

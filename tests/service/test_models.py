@@ -66,6 +66,8 @@ def test_models_are_listed_with_what_is_known_of_their_numbers(talk):
     assert (c0["low"], c0["high"]) == pytest.approx((C0 - 1.96 * STDERR, C0 + 1.96 * STDERR))
     assert c2["low"] is None  # the account speaks of another value
     assert (a0["low"], a0["origin"]) == (None, "profile")
+    b1 = numbers["arx.roll.b1"]
+    assert (b1["unit"], b1["low"]) == ("rad per (rev/s)²", None)  # printed by the thesis
     delay = numbers["dead_time.delay_s"]
     assert (delay["low"], delay["high"]) == pytest.approx((0.003608, 0.004392))
     assert all(one["unit"] and one["meaning"] for one in numbers.values())
