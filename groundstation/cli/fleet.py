@@ -221,10 +221,11 @@ def report(
     from dataclasses import asdict
 
     from groundstation.fleet.before_after import parse_date, shifts
+    from groundstation.fleet.certainty import PERCENT, expectations
     from groundstation.fleet.findings import findings_of
     from groundstation.fleet.fit import fits_table
     from groundstation.fleet.flight_fit import VALUES
-    from groundstation.fleet.index import recordings_of
+    from groundstation.fleet.index import recordings_of, usable, warn_of_older
     from groundstation.fleet.report_sections import to_fly
     from groundstation.fleet.search import effects_table
     from groundstation.fleet.twin import twin_table
@@ -232,17 +233,20 @@ def report(
     for new in filter(None, (html, rerun)):
         require_new(new)
     date = None if compare_before is None else parse_date(compare_before)
-    recordings = recordings_of(catalogue, ("craft", "begun", "state", "reason"))
+    columns = ("craft", "begun", "state", "reason", "reader", *PERCENT.values())
+    recordings = recordings_of(catalogue, columns)
+    warn_of_older(recordings, catalogue)
     fits = fits_table(catalogue).rows(VALUES)
     fleet = findings_of(recordings, fits)
     effects, watched = effects_table(catalogue).rows(), twin_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)
-    needed = to_fly(fleet, effects)
+    expected = expectations(usable(recordings))
+    needed = to_fly(fleet, effects, expected)
     if html is not None:
         from groundstation.fleet.report import More
         from groundstation.fleet.report import report as page
 
-        more = More(effects, watched, needed, compare_before, since)
+        more = More(effects, watched, expected, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
     if rerun is not None:
         from groundstation.fleet.rrd import write_rrd
@@ -251,7 +255,9 @@ def report(
     if as_json:
         known = {"effects": list(effects.values()), "twin": list(watched.values())}
         compared = None if date is None else [asdict(one) for one in since]
-        show_json({**fleet.as_dict(), **known, "to_fly": needed, "since": compared})
+        told = {craft: asdict(one) for craft, one in expected.items()}
+        next_ones = {"expected": told, "to_fly": needed, "since": compared}
+        show_json({**fleet.as_dict(), **known, **next_ones})
         return
     crafts = {one.craft for one in fleet.series}
     show(f"{catalogue}: {len(crafts)} crafts, {len(recordings)} recordings, {fleet.tests} tests")

@@ -193,6 +193,9 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
         "distributed.scheduler.allowed-failures": DEATHS - 1,
         "distributed.admin.log-format": "%(message)s",
         "distributed.logging": {"distributed": "critical"},
+        # Dask has a worker give memory back at once, so that each array of a recording's rows is
+        # mapped and faulted in anew: as much time again as the work.
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
     }
     with dask.config.set(settings):
         if scheduler is not None:

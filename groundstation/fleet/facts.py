@@ -15,16 +15,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.fleet.certainty import COLUMNS as EXPECTED
+from groundstation.fleet.certainty import expected
 from groundstation.fleet.parts import Row
 from groundstation.paths import digest
 
 if TYPE_CHECKING:
+    from groundstation.identification.runs import Run
     from groundstation.recording.session import Recording
 
 COLUMNS = {
     "address": "text",
     "bytes": "count",
     "stamp": "text",
+    "reader": "count",
     "sha256": "text",
     "craft": "text",
     "vehicle": "text",
@@ -38,14 +42,15 @@ COLUMNS = {
     "battery_first_v": "number",
     "battery_last_v": "number",
     "channels": "texts",
-    "roll_rate_rms_dps": "number",
-    "pitch_rate_rms_dps": "number",
-    "yaw_rate_rms_dps": "number",
+    **EXPECTED,
     "state": "text",
     "reason": "text",
 }
-"""Of the catalogue's table ``recordings``. stamp: what changes when the file does; state: good,
-usable, bad or damaged; reason: the verdict's, or why it could not be read. begun: UTC, ISO 8601."""
+"""Of the catalogue's table ``recordings``. stamp: what changes when the file does; reader: the
+``READER`` that read it; state: good, usable, bad or damaged; reason: the verdict's, or why it could
+not be read. begun: UTC, ISO 8601."""
+READER = 2
+"""Counts up when a row comes to hold more than it did: rows of older readers are read again."""
 KEY = "address"
 
 DATED = re.compile(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)")
@@ -58,7 +63,7 @@ LEAST_AIR_S = 4.0
 def facts_of(address: str) -> Row:
     """A row of the catalogue. Never raises for what a file holds: that is its ``reason``."""
     row: Row = dict.fromkeys(COLUMNS)
-    row["address"] = address
+    row |= {"address": address, "reader": READER}
     try:
         row["stamp"] = stamp_of(address)
         with fetched(address) as path:
@@ -121,8 +126,7 @@ def _described(path: Path, address: str) -> Row:
     metadata = recording.metadata
     grade, _, reason = str(report["verdict"]).partition(": ")
     battery = samples.battery_v[np.isfinite(samples.battery_v)]
-    rates = np.degrees(samples.gyro[np.isfinite(samples.gyro).all(axis=1)])
-    spread = rates.std(axis=0).tolist() if len(rates) else [None] * 3
+    flights = _flights(recording)
     return {
         "craft": _craft(metadata, address),
         "vehicle": metadata.get("vehicle", {}).get("profile"),
@@ -130,16 +134,13 @@ def _described(path: Path, address: str) -> Row:
         "link": recording.link,
         "begun": _begun(recording, address, path),
         "duration_s": float(report["duration_s"]),
-        "airborne_s": _airborne_s(recording),
+        "airborne_s": _airborne_s(flights),
         "rate_hz": float(report["rate_hz"]),
         "lost": int(report["lost_samples"]),
         "battery_first_v": float(battery[0]) if len(battery) else None,
         "battery_last_v": float(battery[-1]) if len(battery) else None,
         "channels": sorted(set(report["ranges"]) - set(report["missing"])),
-        **{
-            f"{axis}_rate_rms_dps": value
-            for axis, value in zip(("roll", "pitch", "yaw"), spread, strict=True)
-        },
+        **(expected(recording, flights) if flights else {"not_expected": "nothing was flown"}),
         "state": grade.split(",")[0],
         "reason": reason,
     }
@@ -169,13 +170,17 @@ def _begun(recording: Recording, address: str, path: Path) -> str:
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
 
 
-def _airborne_s(recording: Recording) -> float:
-    """Seconds in the air, of stretches that are long enough for a fit."""
-    from groundstation.identification.airborne import airborne
+def _flights(recording: Recording) -> list[Run]:
+    """Stretches that are long enough for a fit."""
     from groundstation.identification.recordings import bridged
 
     try:
-        runs = bridged(recording.samples, recording.path.name, LEAST_AIR_S)
+        return bridged(recording.samples, recording.path.name, LEAST_AIR_S)
     except BadInputError:
-        return 0.0
-    return float(sum(airborne(run).sum() * run.period_s for run in runs))
+        return []
+
+
+def _airborne_s(flights: list[Run]) -> float:
+    from groundstation.identification.airborne import airborne
+
+    return float(sum(airborne(run).sum() * run.period_s for run in flights))

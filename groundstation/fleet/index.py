@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from groundstation.errors import BadInputError
-from groundstation.fleet.facts import COLUMNS, KEY, facts_of, stamp_of
+from groundstation.fleet.facts import COLUMNS, KEY, READER, facts_of, stamp_of
 from groundstation.fleet.gather import gathered
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
@@ -49,6 +51,17 @@ def recordings_of(catalogue: Path, columns: Sequence[str] | None = None) -> list
             f" {catalogue}"
         )
     return list(rows.values())
+
+
+def warn_of_older(rows: Iterable[Row], catalogue: Path) -> None:
+    """Tell of rows that say less than those of today. rows: with their ``reader``."""
+    older = sum(row["reader"] != READER for row in rows)
+    if older:
+        warnings.warn(
+            f"{catalogue}: {older} recordings were indexed by an older version, which did not say"
+            " how well they tell the constants; run fleet index again",
+            stacklevel=2,
+        )
 
 
 def usable(rows: Iterable[Row]) -> list[Row]:
@@ -136,7 +149,7 @@ def index(
     Rows of other sources stay. A file that is gone loses its row.
     """
     table = recordings_table(catalogue)
-    known = table.rows(["stamp"])
+    known = table.rows(["stamp", "reader"])
     addresses = addresses_of(sources)
     changed = [one for one in addresses if one not in known or _changed(known[one])]
     rows = gathered(
@@ -148,27 +161,44 @@ def index(
         progress=progress,
     )
     damaged = sum(row["state"] == "damaged" for row in rows)
-    gone = {one for one in known.keys() - set(addresses) if not _there(one)}
+    listed = tuple(filter(None, map(_remote_folder, sources)))
+    gone = {one for one in known.keys() - set(addresses) if _gone(one, listed)}
     table.compact(sorted((known.keys() | set(addresses)) - gone))
     return Indexed(len(changed), len(addresses) - len(changed), damaged, len(gone))
 
 
 def _changed(row: Row) -> bool:
+    if row["reader"] != READER:
+        return True
     try:
         return bool(stamp_of(row[KEY]) != row["stamp"])
     except (OSError, ImportError):
         return True
 
 
-def _there(address: str) -> bool:
-    return "://" in address or os.path.exists(address)
+def _gone(address: str, listed: tuple[str, ...]) -> bool:
+    """Whether a recording that no source holds any more is no longer there. listed: remote folders
+    that were just looked through; what lies elsewhere is not asked for one by one."""
+    return address.startswith(listed) if "://" in address else not os.path.exists(address)
+
+
+def _remote_folder(source: str) -> str | None:
+    if "://" not in source or "*" in source:
+        return None
+    import fsspec
+
+    system, path = fsspec.core.url_to_fs(source)
+    return str(system.unstrip_protocol(path)).rstrip("/") + "/"
 
 
 def _deadly(address: str) -> Row:
     """The row of a recording that every process dies of."""
     row: Row = dict.fromkeys(COLUMNS)
+    with suppress(OSError, ImportError):  # until it changes it is not read again
+        row["stamp"] = stamp_of(address)
     return row | {
         KEY: address,
+        "reader": READER,
         "state": "damaged",
         "reason": "the process that reads it dies, again and again; it is set aside",
     }

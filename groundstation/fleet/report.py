@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.fleet.before_after import Shift
+from groundstation.fleet.certainty import Expectation
 from groundstation.fleet.findings import FALSE_SHARE, Finding, Fleet, Series, scale, told
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.index import UNFIT
@@ -16,6 +17,7 @@ from groundstation.fleet.parts import Row
 from groundstation.fleet.report_sections import (
     LISTED,
     add_effects,
+    add_expected,
     add_shifts,
     add_to_fly,
     add_twin,
@@ -35,11 +37,12 @@ CLEAR_Z = 4.0
 
 @dataclass(frozen=True, slots=True)
 class More:
-    """What else a catalogue may hold: tables ``effects`` and ``twin``, shifts since ``date``, and
-    what to fly next."""
+    """What else a catalogue may hold: tables ``effects`` and ``twin``, what crafts' flights may be
+    expected to tell, what to fly next, and shifts since ``date``."""
 
     effects: Mapping[str, Row]
     watched: Mapping[str, Row]
+    expected: Mapping[str, Expectation]
     to_fly: Mapping[str, Sequence[str]]
     date: str | None = None
     shifts: Sequence[Shift] = ()
@@ -71,6 +74,7 @@ def report(
     add_effects(page, more.effects)
     add_twin(page, more.watched, {one["address"]: one["craft"] for one in recordings})
     add_to_fly(page, more.to_fly)
+    add_expected(page, more.expected, fleet)
     if fleet.populations:
         page.heading("Crafts among crafts")
         page.figure(

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from groundstation.dynamics.model import Model
+from groundstation.fleet.certainty import errors_of
 from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, row_of, searching
 from groundstation.fleet.findings import findings_of
 from groundstation.fleet.fit import LEAST_AIR_S, fits_table
 from groundstation.fleet.gather import gathered, set_aside
-from groundstation.fleet.index import lasting, recordings_of, usable
+from groundstation.fleet.index import lasting, recordings_of, usable, warn_of_older
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
 
@@ -54,7 +55,9 @@ def search_all(
     Raises BadInputError where there is no catalogue.
     """
     recordings = recordings_of(catalogue)
-    begins = last_changes(recordings, fits_table(catalogue).rows())
+    warn_of_older(recordings, catalogue)
+    fits = fits_table(catalogue).rows()
+    begins = last_changes(recordings, fits)
     by_craft: dict[str, list[Row]] = {}
     for row in lasting(usable(recordings), LEAST_AIR_S):
         by_craft.setdefault(row["craft"], []).append(row)
@@ -63,7 +66,8 @@ def search_all(
     tasks = [
         task
         for craft, rows in sorted(by_craft.items())
-        if (task := chosen(craft, rows, begins.get(craft, ""), flights, described)) is not None
+        if (task := chosen(craft, rows, fits, begins.get(craft, ""), flights, described))
+        is not None
     ]
     table = effects_table(catalogue)
     known = table.rows()
@@ -104,12 +108,23 @@ def last_changes(recordings: Sequence[Row], fits: Mapping[str, Row]) -> dict[str
 
 
 def chosen(
-    craft: str, rows: Sequence[Row], begun: str, most: int, described: str
+    craft: str,
+    rows: Sequence[Row],
+    fits: Mapping[str, Row],
+    begun: str,
+    most: int,
+    described: str,
 ) -> CraftFlights | None:
-    """The flights that tell most, not older than ``begun``; every third of them, by date, is held
-    out. None for a craft with fewer than two."""
+    """The flights that tell c0, c1 and c2 best (mean log relative error), not older than ``begun``;
+    every third of them, by date, is held out. None for a craft with fewer than two."""
     young = [row for row in rows if row["begun"] >= begun]
-    best = sorted(young, key=lambda row: (-_liveliness(row), row["address"]))[: max(2, most)]
+    errors = errors_of(young, fits)
+
+    def rank(row: Row) -> tuple[float, float, str]:
+        told = sum(map(math.log, errors[row["address"]]))
+        return told, -row["airborne_s"], row["address"]
+
+    best = sorted(young, key=rank)[: max(2, most)]
     if len(best) < 2:
         return None
     best.sort(key=lambda row: (row["begun"], row["address"]))
@@ -121,12 +136,4 @@ def chosen(
         tuple(one["address"] for one in best if one["address"] not in held),
         tuple(one["address"] for one in best if one["address"] in held),
         f"{described}, flights {told}",
-    )
-
-
-def _liveliness(row: Row) -> float:
-    """How far all axes are turned over a flight: the mean log rate, weighed by its length."""
-    rates = [row[f"{axis}_rate_rms_dps"] or 1e-3 for axis in ("roll", "pitch", "yaw")]
-    return sum(math.log(max(rate, 1e-3)) for rate in rates) / 3.0 + 0.5 * math.log(
-        row["airborne_s"]
     )

@@ -8,24 +8,31 @@ they say how uncertain each parameter will be.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
+from groundstation.identification.body.certainty import between_rows
+from groundstation.identification.body.fit import fit_thrust
 from groundstation.identification.body.judgement import UNKNOWN, WELL_KNOWN, require_usable
 from groundstation.identification.body.setup import (
+    CONSTANTS,
+    PACE,
+    SPIN_UP,
     SUPPLY_EFFECTS,
+    Setup,
     reported_name,
     require_known,
     set_up,
 )
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.free_spectra import reweighted, smoothed
+from groundstation.identification.likelihood.parameters import KEYS
 from groundstation.identification.motor.fit import UNKNOWN as MOTOR_UNKNOWN
 from groundstation.identification.motor.fit import WELL_KNOWN as MOTOR_WELL_KNOWN
 from groundstation.identification.motor.fit import first_constants
@@ -80,12 +87,8 @@ def body_excitation(
     require_usable(stretches, vehicle)
     acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
     setup = set_up(stretches, vehicle, vehicle.thrust_per_mass, acting, tie_roll_pitch)
-    limits = setup.limits()
-    linear = setup.linearise(setup.start)
-    first = smoothed(linear.spectra, [s.residual for s in linear.spectra])
-    _, normal, _ = reweighted(linear, first, -limits.step, limits.step)
     told = [i for i, key in enumerate(setup.keys) if key not in setup.nuisances]
-    stderr = np.sqrt(np.diag(inverse(normal)))[told]
+    stderr = _expected_stderr(setup)[told]
     keys = {one.key: one for way in setup.variants for one in way}
     told_names: list[str] = []
     worth: list[float] = []
@@ -113,6 +116,46 @@ def body_excitation(
         names = ", ".join(sorted({stretch.run.name for stretch in stretches}))
         raise BadInputError(f"{names}: {'; '.join(hopeless)}")
     return Excitation(found.names, found.expected, stderr, tuple(lines))
+
+
+def flight_excitation(stretches: Sequence[Stretch], vehicle: Vehicle) -> dict[str, float]:
+    """What a flight can tell of each constant, however little: the expected standard error of c0,
+    c1, c2, thrust_per_mass and motor_pace over its size.
+
+    motor_pace: by which all of a0, a1, a2 may be multiplied (``motor_pace`` of the body fit); not
+    there where rotor speeds are measured, nor thrust_per_mass without an accelerometer.
+
+    Raises BadInputError for stretches without torque or motion.
+    """
+    require_usable(stretches, vehicle)
+    setup = set_up(stretches, vehicle, vehicle.thrust_per_mass, ())
+    # Without what every craft has, its residual would pass for noise just where an axis is excited.
+    usual = {key: KEYS[key].worth for key in (DELAY, SPIN_UP) if key in setup.nuisances}
+    setup = replace(setup, start={**setup.start, **usual})
+    beside = between_rows(setup)
+    found = {
+        name: float(np.hypot(stderr / abs(size), beside.get(name, 0.0)))
+        for name, stderr, size in zip(
+            CONSTANTS, _expected_stderr(setup), vehicle.body_constants, strict=False
+        )
+    }
+    if any(flight.has_accelerometer for flight in setup.problem.flights):
+        thrust, stderr = fit_thrust(setup, setup.start)
+        found["thrust_per_mass"] = stderr / abs(thrust)
+    if stretches[0].motor is not None:
+        paced = setup.for_pace()
+        found["motor_pace"] = float(_expected_stderr(paced)[paced.keys.index(PACE)])
+    return found
+
+
+def _expected_stderr(setup: Setup) -> Array:
+    """Standard errors (p,) of a setup's keys: the Jacobian where the fit starts, beside the noise
+    that all of them together leave to first order."""
+    limits = setup.limits()
+    linear = setup.linearise(setup.start)
+    first = smoothed(linear.spectra, [s.residual for s in linear.spectra])
+    _, normal, _ = reweighted(linear, first, -limits.step, limits.step)
+    return np.asarray(np.sqrt(np.diag(inverse(normal))))
 
 
 def motor_excitation(runs: Sequence[MotorRun]) -> Excitation:

@@ -11,9 +11,11 @@ from installed import groundstation, require_failure
 from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
+from groundstation.fleet.facts import COLUMNS as FACTS
+from groundstation.fleet.facts import KEY
 from groundstation.fleet.flight_fit import fit_flight
 from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import index, recordings_of
+from groundstation.fleet.index import _deadly, index, recordings_of, warn_of_older
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
 
@@ -181,6 +183,48 @@ def test_an_address_of_another_file_system_is_read_as_well(flights, tmp_path):
     assert [one["address"] for one in there] == [f"file://{one['address']}" for one in here]
     for name in ("sha256", "craft", "begun", "airborne_s", "state"):
         assert [one[name] for one in there] == [one[name] for one in here]
+
+
+def test_a_recording_that_is_gone_from_a_remote_folder_loses_its_row(flights, tmp_path):
+    pytest.importorskip("fsspec", reason="Dask, which brings fsspec, is not installed")
+    other = flights.parent / "cf08"
+    shutil.copytree(flights, other)
+    for folder in (flights, other):
+        index(tmp_path / "fleet", [f"file://{folder}"], workers=1)
+        (folder / "torn.mcap").unlink()
+    told = index(tmp_path / "fleet", [f"file://{flights}"], workers=1)
+    assert (told.read, told.unchanged, told.gone) == (0, 1, 1)
+    left = [
+        one["address"].removeprefix(f"file://{flights.parent}/")
+        for one in recordings_of(tmp_path / "fleet")
+    ]
+    assert left == [
+        "cf07/2026-02-01T10-00-00Z_one.mcap",
+        "cf08/2026-02-01T10-00-00Z_one.mcap",
+        "cf08/torn.mcap",
+    ]
+
+
+def test_a_recording_that_processes_die_of_is_not_read_again_until_it_changes(flights, tmp_path):
+    index(tmp_path / "fleet", [str(flights)], workers=1)
+    Parts(tmp_path / "fleet" / "recordings", FACTS, KEY).append(
+        [_deadly(str(flights / "torn.mcap"))]
+    )
+    assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 0
+    os.utime(flights / "torn.mcap", ns=(1, 1))
+    assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 1
+
+
+def test_rows_of_an_older_reader_are_told_of_and_read_again(flights, tmp_path):
+    index(tmp_path / "fleet", [str(flights)], workers=1)
+    read = recordings_of(tmp_path / "fleet")
+    older = {name: kind for name, kind in FACTS.items() if name != "reader"}
+    shutil.rmtree(tmp_path / "fleet" / "recordings")
+    Parts(tmp_path / "fleet" / "recordings", older, KEY).append(read)
+    with pytest.warns(UserWarning, match="2 recordings were indexed by an older version"):
+        warn_of_older(recordings_of(tmp_path / "fleet"), tmp_path / "fleet")
+    assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 2
+    assert recordings_of(tmp_path / "fleet") == read
 
 
 def test_a_folder_without_recordings_and_a_catalogue_that_is_none_are_one_line(tmp_path):

@@ -9,9 +9,10 @@ from stand_in_flights import recorded
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.fit import fit_body, motor_pace
 from groundstation.identification.excitation import (
     body_excitation,
+    flight_excitation,
     motor_excitation,
 )
 from groundstation.identification.motor.fit import fit_motor
@@ -53,6 +54,17 @@ def test_predicted_uncertainty_is_what_the_fit_then_reports(plant, effects, requ
     ratio = expected.stderr / fit.estimates.stderr[:-1]
     assert np.all((ratio > 0.4) & (ratio < 2.5)), dict(zip(expected.names, ratio, strict=True))
     assert not any("hardly excited" in line for line in expected.lines)
+
+
+def test_what_a_flight_can_tell_is_what_its_fits_then_report(faithful):
+    expected = flight_excitation(faithful, VEHICLE)
+    estimates = fit_body(faithful, VEHICLE, ("dead_time", "rotor_acceleration_torque")).estimates
+    stderr = dict(zip(estimates.names, estimates.stderr, strict=True))
+    fitted = {name: stderr[name] / estimates[name] for name in list(expected)[:4]}
+    fitted["motor_pace"] = motor_pace(faithful, VEHICLE)[1]
+    assert list(expected) == ["c0", "c1", "c2", "thrust_per_mass", "motor_pace"]
+    for name, share in expected.items():
+        assert share == pytest.approx(fitted[name], rel=0.35), name
 
 
 def test_a_still_hover_is_said_to_be_poor_and_what_to_fly_before_the_fit():

@@ -151,7 +151,7 @@ def fit_body(
 def motor_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
     """How much faster the motors reach their speeds than their constants say (logarithm), and its
     standard error, from roll and pitch: yaw answers to the change of speed itself."""
-    setup = set_up(stretches, vehicle, vehicle.thrust_per_mass, (), pace=True)
+    setup = set_up(stretches, vehicle, vehicle.thrust_per_mass, ()).for_pace()
     free = likeliest(setup)
     place = setup.keys.index(PACE)
     return free.point[PACE], float(np.sqrt(inverse(free.normal)[place, place]))

@@ -133,6 +133,18 @@ class Setup:
         top_hz = 0.5 / self.problem.flights[0].period_s
         return replace(self, least_hz=band[0], most_share=min(1.0, band[1] / top_hz))
 
+    def for_pace(self) -> Setup:
+        """The same for the motors' pace, from roll and pitch alone."""
+        nuisances = [one for one in self.nuisances if one not in (SPIN_UP, PACE)]
+        return replace(
+            self,
+            start={**self.start, PACE: 0.0},
+            nuisances=(*nuisances, PACE),
+            channels=range(2),
+            least_hz=PACE_LEAST_HZ,
+            most_share=PACE_MOST_SHARE,
+        )
+
     def unfiltered(self) -> Setup:
         """The same for rates that have passed no filter on board."""
         problem = copy(self.problem)
@@ -178,10 +190,8 @@ def set_up(
     effects: Sequence[str],
     tied: bool = False,
     rotor: int = 0,
-    pace: bool = False,
 ) -> Setup:
-    """The unknowns of a fit. rotor: index of the mismatched one. pace: of roll and pitch and the
-    motors' pace alone."""
+    """The unknowns of a fit. rotor: index of the mismatched one."""
     flights = [as_flight(one) for one in stretches]
     model = _model(stretches[0].motor, vehicle)
     chosen = []
@@ -193,9 +203,7 @@ def set_up(
         nuisances.append(DELAY)
     if stretches[0].motor is None:
         nuisances.append(SENSOR_LAG)
-    if pace:
-        nuisances.append(PACE)
-    elif SPIN_UP.partition(".")[0] not in effects:
+    if SPIN_UP.partition(".")[0] not in effects:
         nuisances.append(SPIN_UP)
     slow: dict[str, list[Columns]] = {}
     if "velocity_moment" not in effects and all(f.attitude is not None for f in flights):
@@ -209,9 +217,6 @@ def set_up(
     problem = Problem(flights, model, start)
     problem.frame = replace(problem.frame, gyro_filter_hz=vehicle.gyro_filter_hz)
     problem.settle_filters()
-    if pace:
-        shown = range(2), PACE_LEAST_HZ, PACE_MOST_SHARE
-        return Setup(problem, start, tuple(chosen), tuple(nuisances), slow, tied, *shown)
     return Setup(problem, start, tuple(chosen), tuple(nuisances), slow, tied)
 
 
