@@ -6,6 +6,7 @@ installed daemon records, feeds the viewer, serves one stream client, and is scr
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import os
 import socket as sockets
@@ -26,6 +27,18 @@ SETTLE_S, MEASURED_S = 15.0, 30.0
 
 def rows() -> Iterator[Row]:
     """Processor share and memory of the daemon's own process; references are the limits."""
+    with at_line_rate("--viewer", "serve", "--viewer-port", "19876", "--web-port", "19090") as path:
+        share, memory_mb, packets_hz, dropped = _measure(path)
+    what = "daemon with recorder, viewer, metrics and a stream client"
+    yield Row(f"{what}: packets a second (sent)", packets_hz, 2000.0, "packets/s")
+    yield Row(f"{what}: processor (a core)", share, 1.0, "core", most=0.15)
+    yield Row(f"{what}: resident memory", memory_mb, None, "MB", most=200.0)
+    yield Row(f"{what}: dropped", dropped, None, "items", most=0.0)
+
+
+@contextlib.contextmanager
+def at_line_rate(*arguments: str) -> Iterator[Path]:
+    """The control socket of an installed daemon that records from a serial line."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
         craft = subprocess.Popen(
@@ -33,23 +46,18 @@ def rows() -> Iterator[Row]:
             stdout=subprocess.DEVNULL,
         )
         daemon = subprocess.Popen(
-            [Path(sys.executable).with_name("groundstation"), "run", "--viewer", "serve",
+            [Path(sys.executable).with_name("groundstation"), "run",
              "--link", f"serial:{folder / 'craft'}", "--recordings", folder / "sessions",
-             "--viewer-port", "19876", "--web-port", "19090"],
+             *arguments],
             env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         try:
-            share, memory_mb, packets_hz, dropped = _measure(folder / "control.sock")
+            yield folder / "control.sock"
         finally:
             for process in (daemon, craft):
                 process.terminate()
                 process.wait(30)
-    what = "daemon with recorder, viewer, metrics and a stream client"
-    yield Row(f"{what}: packets a second (sent)", packets_hz, 2000.0, "packets/s")
-    yield Row(f"{what}: processor (a core)", share, 1.0, "core", most=0.15)
-    yield Row(f"{what}: resident memory", memory_mb, None, "MB", most=200.0)
-    yield Row(f"{what}: dropped", dropped, None, "items", most=0.0)
 
 
 def _measure(socket: Path) -> tuple[float, float, float, float]:

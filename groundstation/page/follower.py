@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import GroundStationError
-from groundstation.service.client import ask, live
+from groundstation.service.client import Client, ask, live
 
 ROWS_HZ = 50.0
-"""Rows a second that are kept for plots: each is one that came, what lies between is left out."""
+"""Rows a second that the daemon is asked for: each is one that came, what lies between is left
+out."""
 KEPT_S = 20.0
 ANSWER_ROWS_MOST = 250
 """A browser that asks seldom gets fewer of the rows it has missed, not more."""
@@ -102,7 +103,7 @@ class Follower:
                     self._events.clear()
                     for event in past:
                         self._take_event(event)
-                with contextlib.closing(live(self._control)) as messages:
+                with contextlib.closing(live(self._control, ROWS_HZ)) as messages:
                     for kind, content in messages:
                         with self._lock:
                             if kind == "samples":
@@ -116,10 +117,11 @@ class Follower:
             self._rest()
 
     def _look(self) -> None:
+        daemon = Client(self._control)
         while True:
             self._wanted.wait()
             try:
-                status, fault = ask(self._control, "GET", "/status"), ""
+                status, fault = daemon.ask("GET", "/status"), ""
             except GroundStationError as error:
                 status, fault = None, str(error)
             with self._lock:
@@ -150,8 +152,6 @@ class Follower:
         self._offset_s = min(offset_s, self._offset_s + DRIFT * since_s)
         for row in range(len(ticks)):
             row_s = self._offset_s + ticks[row] * tick_s
-            if self._rows and row_s - self._rows[-1][1] < 1.0 / ROWS_HZ:
-                continue
             self._number += 1
             self._rows.append((self._number, row_s, dict(_shown(content, row))))
         while self._rows and self._rows[0][1] < at_s - KEPT_S:

@@ -175,13 +175,16 @@ class Pilot(Client):
         return self.ask("POST", f"/command/{what}", {"token": token, **content})
 
 
-def live(path: str | Path) -> Generator[tuple[str, dict[str, Any]], None, None]:
+def live(
+    path: str | Path, rows_hz: float | None = None
+) -> Generator[tuple[str, dict[str, Any]], None, None]:
     """What the daemon at ``path`` streams, as (kind, content); kinds are samples, event and
-    statistics. Ends with the daemon; raises GroundStationError when there is none."""
+    statistics. rows_hz: about so many rows a second, some together; None: all, as they come. Ends
+    with the daemon; raises GroundStationError when there is none."""
     path = Path(path)
     connection = _connection_to(path)
     with _explained(path), contextlib.closing(connection):
-        connection.request("GET", "/stream")
+        connection.request("GET", "/stream" + ("" if rows_hz is None else f"?rows_hz={rows_hz:g}"))
         with contextlib.closing(connection.getresponse()) as response:
             if response.status != 200:
                 raise GroundStationError(_refusal(response.read()) or f"{path}: {response.reason}")

@@ -7,6 +7,7 @@ import contextlib
 import hmac
 import json
 import logging
+import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any
@@ -51,6 +52,9 @@ REQUEST_S = 10.0
 """A request must have arrived after so long."""
 STALL_S = 20.0
 """A client that takes nothing of an answer for so long is cut off."""
+
+ROWS_HZ_LEAST = 1.0
+"""Of a stream: one that is silent for longer would be taken for dead."""
 
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
@@ -233,7 +237,7 @@ def control_app(station: Station) -> Starlette:
         return _Json(schema)
 
     async def stream(request: Request) -> Response:
-        subscriber = station.stream.subscribe()
+        subscriber = station.stream.subscribe(_rows_hz(request))
 
         async def messages() -> AsyncIterator[bytes]:
             try:
@@ -289,6 +293,17 @@ def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _S
 def _cancel(timer: asyncio.TimerHandle | None) -> None:
     if timer is not None:
         timer.cancel()
+
+
+def _rows_hz(request: Request) -> float | None:
+    """How many rows a second a client of the stream wants; None: all. Raises BadInputError."""
+    text = request.query_params.get("rows_hz")
+    if text is None:
+        return None
+    with contextlib.suppress(ValueError):
+        if ROWS_HZ_LEAST <= (rows_hz := float(text)) < math.inf:
+            return rows_hz
+    raise BadInputError(f"rows_hz={printable(text)}: give a number of {ROWS_HZ_LEAST:g} or more")
 
 
 async def _body(request: Request, kind: type | None) -> Any:

@@ -54,7 +54,16 @@ def openapi(operations: list[Operation]) -> dict[str, Any]:
     }
     paths["/health"] = {"get": {"summary": "Whether all is well", "responses": health}}
     paths["/metrics"] = {"get": _text("Figures for Prometheus", "text/plain")}
-    paths["/stream"] = {"get": _text("Live telemetry as server-sent events", "text/event-stream")}
+    stream = _text("Live telemetry as server-sent events", "text/event-stream")
+    stream["parameters"] = [
+        {
+            "name": "rows_hz",
+            "in": "query",
+            "description": "About so many rows a second, the newest among them; else all",
+            "schema": {"type": "number", "minimum": 1},
+        }
+    ]
+    paths["/stream"] = {"get": stream}
     paths["/openapi.json"] = {
         "get": {
             "summary": "This document",

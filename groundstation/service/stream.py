@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections import deque
 from collections.abc import AsyncIterator
@@ -27,15 +28,22 @@ ROWS_MOST = 2000
 NOTES_MOST = 100
 PERIOD_S = 0.02
 """What has come meanwhile goes out together: 50 messages a second at most."""
+ROWS_A_MESSAGE = 5
+"""A client that wants few rows gets so many together: each message costs as much as 100 rows."""
 KEEP_ALIVE_S = 2.0
 """A comment is sent after so long without anything, so that a dead connection shows."""
 
 
 class Subscriber:
-    """What waits for one client. dropped: samples and notes that it was too slow for."""
+    """What waits for one client. dropped: samples and notes that it was too slow for.
 
-    def __init__(self) -> None:
+    rows_hz: about so many rows a second are wanted; None: all.
+    """
+
+    def __init__(self, rows_hz: float | None = None) -> None:
         self.dropped = 0
+        self._rows_hz = rows_hz
+        self._period_s = max(PERIOD_S, 0.0 if rows_hz is None else ROWS_A_MESSAGE / rows_hz)
         self._batches: deque[SampleBatch] = deque()
         self._at_s = 0.0
         self._rows = 0
@@ -83,9 +91,11 @@ class Subscriber:
                     more = self._batches.popleft()
                     self._rows -= len(more)
                     batch = SampleBatch.concatenate([batch, more])
+                if self._rows_hz is not None:
+                    batch = thinned(batch, self._rows_hz)
                 more_columns = {"at_s": self._at_s, "dropped": self.dropped}
                 yield _event("samples", {**columns(batch), **more_columns})
-            await asyncio.sleep(PERIOD_S)
+            await asyncio.sleep(self._period_s)
 
     def _forget(self, batch: SampleBatch) -> None:
         self._rows -= len(batch)
@@ -106,11 +116,11 @@ class Stream:
     def dropped(self) -> int:
         return self._dropped_before + sum(one.dropped for one in self._subscribers)
 
-    def subscribe(self) -> Subscriber:
-        """Raises TakenError when there are too many."""
+    def subscribe(self, rows_hz: float | None = None) -> Subscriber:
+        """rows_hz: as many a second are enough. Raises TakenError when there are too many."""
         if len(self._subscribers) >= CLIENTS_MOST:
             raise TakenError(f"{CLIENTS_MOST} clients read the stream already; end one of them")
-        subscriber = Subscriber()
+        subscriber = Subscriber(rows_hz)
         self._subscribers.add(subscriber)
         return subscriber
 
@@ -143,6 +153,13 @@ class Stream:
     def statistics(self, entry: dict[str, Any]) -> None:
         for subscriber in self._subscribers:
             subscriber.put_note("statistics", entry)
+
+
+def thinned(batch: SampleBatch, rows_hz: float) -> SampleBatch:
+    """At most ``rows_hz`` rows a second of a batch, each as it came, the newest among them."""
+    span_s = float(batch.ticks[-1] - batch.ticks[0]) * batch.tick_s
+    step = math.ceil(len(batch) / max(1.0, rows_hz * span_s))
+    return batch[(len(batch) - 1) % step :: step]
 
 
 def columns(batch: SampleBatch) -> dict[str, Any]:
