@@ -16,7 +16,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -34,6 +34,8 @@ LARGEST_BATCH = 50
 DEATHS = 3
 """A batch whose workers died so often is taken apart; a recording alone is set aside."""
 CONNECT_S = 10
+LOOK_S = 5.0
+"""So often is asked how many workers there are: some join or leave on the way."""
 RETURN_S = 600.0
 """So long a scheduler that went away may take to be begun anew, with its workers."""
 HINT = "pip install -e '.[fleet]'"
@@ -72,11 +74,14 @@ def carried_out(
         if work_left is not None and scheduler is not None:
             _await(scheduler, work_left)
         with _client(workers, scheduler) as client:
-            count = max(1, sum(client.nthreads().values()))
+            threads = _Threads(client)
             if work_left is None:
-                work_left = _Left.batched(tasks, count, largest)
+                if not threads.count:
+                    _await_worker(client, scheduler)
+                    threads.look()
+                work_left = _Left.batched(tasks, max(1, threads.count), largest)
             try:
-                yield from _through(client, work, work_left, MOST_AT_ONCE * count)
+                yield from _through(client, work, work_left, threads)
             except _SchedulerLostError:
                 continue
 
@@ -105,8 +110,26 @@ class _Left(Generic[Task]):
         return sum(map(len, self.batches)) + len(self.suspects)
 
 
+class _Threads:
+    """How many threads the workers of a scheduler have, asked now and then."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self.count = 0
+        self.look()
+
+    def look(self) -> None:
+        self.count, self._looked = sum(self._client.nthreads().values()), time.monotonic()
+
+    def now(self) -> int:
+        if time.monotonic() - self._looked >= LOOK_S:
+            with suppress(OSError):  # a scheduler that went away shows in what is under way
+                self.look()
+        return max(1, self.count)
+
+
 def _through(
-    client: Client, work: Callable[[Task], Result], left: _Left[Task], most: int
+    client: Client, work: Callable[[Task], Result], left: _Left[Task], threads: _Threads
 ) -> Iterator[tuple[Task, Result | None]]:
     """All that is left, through one client. Raises _SchedulerLostError."""
     from distributed import KilledWorker, as_completed
@@ -116,7 +139,8 @@ def _through(
     under_way: dict[Future, list[Task]] = {}
 
     def begin() -> list[Future]:
-        begun = []
+        begun: list[Future] = []
+        most = MOST_AT_ONCE * threads.now()
         while left.batches and len(under_way) < most:
             begun.append(client.submit(_each, work, left.batches[0], pure=False))
             under_way[begun[-1]] = left.batches.popleft()
@@ -149,6 +173,18 @@ def _through(
     except (CancelledError, ClosedClientError, CommClosedError) as error:
         left.batches.extendleft(reversed(under_way.values()))
         raise _SchedulerLostError from error
+
+
+def _await_worker(client: Client, scheduler: str | None) -> None:
+    """For some seconds; tells where there is still none."""
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError:
+        warnings.warn(
+            f"--scheduler {scheduler}: has no worker; waiting for one, begun with: dask worker"
+            f" {scheduler}",
+            stacklevel=2,
+        )
 
 
 def _await(scheduler: str, left: _Left[Task]) -> None:

@@ -34,6 +34,9 @@ OPPOSITE = 0.6
 MOST = 0.5
 """Share of a change of thrust that one rotor must account for to be named for it."""
 
+DRAWN = 40
+"""Crafts with rows and lines of their own where there are many: those with findings first."""
+
 
 @dataclass(frozen=True, slots=True)
 class Series:
@@ -128,6 +131,13 @@ def told(quantity: str, value: float) -> float:
 def scale(quantity: str, value: float) -> float:
     """What turns a small difference of compared values into one of given values."""
     return math.exp(value) if quantity in RELATIVE else 1.0
+
+
+def drawn_crafts(fleet: Fleet) -> list[str]:
+    """Of at most ``DRAWN`` crafts, the ones with findings certainly among them."""
+    ill = dict.fromkeys(one.craft for one in sorted(fleet.findings, key=lambda one: one.p))
+    every = dict.fromkeys([*ill, *sorted({one.craft for one in fleet.series})])
+    return sorted(list(every)[:DRAWN])
 
 
 def series_of(recordings: Sequence[Row], fits: dict[str, Row]) -> list[Series]:

@@ -25,6 +25,8 @@ MEDIAN_CHI2 = 0.4549364
 """Median of a squared standard normal."""
 EFFICIENCY = 0.37
 """Of a variance by a median: so much of the degrees of freedom count."""
+POSSIBLE = 0.1
+"""Chance beyond which no test is ever believed, so that its exact value is not worth computing."""
 ALMOST = 0.8
 """Share of the clearest place's z at which another place of the change is possible."""
 MEDIAN_STDERR = 1.2533
@@ -81,8 +83,6 @@ def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
     drift the slope must be there and the order of the values (Mann and Kendall's test) as well, so
     that one wild flight is neither.
     """
-    from scipy.stats import t
-
     n = len(values)
     places = np.arange(LEAST_PART, n - LEAST_PART + 1)
     if len(places) < 1:
@@ -92,11 +92,13 @@ def change_in(values: Array, variance: Array, freedom: float) -> Change | None:
     allowed = np.abs(z) >= ALMOST * np.abs(z).max()
     best = int(np.argmax(np.where(allowed, np.abs(sizes) / stderrs, -1.0)))
     size, stderr = float(sizes[best]), float(stderrs[best])
-    p = min(1.0, len(places) * 2.0 * float(t.sf(abs(z[best]), freedom)))
+    p = min(1.0, len(places) * _either_way(float(z[best]), freedom))
     slope, slope_stderr, drift_cost = _trend(values, variance)
     if drift_cost + 2.0 < float(costs[best]) + math.log(n):  # a step has its place besides
         span = float(n - 1)
-        p = max(2.0 * float(t.sf(abs(slope) / slope_stderr, freedom)), _order(values))
+        p = _either_way(slope / slope_stderr, freedom)
+        if p < POSSIBLE:
+            p = max(p, _order(values))
         return Change(0, int(places[best]), slope * span, slope_stderr * span, True, p)
     return Change(int(places[best]), int(places[best]), size, stderr, False, p)
 
@@ -187,6 +189,13 @@ def _medians(values: Array) -> Array:
         insort(ordered, value)
         found[k] = 0.5 * (ordered[(k - 1) // 2] + ordered[k // 2])
     return found
+
+
+def _either_way(z: float, freedom: float) -> float:
+    """How often Student's t is as far from 0."""
+    from scipy.special import stdtr
+
+    return 2.0 * float(stdtr(freedom, -abs(z)))
 
 
 def _trend(values: Array, variance: Array) -> tuple[float, float, float]:

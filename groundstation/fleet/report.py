@@ -10,7 +10,15 @@ import numpy as np
 
 from groundstation.fleet.before_after import Shift
 from groundstation.fleet.certainty import Expectation
-from groundstation.fleet.findings import FALSE_SHARE, Finding, Fleet, Series, scale, told
+from groundstation.fleet.findings import (
+    FALSE_SHARE,
+    Finding,
+    Fleet,
+    Series,
+    drawn_crafts,
+    scale,
+    told,
+)
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.index import UNFIT
 from groundstation.fleet.parts import Row
@@ -75,12 +83,18 @@ def report(
     add_twin(page, more.watched, {one["address"]: one["craft"] for one in recordings})
     add_to_fly(page, more.to_fly)
     add_expected(page, more.expected, fleet)
+    drawn = drawn_crafts(fleet)
+    of_many = (
+        f" {len(drawn)} of {len(crafts)} crafts, those with findings first; --json has all."
+        if len(drawn) < len(crafts)
+        else ""
+    )
     if fleet.populations:
         page.heading("Crafts among crafts")
         page.figure(
-            _map(fleet, crafts),
+            _map(fleet, drawn),
             "How far each craft is from the middle of the fleet, in standard deviations of crafts"
-            " and of its own uncertainty.",
+            f" and of its own uncertainty.{of_many}",
         )
     page.heading("Values")
     page.table(
@@ -88,10 +102,11 @@ def report(
         [
             (v.craft, v.quantity, v.flights, v.value, v.stderr, v.shrunk, v.shrunk_stderr)
             for v in fleet.values
+            if v.craft in drawn
         ],
         "Present value of each craft, alone, and with what the others say of a craft like them:"
         " where few flights tell little, the fleet's middle counts. rotor_1..4: share by which a"
-        " rotor is driven more than the mean.",
+        f" rotor is driven more than the mean.{of_many}",
     )
     if found:
         page.heading("Findings")
@@ -107,7 +122,7 @@ def _map(fleet: Fleet, crafts: Sequence[str]) -> Figure:
     z = np.full((len(crafts), len(names)), np.nan)
     for value in fleet.values:
         crowd = fleet.populations.get(value.quantity)
-        if crowd is None:
+        if crowd is None or value.craft not in crafts:
             continue
         factor = scale(value.quantity, crowd.middle)
         spread = np.hypot(crowd.spread * factor, value.stderr)

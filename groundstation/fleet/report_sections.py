@@ -96,13 +96,17 @@ def add_expected(page: Page, expected: Mapping[str, Expectation], fleet: Fleet) 
                 *(craft, one.flights, one.worth),
                 *(_both(one.errors[name], known.get((craft, name))) for name in TOLD),
             )
-            for craft, one in expected.items()
+            for craft, one in list(expected.items())[:LISTED]
         ],
         "Relative standard errors of all flights of a craft together: expected from their"
         " Jacobians, and after the arrow what the fits and the scatter from flight to flight left."
         " motor_pace: how fast the motors answer, of which no value is kept. Worth a fit: tells c0"
-        " and c1 well enough for a design.",
+        " and c1 well enough for a design." + _of_many(len(expected)),
     )
+
+
+def _of_many(count: int) -> str:
+    return f" The first {LISTED} of {count} crafts; --json has all." if count > LISTED else ""
 
 
 def _both(expected: float, known: float | None) -> str:

@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.fleet.findings import FALSE_SHARE, Fleet, Series, told
+from groundstation.fleet.findings import FALSE_SHARE, Fleet, Series, drawn_crafts, told
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.parts import Row
 from groundstation.viewer.channels import APPLICATION
 from groundstation.viewer.new_rrd import fresh_rrd
 
-DRAWN = 40
-"""Crafts with lines and a row of their own: those with findings first."""
 DATE, FLIGHT = "date", "flight"
 FOUND, MAP, EVENTS, TRENDS = "/found", "/crafts", "/events", "/trends"
 FULL_PERCENT = 5.0
@@ -59,13 +57,6 @@ def write_rrd(fleet: Fleet, effects: Mapping[str, Row], name: str, path: Path) -
             stream.log(EVENTS, rr.TextLog(finding.text, level="WARN"), strict=True)
         stream.flush()
         stream.disconnect()
-
-
-def drawn_crafts(fleet: Fleet) -> list[str]:
-    """Of at most ``DRAWN`` crafts, the ones with findings certainly among them."""
-    ill = dict.fromkeys(one.craft for one in sorted(fleet.findings, key=lambda one: one.p))
-    every = dict.fromkeys([*ill, *sorted({one.craft for one in fleet.series})])
-    return sorted(list(every)[:DRAWN])
 
 
 def middle_of(fleet: Fleet, quantity: str) -> float:

@@ -3,6 +3,8 @@
 import os
 import signal
 import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -102,6 +104,42 @@ def test_a_scheduler_that_is_killed_and_begun_anew_is_given_what_has_no_result(t
     ):
         done += arriving
     assert sorted(done) == sorted((one, one + one) for one in names(400))
+
+
+def timed(address):
+    begun = time.monotonic()
+    time.sleep(0.05)
+    return os.getpid(), begun, time.monotonic()
+
+
+def test_a_scheduler_without_workers_is_told_and_one_that_joins_later_is_given_work(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(engine, "CONNECT_S", 5)
+    monkeypatch.setattr(engine, "LOOK_S", 0.0)
+    monkeypatch.setattr(engine, "MOST_AT_ONCE", 1)
+    port, log = free_port(), tmp_path / "dask.log"
+    how = {"workers": 1, "scheduler": f"tcp://127.0.0.1:{port}", "largest": 5}
+    arriving = carried_out(timed, names(400), **how)
+    with (
+        scheduler(log, port),
+        warnings.catch_warnings(record=True) as said,
+        ThreadPoolExecutor(1) as thread,
+    ):
+        warnings.simplefilter("always")
+        first = thread.submit(next, arriving)
+        while not said:
+            assert not first.done()
+            time.sleep(0.05)
+        assert "has no worker; waiting for one" in str(said[0].message)
+        with worker(log, port, tmp_path / "first"):
+            first.result()
+            with worker(log, port, tmp_path / "second"):
+                done = [result for _, result in arriving]
+    pids = {pid for pid, _, _ in done}
+    assert len(pids) == 2
+    spans = [[(a, b) for pid, a, b in done if pid == one] for one in pids]
+    assert any(a < d and c < b for a, b in spans[0] for c, d in spans[1])
 
 
 def test_a_scheduler_that_does_not_come_back_is_one_line(tmp_path, monkeypatch):

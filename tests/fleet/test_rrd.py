@@ -5,10 +5,11 @@ import pytest
 from rerun.chunk import RrdReader
 
 from groundstation.errors import BadInputError
-from groundstation.fleet.findings import findings_of
+from groundstation.fleet.findings import DRAWN, drawn_crafts, findings_of
 from groundstation.fleet.flight_fit import COLUMNS as FIT_COLUMNS
 from groundstation.fleet.flight_fit import QUANTITIES
-from groundstation.fleet.rrd import DRAWN, drawn_crafts, write_rrd
+from groundstation.fleet.report import More, report
+from groundstation.fleet.rrd import write_rrd
 from groundstation.viewer.screenshot import hidden_viewer, software_driver
 
 FLIGHTS, SINCE = 12, 7
@@ -88,6 +89,9 @@ def test_of_many_crafts_those_with_findings_are_drawn():
     assert len(crafts) == DRAWN
     assert "cf02" in crafts
     assert {one.craft for one in fleet.findings} <= set(crafts)
+    page = report(fleet, [], {}, "ours", More({}, {}, {}, {})).html()
+    assert f"{DRAWN} of {DRAWN + 10} crafts, those with findings first" in page
+    assert {f"cf{k:02d}" for k in range(DRAWN + 10) if f"<td>cf{k:02d}</td>" in page} == set(crafts)
 
 
 def test_a_file_that_is_there_is_left_alone(tmp_path):
