@@ -14,7 +14,7 @@ EXAMPLE = """example:
   python -m bench.fleet --sound 20 --ill 10 --results results
 
 results.jsonl has a line for each fleet; a run that was stopped goes on there. On other machines:
---scheduler tcp://HOST:PORT, whose workers run in a checkout (dask worker, begun there).
+--scheduler tcp://HOST:PORT, begun in a checkout, as its workers: python -m dask scheduler|worker.
 """
 
 

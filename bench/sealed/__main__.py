@@ -53,7 +53,9 @@ def main() -> int:
     run.add_argument("--case", nargs="+", default=[], help="these cases only")
     run.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     run.add_argument(
-        "--scheduler", metavar="tcp://HOST:PORT", help="of Dask, its workers begun in a checkout"
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="begun in a checkout as its workers are: python -m dask scheduler, worker",
     )
     run.add_argument("--keep", action="store_true", help="keep the folders of wrong cases")
     make = commands.add_parser("make", help="write one case's recordings and model")

@@ -134,7 +134,8 @@ def run(
 def carried(case: Case, home: str | None, keep: bool) -> Carried:
     """One case, for a worker. home: the folder of the results; None: one of the worker's own."""
     results = Path(home) if home is not None else _own_home()
-    search = _search("--names") if case.group.startswith("power") else _search()
+    options = ("--names",) if case.group.startswith("power") else ()
+    search = _search(threading.get_ident(), *options)
     with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
         folder = Path(parent) / "case"
         came = _judged(case, results, search, folder)
@@ -153,8 +154,8 @@ def _own_home() -> Path:
 
 
 @cache
-def _search(*options: str) -> Search:
-    """This process's."""
+def _search(thread: int, *options: str) -> Search:
+    """This thread's: ``dask worker`` begins as many of them as there are cores."""
     search = Search(*options)
     atexit.register(search.close)
     return search

@@ -151,6 +151,12 @@ def _through(
         for future in arriving:
             try:
                 results = future.result()
+            except (ImportError, AttributeError, RuntimeError) as error:
+                raise GroundStationError(
+                    f"the scheduler or its workers cannot take the work up: {_first(error)}; they"
+                    " need this version of groundstation installed, and for a bench to be begun in"
+                    " a checkout by: python -m dask worker (or scheduler)"
+                ) from error
             except KilledWorker:
                 batch = under_way.pop(future)
                 if len(batch) == 1:
@@ -209,6 +215,12 @@ def _await(scheduler: str, left: _Left[Task]) -> None:
         f"--scheduler {scheduler}: went away and none with a worker answers there since"
         f" {RETURN_S / 60:.0f} minutes; what has arrived is kept, run it again to go on"
     )
+
+
+def _first(error: Exception) -> str:
+    """The cause behind what Dask says of a task that it cannot read."""
+    cause = error.__cause__ or error
+    return f"{type(cause).__name__}: {str(cause).splitlines()[0]}"
 
 
 def _each(work: Callable[[Task], Result], batch: list[Task]) -> list[Result]:

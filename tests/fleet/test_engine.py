@@ -142,6 +142,18 @@ def test_a_scheduler_without_workers_is_told_and_one_that_joins_later_is_given_w
     assert any(a < d and c < b for a, b in spans[0] for c, d in spans[1])
 
 
+def test_workers_that_do_not_know_the_work_are_one_line(tmp_path, monkeypatch):
+    port, log = free_port(), tmp_path / "dask.log"
+    with scheduler(log, port), worker(log, port, tmp_path / "first"):
+        (tmp_path / "known_here_alone.py").write_text("def work(task):\n    return task\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        from known_here_alone import work
+
+        arriving = carried_out(work, names(4), workers=1, scheduler=f"tcp://127.0.0.1:{port}")
+        with pytest.raises(GroundStationError, match=r"cannot take the work up: .*known_here_alon"):
+            next(arriving)
+
+
 def test_a_scheduler_that_does_not_come_back_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "RETURN_S", 3.0)
     port, log = free_port(), tmp_path / "dask.log"
