@@ -198,7 +198,11 @@ class StandInLink(Link):
         if behind_s <= CATCH_UP_S or self.speed == float("inf"):
             return 0.0
         self._due_s += behind_s
-        return behind_s * self.speed if self.speed <= 1.0 else 0.0
+        if self.speed > 1.0:
+            return 0.0
+        self.emit("loss", f"this program stood still for {behind_s:.1f} s: what the craft sent"
+                  " meanwhile is lost, as on a real link")  # fmt: skip
+        return behind_s * self.speed
 
     async def _close(self) -> None:
         if self._flight is not None:

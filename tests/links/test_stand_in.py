@@ -37,9 +37,10 @@ def test_a_seed_gives_the_same_packets_with_the_same_spacing_at_any_speed(speed)
     assert (other.packets[:rows] != fast.packets[:rows]).any()
 
 
-def stalled(speed, stall_s):
+def stalled(speed, stall_s, tell=lambda event: None):
     """Packets of a flight during which the whole process stood still."""
     link = StandInLink(SOUND_RADIO, speed=speed)
+    link.on_event = tell
 
     async def session():
         async with link:
@@ -60,7 +61,8 @@ def test_a_short_stall_is_caught_up_without_loss():
 def test_after_a_long_stall_device_and_host_agree_on_what_was_missed(monkeypatch):
     """Or the silence would look like a restart of the device."""
     monkeypatch.setattr(stand_in, "CATCH_UP_S", 0.2)
-    batch = stalled(1.0, 1.3)
+    events = []
+    batch = stalled(1.0, 1.3, events.append)
     samples, counts = decode_all(batch)
     assert counts.restarts == 0
     assert set(samples.segment) == {0}
@@ -69,6 +71,8 @@ def test_after_a_long_stall_device_and_host_agree_on_what_was_missed(monkeypatch
     host_s = (samples.host_time_ns[gap + 1] - samples.host_time_ns[gap]) * 1e-9
     assert device_s > 1.2
     assert host_s == pytest.approx(device_s, abs=0.003)
+    (told,) = [event.text for event in events if event.kind == "loss"]
+    assert float(told.removeprefix("this program stood still for ").split(" s")[0]) > 1.2
 
 
 def test_faster_than_real_time_the_craft_waits_for_a_stalled_process(monkeypatch):
