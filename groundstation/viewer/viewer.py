@@ -28,6 +28,7 @@ from groundstation.links.base import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
+    MAX_ROWS,
     EventMessage,
     StatisticsMessage,
     TwinMessage,
@@ -43,7 +44,8 @@ if TYPE_CHECKING:
 SEND_PERIOD_S = 0.08
 """Each message costs rerun about 15 kB whatever it holds: 12 a second look smooth."""
 SLOW_SEND_PERIOD_S = 1.0
-"""While a viewer is behind: a twelfth of the bytes, all rows."""
+"""While a viewer is behind, or nobody looks: a twelfth of the messages, all rows. A browser without
+a GPU takes in some 200 messages a second, however many rows each has."""
 SLOW_FROM_S, SLOW_UNTIL_S = 2.0, 0.6
 """A viewer that is so far behind is sent less, until it is nearly up again."""
 SILENCE_S = 3.0
@@ -52,9 +54,9 @@ START_S = 20.0
 BACK_OFF_S = (0.5, 1.0, 2.0, 4.0, 8.0)
 SETTLED_S = 10.0
 """After so long without a failure the back-off starts anew."""
-SERVER_MEMORY = "64MB"
-"""What a viewer that opens late can still see: some two minutes, which one without a GPU reads in
-half a minute."""
+SERVER_MEMORY = "2MB"
+"""What a viewer that opens late can still see, and has to take in before it is live: 15 s where
+nobody looked before it, 8 s where somebody does."""
 WINDOW_MEMORY = "2GB"
 
 _SERVER_SILENT = 3  # feeder.SERVER_SILENT; importing that module would load rerun
@@ -235,7 +237,9 @@ class Viewer:
             if self._ready_at is not None:
                 if now - self._ready_at > SETTLED_S:
                     self._failures = 0
-                if now - self._flushed_at >= (SLOW_SEND_PERIOD_S if self._is_thin else 0.0):
+                slow = self._is_thin or not self._viewers
+                slow = slow and self._outbox.waiting < MAX_ROWS  # a full message costs no more
+                if now - self._flushed_at >= (SLOW_SEND_PERIOD_S if slow else 0.0):
                     self._flushed_at = now
                     # a feeder that has just ended is seen next time
                     with contextlib.suppress(ConnectionError):

@@ -1,22 +1,27 @@
 // Says over the web viewer how old its newest row is, and tells the relay, which sends less then.
 // rerun 0.41 takes a few messages with each frame it draws, so that one that draws slowly (without a
-// GPU) falls behind for ever: while it is behind it draws small, under a still of what it showed.
+// GPU) falls behind for ever: while it is behind it draws small, under a still of what it showed; so it
+// does from its opening on, until it has taken in what was before.
 "use strict";
 
 const EVERY_MS = 500;
 const LIVE_S = 1.5; // rows come at least once a second
 const SMALL_FROM_S = 3.5; // behind
 const SMALL_UNTIL_S = 1;
+const EMPTY_S = 5; // without any row: there is nothing to take in
 const LOST_S = 10; // without a new row; then the page is loaded again if it has lost its connection
 const who = Math.random().toString(36).slice(2);
 
+const view = document.getElementById("the_canvas_id");
+view.classList.add("small");
 const badge = document.createElement("output");
 badge.id = "live";
 document.body.append(badge);
 let frame_ms = 0;
 let drawn_ms = performance.now();
 let newest = 0;
-let still = null; // while the viewer draws small
+let opened_ms = null; // when the viewer began to draw
+let still = null; // while the viewer draws small, of what it showed before
 let moved_ms = drawn_ms;
 
 function draw(now_ms) {
@@ -72,7 +77,7 @@ window.age_s = () => {
   return newest ? (Date.now() - newest + frame_ms) / 1000 : null;
 };
 
-function draw_small(view) {
+function draw_small() {
   still = document.createElement("canvas");
   still.id = "still";
   setTimeout(() => requestAnimationFrame(() => {
@@ -85,21 +90,25 @@ function draw_small(view) {
   }));
 }
 
-function draw_large(view) {
+function draw_large() {
   view.classList.remove("small");
-  still.remove();
+  still?.remove();
   still = null;
 }
 
 async function tell() {
   if (!window._handle) return;
+  opened_ms ??= performance.now();
   const age_s = window.age_s();
-  if (age_s === null) return;
+  if (age_s === null) {
+    if (performance.now() - opened_ms > 1000 * EMPTY_S) draw_large();
+    return;
+  }
   badge.textContent = age_s < LIVE_S ? "live" : `${Math.round(age_s)} s behind`;
   badge.className = age_s < LIVE_S ? "" : "behind";
-  const view = document.getElementById("the_canvas_id");
-  if (!still && age_s > SMALL_FROM_S) draw_small(view);
-  else if (still && age_s < SMALL_UNTIL_S) draw_large(view);
+  const small = still || view.classList.contains("small");
+  if (!small && age_s > SMALL_FROM_S) draw_small();
+  else if (small && age_s < SMALL_UNTIL_S) draw_large();
   const answer = await fetch(`behind?${who}`, { method: "POST", body: age_s.toFixed(1) });
   const { connected } = await answer.json();
   if (!connected && performance.now() - moved_ms > 1000 * LOST_S) location.reload();
