@@ -53,23 +53,27 @@ def index(
     from dataclasses import asdict
 
     from groundstation.fleet.engine import cores
+    from groundstation.fleet.index import UNFIT, recordings_of, usable
     from groundstation.fleet.index import index as brought_up
-    from groundstation.fleet.index import recordings_of
     from groundstation.fleet.parts import held
 
     with shown("looking") as progress, held(output):
         counts = brought_up(
             output, sources, workers=workers or cores(), scheduler=scheduler, progress=progress
         )
-        rows = recordings_of(output, ("craft", "state", "reason"))
+        rows = recordings_of(output, ("craft", "state", "reason", "sha256"))
     crafts = sorted({row["craft"] for row in rows if row["craft"]})
+    copies = sum(row["state"] not in UNFIT for row in rows) - len(usable(rows))
     if as_json:
-        show_json({**asdict(counts), "recordings": len(rows), "crafts": crafts})
+        told = {"recordings": len(rows), "copies": copies, "crafts": crafts}
+        show_json({**asdict(counts), **told})
         return
     show(
         f"{output}: {len(rows)} recordings of {len(crafts)} crafts; {counts.read} read,"
         f" {counts.unchanged} unchanged, {counts.gone} gone"
     )
+    if copies:
+        show(f"  {copies} are copies of others by their content, and count once")
     for row in rows:
         if row["state"] == "damaged":
             show(f"  damaged: {row['address']}: {row['reason']}")
@@ -233,14 +237,15 @@ def report(
     for new in filter(None, (html, rerun)):
         require_new(new)
     date = None if compare_before is None else parse_date(compare_before)
-    columns = ("craft", "begun", "state", "reason", "reader", *PERCENT.values())
+    columns = ("craft", "begun", "state", "reason", "reader", "sha256", *PERCENT.values())
     recordings = recordings_of(catalogue, columns)
     warn_of_older(recordings, catalogue)
     fits = fits_table(catalogue).rows(VALUES)
-    fleet = findings_of(recordings, fits)
+    counted = usable(recordings)
+    fleet = findings_of(counted, fits)
     effects, watched = effects_table(catalogue).rows(), twin_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)
-    expected = expectations(usable(recordings))
+    expected = expectations(counted)
     needed = to_fly(fleet, effects, expected)
     if html is not None:
         from groundstation.fleet.report import More

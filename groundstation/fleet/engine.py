@@ -65,7 +65,8 @@ def carried_out(
     Raises BadInputError where Dask is missing or the scheduler does not answer, GroundStationError
     where it went away and none came in its place.
     """
-    if scheduler is None and (workers == 1 or len(tasks) <= 1):
+    workers = min(workers, len(tasks))
+    if scheduler is None and workers <= 1:
         for task in tasks:
             yield task, work(task)
         return

@@ -49,12 +49,16 @@ COLUMNS = {
 """Of the catalogue's table ``recordings``. stamp: what changes when the file does; reader: the
 ``READER`` that read it; state: good, usable, bad or damaged; reason: the verdict's, or why it could
 not be read. begun: UTC, ISO 8601."""
-READER = 2
-"""Counts up when a row comes to hold more than it did: rows of older readers are read again."""
+READER = 3
+"""Counts up when a row comes to hold more or other things: rows of older readers are read again."""
 KEY = "address"
 
 DATED = re.compile(r"(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)")
 """Names as the daemon gives them."""
+RADIO = re.compile(r"radio://[^/]+/\d+/\w+/([0-9A-Fa-f]+)")
+"""Dongle, channel, rate, address."""
+FACTORY_ADDRESS = "E7E7E7E7E7"
+"""Of every Crazyflie that was not given another, and so of none."""
 YEAR_2000_NS = 946_684_800 * 10**9
 """Earlier ones are a clock that was never set."""
 LEAST_AIR_S = 4.0
@@ -92,7 +96,7 @@ def stamp_of(address: str) -> str:
 @contextmanager
 def fetched(address: str) -> Iterator[Path]:
     """A recording as a local file: itself, or a copy for as long as it is needed of one that
-    fsspec reads (``s3://``, ``sftp://``).
+    fsspec reads (``s3://``, ``sftp://``), with the date at which that was modified.
 
     Raises BadInputError where that package is missing.
     """
@@ -109,6 +113,11 @@ def fetched(address: str) -> Iterator[Path]:
         local = Path(folder, PurePosixPath(address).name)
         with opened as source, local.open("wb") as copy:
             shutil.copyfileobj(source, copy)
+        try:
+            modified = opened.fs.modified(opened.path).timestamp()
+        except (NotImplementedError, OSError):
+            modified = 0.0  # not known: rather none than the date of the copy
+        os.utime(local, (modified, modified))
         try:
             yield local
         except GroundStationError as error:  # the copy has another name each time
@@ -147,10 +156,11 @@ def _described(path: Path, address: str) -> Row:
 
 
 def _craft(metadata: dict[str, dict[str, str]], address: str) -> str:
-    """Whose flight it is: the address of its radio, or else the folder that it lies in."""
-    link = metadata.get("session", {}).get("link", "")
-    if link.startswith("radio://"):
-        return link.rpartition("/")[2]
+    """Whose flight it is: the address of its radio if it was given one of its own, or else the
+    folder that it lies in."""
+    radio = RADIO.match(metadata.get("session", {}).get("link", ""))
+    if radio and radio[1].upper() != FACTORY_ADDRESS:
+        return radio[1].upper()
     return PurePosixPath(address).parent.name or "unnamed"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.fleet.facts import fetched
-from groundstation.fleet.gather import with_reason
+from groundstation.fleet.gather import MADE_BY, with_reason
 from groundstation.fleet.parts import Row
 from groundstation.paths import digest
 
@@ -65,7 +65,7 @@ def fitting(vehicle: str | None, effects: tuple[str, ...]) -> partial[Row]:
 
 def settings_of(vehicle: str | None, effects: tuple[str, ...]) -> str:
     """What a row was computed with: another needs another row."""
-    return " ".join([vehicle or "as recorded", *effects])
+    return " ".join([f"{MADE_BY},", vehicle or "as recorded", *effects])
 
 
 def fit_flight(address: str, vehicle: str | None, effects: tuple[str, ...]) -> Row:

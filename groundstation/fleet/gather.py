@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+from groundstation import __version__
 from groundstation.errors import GroundStationError
 from groundstation.fleet.engine import LARGEST_BATCH, Task, carried_out
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress
+
+MADE_BY = f"groundstation {__version__}"
+"""Of a row's settings: flights that two versions worked on may differ where the craft did not."""
 
 
 def with_reason(row: Row, work: Callable[[], Row]) -> Row:

@@ -65,8 +65,14 @@ def warn_of_older(rows: Iterable[Row], catalogue: Path) -> None:
 
 
 def usable(rows: Iterable[Row]) -> list[Row]:
-    """Those of a catalogue's rows that something can be made of."""
-    return [one for one in rows if one["state"] not in UNFIT]
+    """Those of a catalogue's rows that something can be made of, each flight once: of recordings
+    with one content the first by address, for a flight that counts twice scatters too little."""
+    fit = [one for one in rows if one["state"] not in UNFIT]
+    firsts: dict[str, str] = {}
+    for one in fit:
+        first = firsts.setdefault(one["sha256"], one[KEY])
+        firsts[one["sha256"]] = min(first, one[KEY])
+    return [one for one in fit if firsts[one["sha256"]] == one[KEY]]
 
 
 def lasting(rows: Iterable[Row], least_s: float) -> list[Row]:

@@ -40,11 +40,15 @@ class Parts:
 
         Raises RecordingError where a file cannot be read.
         """
-        found: dict[str, Row] = {}
-        for path in self._files():
-            for row in self._read(path, columns).to_pylist():
-                found[row[self._key]] = row
-        return dict(sorted(found.items()))
+        while True:
+            found: dict[str, Row] = {}
+            try:
+                for path in self._files():
+                    for row in self._read(path, columns).to_pylist():
+                        found[row[self._key]] = row
+            except FileNotFoundError:  # another run has just put it together with others
+                continue
+            return dict(sorted(found.items()))
 
     def append(self, rows: Sequence[Row]) -> None:
         """Adds a file with these rows, or nothing.
@@ -131,6 +135,8 @@ class Parts:
                     if columns is None or one.name in columns or one.name == self._key
                 ]
                 table = file.read([one.name for one in wanted if one.name in there])
+        except FileNotFoundError:
+            raise
         except (OSError, pa.ArrowException) as error:
             raise RecordingError(
                 f"{path}: cannot be read ({error}); remove it, what it held is computed again"

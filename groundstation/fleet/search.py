@@ -13,7 +13,7 @@ from groundstation.fleet.certainty import errors_of
 from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, row_of, searching
 from groundstation.fleet.findings import findings_of
 from groundstation.fleet.fit import LEAST_AIR_S, fits_table
-from groundstation.fleet.gather import gathered, set_aside
+from groundstation.fleet.gather import MADE_BY, gathered, set_aside
 from groundstation.fleet.index import lasting, recordings_of, usable, warn_of_older
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
@@ -57,12 +57,13 @@ def search_all(
     recordings = recordings_of(catalogue)
     warn_of_older(recordings, catalogue)
     fits = fits_table(catalogue).rows()
-    begins = last_changes(recordings, fits)
+    counted = usable(recordings)
+    begins = last_changes(counted, fits)
     by_craft: dict[str, list[Row]] = {}
-    for row in lasting(usable(recordings), LEAST_AIR_S):
+    for row in lasting(counted, LEAST_AIR_S):
         by_craft.setdefault(row["craft"], []).append(row)
     of = "own fit" if model is None else model_digest(model)
-    described = f"{of}, {vehicle or 'vehicle as recorded'}"
+    described = f"{MADE_BY}, {of}, {vehicle or 'vehicle as recorded'}"
     tasks = [
         task
         for craft, rows in sorted(by_craft.items())

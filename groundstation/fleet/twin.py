@@ -8,7 +8,7 @@ from pathlib import Path
 
 from groundstation.dynamics.model import Model, require_body
 from groundstation.fleet.facts import fetched
-from groundstation.fleet.gather import gathered, set_aside, with_reason
+from groundstation.fleet.gather import MADE_BY, gathered, set_aside, with_reason
 from groundstation.fleet.index import SETTLED, changed_since, lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts, Row
 from groundstation.fleet.search import model_digest
@@ -64,7 +64,7 @@ def watch_all(
     """
     require_body(model)
     rows = usable(recordings_of(catalogue, ("sha256", "state", "airborne_s")))
-    table, settings = twin_table(catalogue), model_digest(model)
+    table, settings = twin_table(catalogue), f"{MADE_BY}, {model_digest(model)}"
     long = {one[KEY]: one for one in lasting(rows, LEAST_AIR_S)}
     fresh = changed_since(table.rows(SETTLED), long, settings)
     found = gathered(

@@ -12,10 +12,10 @@ from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
 from groundstation.fleet.facts import COLUMNS as FACTS
-from groundstation.fleet.facts import KEY
+from groundstation.fleet.facts import KEY, _craft
 from groundstation.fleet.flight_fit import fit_flight
 from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import _deadly, index, recordings_of, warn_of_older
+from groundstation.fleet.index import _deadly, index, recordings_of, usable, warn_of_older
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
 
@@ -225,6 +225,41 @@ def test_rows_of_an_older_reader_are_told_of_and_read_again(flights, tmp_path):
         warn_of_older(recordings_of(tmp_path / "fleet"), tmp_path / "fleet")
     assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 2
     assert recordings_of(tmp_path / "fleet") == read
+
+
+def test_a_recording_that_is_there_twice_counts_once_and_is_told(flights, tmp_path):
+    shutil.copytree(flights, flights.parent / "backup")
+    told = groundstation("fleet", "index", flights.parent, "-o", tmp_path / "fleet").stdout
+    assert "1 are copies of others by their content, and count once" in told
+    (counted,) = usable(recordings_of(tmp_path / "fleet"))
+    assert counted["address"].endswith("backup/2026-02-01T10-00-00Z_one.mcap")
+
+
+@pytest.mark.parametrize(
+    ("link", "craft"),
+    [
+        ("radio://0/80/2M/E7E7E7E707", "E7E7E7E707"),
+        ("radio://0/80/2M/e7e7e7e707?safelink=0", "E7E7E7E707"),
+        ("radio://0/80/2M/E7E7E7E7E7", "cf07"),
+        ("radio://0/80/2M", "cf07"),
+        ("usb://0", "cf07"),
+    ],
+)
+def test_a_craft_is_its_radio_s_own_address_or_else_the_folder(link, craft):
+    assert _craft({"session": {"link": link}}, "/flights/cf07/one.mcap") == craft
+
+
+def test_rows_that_another_run_is_putting_together_are_read_where_they_are_then(
+    table, tmp_path, monkeypatch
+):
+    table.append([row("a")])
+    table.append([row("b")])
+    old = table._files()
+    table.compact()
+    listed = iter([old])
+    now = table._files
+    monkeypatch.setattr(table, "_files", lambda: next(listed, None) or now())
+    assert list(table.rows()) == ["a", "b"]
 
 
 def test_a_folder_without_recordings_and_a_catalogue_that_is_none_are_one_line(tmp_path):
