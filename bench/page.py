@@ -1,8 +1,8 @@
 """What the operator's page costs the daemon, and itself.
 
-Two daemons at line rate side by side, of which one has a page that a browser asks ten times a
-second; what each has used in the same ten seconds is compared, so that whatever else the machine
-does meets both.
+Two daemons at line rate side by side, of which one has a page that one browser, then twenty ask ten
+times a second; what each has used in the same ten seconds is compared, so that whatever else the
+machine does meets both.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from bench.table import Row
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 
-SETTLE_S, WINDOW_S, WINDOWS = 15.0, 10.0, 8
+SETTLE_S, WINDOW_S, WINDOWS = 12.0, 10.0, 6
+BROWSERS = 1, 20
 ASK_S = 0.1
 PORT = 19080
 
@@ -36,27 +37,37 @@ def rows() -> Iterator[Row]:
         at_line_rate("--viewer", "off", "--no-page") as bare,
         at_line_rate("--viewer", "off", *page) as shown,
     ):
-        until = time.monotonic() + SETTLE_S
-        address = _address(shown)
-        ended = threading.Event()
-        browser = threading.Thread(target=_browse, args=(address, ended), daemon=True)
-        browser.start()
+        _address(shown)
         process = _page_process()
-        time.sleep(max(until - time.monotonic(), 0.0))
-        shares = [_window(bare, shown, process) for _ in range(WINDOWS)]
-        ended.set()
-        browser.join()
-        memory_mb = process.memory_info().rss / 1e6
+        for count in BROWSERS:
+            yield from _asked_by(count, bare, shown, process)
         lost = [ask(path, "GET", "/status")["recording"]["dropped"] for path in (bare, shown)]
+    yield Row("both recorders: dropped", float(sum(lost)), None, "items", most=0.0)
+
+
+def _asked_by(count: int, bare: Path, shown: Path, process: psutil.Process) -> Iterator[Row]:
+    ended = threading.Event()
+    browsers = [
+        threading.Thread(target=_browse, args=(_address(shown), ended), daemon=True)
+        for _ in range(count)
+    ]
+    for one in browsers:
+        one.start()
+    time.sleep(SETTLE_S)
+    shares = [_window(bare, shown, process) for _ in range(WINDOWS)]
+    memory_mb = process.memory_info().rss / 1e6
+    ended.set()
+    for one in browsers:
+        one.join()
     without, with_page, itself = (list(column) for column in zip(*shares, strict=True))
     more = [b - a for a, b in zip(without, with_page, strict=True)]
-    what = "daemon with the page and a browser at 10 Hz (without a page)"
+    what = f"browsers at 10 Hz: {count}; the daemon (one without a page)"
+    most = 0.1 if count == 1 else None
     yield Row(what, statistics.median(with_page), statistics.median(without), "core")
     yield Row(f"{what}: more, window by window", statistics.median(more), None, "core", most=0.01)
     yield Row("the same: its spread", _spread(more), None, "core")
-    yield Row("the page's process: processor", statistics.median(itself), None, "core", most=0.1)
+    yield Row("the page's process: processor", statistics.median(itself), None, "core", most=most)
     yield Row("the page's process: resident memory", memory_mb, None, "MB", most=120.0)
-    yield Row("both recorders: dropped", float(sum(lost)), None, "items", most=0.0)
 
 
 def _window(bare: Path, shown: Path, page: psutil.Process) -> tuple[float, float, float]:
