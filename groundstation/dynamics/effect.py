@@ -87,7 +87,9 @@ class Parameter:
     not the parameter itself. bounds: where a fit keeps it. step: of finite differences, 0 means a
     hundredth of ``worth``. stride: largest change in one step of a fit. worth: the size worth
     finding, the default's where None. starts: from where joint fits begin. near: columns hold so
-    far from where they were evaluated; None: everywhere, the law is linear.
+    far from where they were evaluated; None: everywhere, the law is linear. shares: the key
+    (``effect.parameter``) of the same number of the craft in another effect: fitted together the
+    two have one value.
     """
 
     name: str
@@ -106,6 +108,7 @@ class Parameter:
     worth: float | None = None
     starts: tuple[float, ...] = ()
     near: float | None = None
+    shares: str = ""
 
     def to_unknown(self, value: float) -> float:
         """A value of the parameter in the unit in which it is estimated."""

@@ -1,7 +1,8 @@
 """Rotors whose angular momenta do not cancel: +I_r q w on roll, -I_r p w on pitch.
 
 w = -n1 + n2 - n3 + n4 in rad/s. M1 and M3 turn counter-clockwise, so the rotors carry h_z = -I_r w;
-the signs printed in thesis eq. 3.49-3.56 are misprints (docs/thesis_errata.md).
+the signs printed in thesis eq. 3.49-3.56 are misprints (docs/thesis_errata.md). I_r is the inertia
+with which accelerating rotors turn the craft, too.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ EFFECT = Effect(
             high=4e-7,
             step=1e-8,
             near=1e-8,
+            shares="rotor_acceleration_torque.rotor_inertia_kg_m2",
         ),
     ),
     adds="+I_r q w on roll and -I_r p w on pitch, w = -n1 + n2 - n3 + n4 in rad/s",

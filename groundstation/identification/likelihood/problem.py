@@ -67,6 +67,8 @@ each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
 TIMING_BOUNDS = (-1.0, 2.0)
+SHARED = 1e-3
+"""Share of a usual size to which two effects agree on a number of the craft that both have."""
 LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
 TRIM_SHARE = 0.03
@@ -123,6 +125,8 @@ class Problem:
         self.every_key = (*self.base_keys, *(key for key, one in effects if not one.effect.renames))
         lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}
+        unknowns = self.frame.unknowns.values()
+        self.shared = [(k.key, k.parameter.shares) for k in unknowns if k.parameter.shares]
         self.prior, self.known_motor = _prior(model, start)
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
@@ -279,7 +283,7 @@ class Problem:
         settled: drop of -2 log L that is not worth another step.
         """
         keys = tuple(keys)
-        now = self.with_prior(self._again(point, keys))
+        now = self._whole(point, keys)
         for _ in range(steps):
             change = inverse(now.normal) @ now.gradient
             share, moved, better = 1.0, point, now
@@ -290,7 +294,7 @@ class Problem:
                 expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
                 if expected < settled:
                     break
-                better = self.with_prior(self._again(moved, keys))
+                better = self._whole(moved, keys)
                 if better.value < now.value:
                     break
                 share *= 0.3
@@ -301,6 +305,19 @@ class Problem:
             if gained < settled:
                 break
         return Fit(dict(point), keys, now.value, inverse(now.normal))
+
+    def _whole(self, point: Point, keys: tuple[str, ...]) -> Quadratic:
+        """-2 log L around a point, with one value for what two effects among ``keys`` share."""
+        found = self.with_prior(self._again(point, keys))
+        for key, other in self.shared:
+            if key in keys and other in keys:
+                at = [keys.index(key), keys.index(other)]
+                apart = value(point, key) - value(point, other)
+                weight = (SHARED * self.frame.unknowns[key].worth) ** -2
+                found.normal[np.ix_(at, at)] += weight * np.array([[1.0, -1.0], [-1.0, 1.0]])
+                found.gradient[at] -= weight * apart * np.array([1.0, -1.0])
+                found = replace(found, value=found.value + weight * apart**2)
+        return found
 
     def _again(self, point: Point, keys: tuple[str, ...]) -> Linear:
         """``linear`` with the columns of a0, a1, a2 from the last screening.
