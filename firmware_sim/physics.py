@@ -167,6 +167,13 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
     for rotor, motor in enumerate(rotor_motors(model)):
         p["a0"][rotor], p["a1"][rotor], p["a2"][rotor] = motor.a0, motor.a1, motor.a2
     terms = {term.name: {k: e.value for k, e in term.parameters.items()} for term in model.effects}
+    if p["filtered"] != 0:
+        for field, name in (
+            ("gyro_filter", "gyro_filter"),
+            ("accel_filter", "accelerometer_filter"),
+        ):
+            if name in terms:  # the firmware's own, which runs in its loop
+                p[field] = today.low_pass(terms.pop(name)["corner_hz"])
     if turning_of(model, settings.attitude) == "arx":
         put_polynomials(p, model)
         for name in (*TURNING, *(() if of_rates(model) else ("attitude_filter_lean",))):

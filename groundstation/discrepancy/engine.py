@@ -33,6 +33,12 @@ from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.flight import Flight, prepare
+from groundstation.identification.likelihood.on_board import (
+    ON_BOARD,
+    filter_prior,
+    filters_of,
+    in_plane_hz,
+)
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
@@ -58,8 +64,6 @@ AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
-FILTER_SHOWS = 0.125
-"""Corner over row rate below which most of what rows hold is what the filter has taken out."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 
@@ -180,15 +184,16 @@ def find_effects(
     every_own = joined(theirs, own)
     problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
-    corner = model_vehicle(model).accelerometer_filter_hz
-    if all(corner * flight.period_s < FILTER_SHOWS for flight in fit_on):
-        problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     lost = _lost([*fit_on, *held])
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs
     there = {v.effect for v in known}
-    candidates = [*VARIANTS, *every_own]
-    candidates = [v for v in candidates if v.effect not in {*lost, *there} and v not in RENAMES]
+    vehicle = model_vehicle(model)
+    problem.prior += filter_prior(known, start)
+    corner = in_plane_hz(vehicle, fit_on, there)
+    problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
+    out = {*lost, *there, *(ON_BOARD.keys() - filters_of(vehicle, fit_on))}
+    candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v not in RENAMES]
     search = Search(problem, held, known, candidates, report)
     if judged is not None:
         given = tuple(key for variant in known for key in variant.keys)
@@ -216,7 +221,7 @@ def _lost(flights: Sequence[Flight]) -> dict[str, str]:
         effect.name: MEASURED_ROTORS if name == "modelled rotors" else name
         for name in missing
         for effect in EFFECTS.values()
-        if name in effect.needs
+        if name in effect.needs and not effect.on_board
     }
 
 

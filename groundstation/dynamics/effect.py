@@ -74,6 +74,15 @@ class Unknown:
     back: Callable[[float], float]
 
 
+def _other_of_pair(value: float) -> float:
+    """Time constant (s) of a bandwidth (Hz) and the other way; 0 stands for no lag in both."""
+    return 1.0 / (2.0 * math.pi * value) if value > 0.0 else 0.0
+
+
+TIME_CONSTANT = Unknown("time_constant_s", "s", of=_other_of_pair, back=_other_of_pair)
+"""Of a low-pass given by its bandwidth."""
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One number of an effect.
@@ -159,6 +168,8 @@ class Effect:
     it shows. channels, regimes: where it shows first. needs: channels without which it cannot be
     told; ``modelled rotors``: not where rotor speeds were measured. unmeasured: what its law reads
     that no sensor shows.
+    on_board: the vehicle's field that says its size: what a firmware does to its readings, known
+    and not estimated. A craft without it has no such effect.
     renames: the base constant whose change it is. It is no candidate beside that constant, which
     explains the same, but its name once that has moved.
     negligible, because: a size (norm of all sizes) below which it is fitted but no finding.
@@ -179,6 +190,7 @@ class Effect:
     fastest: Callable[[Mapping[str, float]], float] | None = None
     needs: tuple[Need, ...] = ()
     unmeasured: tuple[Unmeasured, ...] = ()
+    on_board: str = ""
     renames: Rename | None = None
     negligible: float = 0.0
     because: str = ""

@@ -16,12 +16,12 @@ from groundstation.dynamics.effect import (
     ROTORS,
     STEADY,
     TILTING,
+    TIME_CONSTANT,
     YAWING,
     Confusion,
     Effect,
     Parameter,
     State,
-    Unknown,
 )
 from groundstation.dynamics.law import Reading
 
@@ -35,11 +35,6 @@ def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
         pace * (y - state[1]),
         pace * (z - state[2]),
     )
-
-
-def _inverse(value: float) -> float:
-    """Time constant (s) of a bandwidth (Hz) and the other way; 0 stands for no lag in both."""
-    return 1.0 / (2.0 * math.pi * value) if value > 0.0 else 0.0
 
 
 def _fastest(values: Mapping[str, float]) -> float:
@@ -60,7 +55,7 @@ EFFECT = Effect(
             low=4.0,
             high=400.0,
             least=0.0,
-            unknown=Unknown("time_constant_s", "s", of=_inverse, back=_inverse),
+            unknown=TIME_CONSTANT,
             bounds=(0.0, 0.05),
             step=1e-4,
             stride=3e-3,

@@ -20,7 +20,7 @@ from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import between_rows, certain
+from groundstation.identification.body.certainty import between_rows, certain, settings_a_row
 from groundstation.identification.body.judgement import (
     cross_talk,
     hints,
@@ -135,8 +135,9 @@ def fit_body(
         setup = set_up(stretches, vehicle, thrust, acting, tie_roll_pitch, rotor)
         found.append((setup, likeliest(setup)))
     setup, free = min(found, key=lambda one: one[1].cost)
-    if vehicle.gyro_filter_hz > 0.0:
-        # Whether a log holds filtered rates depends on the firmware: its likelihood says.
+    if vehicle.gyro_filter_hz > 0.0 and settings_a_row(stretches[0].run.period_s) <= 1.0:
+        # Whether a log holds filtered rates depends on the firmware: its likelihood says, where
+        # rows are not so slow that the motors' settings between them blur what is fast.
         raw = setup.unfiltered()
         other = fit_free(raw.linearise, free.point, raw.limits(), white=False)
         if other.cost < free.cost:

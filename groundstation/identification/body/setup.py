@@ -39,7 +39,9 @@ SUPPLY_EFFECTS = (LAG, SAG)
 """Undone before the fit, from the report itself (``motor/supply.py``): they change what drives the
 motors, and a flight's rates alone cannot tell them from other constants."""
 FITTED = tuple(
-    name for name, one in EFFECTS.items() if one.stage != "supply" and set(one.channels) & {*GYRO}
+    name
+    for name, one in EFFECTS.items()
+    if one.stage != "supply" and not one.on_board and set(one.channels) & {*GYRO}
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""

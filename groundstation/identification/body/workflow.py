@@ -40,6 +40,11 @@ from groundstation.identification.fit_record import (
     unit_of,
     with_effects,
 )
+from groundstation.identification.likelihood.on_board import (
+    ON_BOARD,
+    filter_terms,
+    filters_of,
+)
 from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
 from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.replayed import angle_rms
@@ -146,6 +151,11 @@ def identify_body(
     }
     terms = [*_terms(fit), *supply_terms(supplied, supplies, _profile(before, vehicle))]
     model = with_motor(before, quicker(before.motor, fit.pace[0]))
+    before = msgspec.structs.replace(
+        before, effects=tuple(term for term in before.effects if term.name not in ON_BOARD)
+    )
+    if fit.setup.problem.frame.gyro_filter_hz > 0.0:
+        terms += filter_terms(filters_of(vehicle, fit.setup.problem.flights))
     model = msgspec.structs.replace(model, body=fit.body, effects=with_effects(before, terms))
     if not measured:
         account["free_run_angles"] = _free_run_angles(model, fit_on, validate_on)

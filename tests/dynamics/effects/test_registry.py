@@ -4,14 +4,17 @@ import pytest
 
 from firmware_sim.effects.catalogue import EFFECTS as STAND_IN
 from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 
 
 def test_the_list_is_the_stand_ins_with_its_parameters_units_and_defaults():
+    """What a firmware does to its readings is no effect to be hidden there: it runs in the loop."""
     theirs = {name: effect.parameters for name, effect in STAND_IN.items() if effect.listed}
     ours = {
         effect.name: {p.name: (p.default, p.unit) for p in effect.parameters}
         for effect in EFFECTS.values()
+        if not effect.on_board
     }
     assert ours == theirs
 
@@ -80,3 +83,12 @@ def test_a_parameter_that_does_not_exist_is_refused_with_those_that_do():
 def test_a_value_that_is_no_number_is_refused():
     with pytest.raises(BadInputError, match="must be finite"):
         EFFECTS["dead_time"].values({"delay_s": float("nan")})
+
+
+@pytest.mark.parametrize(
+    "effect", [one for one in EFFECTS.values() if one.on_board], ids=lambda effect: effect.name
+)
+def test_a_vehicle_says_the_size_of_what_runs_on_board(effect):
+    (size,) = effect.parameters
+    assert getattr(BUILT_IN["crazyflie21"], effect.on_board) == size.default
+    assert getattr(BUILT_IN["crazyflie1"], effect.on_board) == 0.0

@@ -7,9 +7,11 @@ import pytest
 from scipy.signal import butter, freqz
 from stand_in_flights import CARRYING_GAINS, recorded
 
+from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import point_of
@@ -17,6 +19,7 @@ from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.residuals import FORCES
 from groundstation.identification.likelihood.sensing import Moving, Sensors
 from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import runs_of
 
 VEHICLE = BUILT_IN["crazyflie21"]
 MODEL = vehicle_model(VEHICLE)
@@ -66,3 +69,35 @@ def drag(problem):
     seen = screen(problem, problem.start)
     (one,) = seen.beside_all([problem.frame.variants["rotor_drag.drag_n_s_m"]])
     return float(one.values[0]), float(one.errors[0])
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """Three flights of today's craft in which nothing acts but the base model."""
+    chosen = {"plant": "reduced", "craft": "crazyflie21"}
+    return [recorded(24.0, seed=seed, **chosen)[0] for seed in (21, 22, 23)]
+
+
+def rows(samples, every):
+    """One row in ``every``, with the mean of the settings that acted since the one before."""
+    acted = [samples.duty[every - late : len(samples) - late] for late in range(every)]
+    return replace(samples[every:], duty=np.mean(acted, axis=0, dtype=np.float32))[::every]
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_clean_flight_of_todays_craft_is_explained_and_nothing_is_named(clean, every):
+    """Without the filters: a dead time, a sag and a damping, and a third less thrust per mass."""
+    first, second, held = (rows(samples, every) for samples in clean)
+    runs = [run for one in (first, second) for run in runs_of(one, "flight")]
+    model = identify_body(runs, [], MODEL, VEHICLE).model
+    corners = {term.name: term.parameters["corner_hz"].value for term in model.effects}
+    assert corners == {"gyro_filter": 80.0, "accelerometer_filter": 30.0}
+    found = find_discrepancy(
+        [flights_of(first, "a"), flights_of(second, "b")], model, [flights_of(held, "c")]
+    )
+    assert found.findings.effects == ()
+    assert found.proof.after.gap < 1.15
+    for key in ("c0", "c1", "c2", "thrust_per_mass"):
+        given, now = (getattr(one.body, key) for one in (model, found.findings.model))
+        assert abs(now / given - 1.0) < 0.02
+        assert abs(now / getattr(MODEL.body, key) - 1.0) < 0.03
