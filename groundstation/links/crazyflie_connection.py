@@ -12,6 +12,7 @@ import errno
 import io
 import logging
 import os
+import random
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ ANSWER_S = 1.0
 BLOCK_S = CLOSE_S = 5.0
 STOP_S = 0.05
 """Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
+STAGGER_TRIES = 40
 LEAST_CFLIB_MS = 10
 """cflib's own commands know no shorter period."""
 
@@ -218,15 +220,22 @@ class Connection:
         }
 
     async def start_log(
-        self, blocks: Sequence[Sequence[Variable]], period_ms: int, on_values: OnValues
+        self,
+        blocks: Sequence[Sequence[Variable]],
+        period_ms: int,
+        on_values: OnValues,
+        between: int = 0,
     ) -> None:
         """Let the craft send blocks, each every ``period_ms``.
+
+        between: number of the block that is to come half-way between those of the first; 0: none.
 
         Raises LinkError where it refuses one, or does not know so short a period.
         """
         from cflib.crazyflie.log import LogConfig
 
         craft, loop = self.craft, asyncio.get_running_loop()
+        stamps: dict[int, int] = {}
         running = threading.Event()  # nothing is passed on before the last block has its period
         for number, variables in enumerate(blocks):
             block = LogConfig(f"block {number}", max(period_ms, LEAST_CFLIB_MS))
@@ -244,6 +253,7 @@ class Connection:
                 loop.call_soon_threadsafe(resolve, started, error)
 
             def received(stamp: int, values: Any, block: Any, number: int = number) -> None:
+                stamps[number] = stamp
                 if running.is_set():
                     on_values(number, stamp, tuple(values.values()))
 
@@ -260,11 +270,33 @@ class Connection:
                     " and 128 variables; ask for fewer with --log"
                 ) from error
             await self._within(started, "did not start a log block")
-        await self._set_period(period_ms)
+        await self._set_period(period_ms, self._blocks)
+        if between and self.protocol >= 0:
+            await self._stagger(self._blocks[between], period_ms, stamps, between)
         running.set()
 
-    async def _set_period(self, period_ms: int) -> None:
-        """Start all blocks again, as close to each other as packets go, in ms: cflib itself
+    async def _stagger(
+        self, block: Any, period_ms: int, stamps: dict[int, int], number: int
+    ) -> None:
+        """Start a block again until it comes half a period after the first one.
+
+        When a packet arrives in the craft is chance, by some ms. Where it does not succeed, the
+        block is merely of another moment.
+        """
+        near_ms = (period_ms - 1) // 4
+        for _ in range(STAGGER_TRIES):
+            stamps.clear()
+            async with asyncio.timeout(BLOCK_S):
+                while not {0, number} <= stamps.keys():
+                    await asyncio.sleep(1e-3 * period_ms)
+            off_ms = (stamps[number] - stamps[0]) % period_ms - period_ms // 2
+            if abs(off_ms) <= near_ms:
+                return
+            await asyncio.sleep(1e-3 * random.uniform(0.0, 2.0 * period_ms))
+            await self._set_period(period_ms, [block])
+
+    async def _set_period(self, period_ms: int, blocks: Sequence[Any]) -> None:
+        """Start blocks again, as close to each other as packets go, in ms: cflib itself
         starts one when the craft has confirmed it, and knows tens of ms only."""
         if self.protocol < 0:
             if period_ms % LEAST_CFLIB_MS:
@@ -275,7 +307,7 @@ class Connection:
             return
         craft, loop = self.craft, asyncio.get_running_loop()
         answers: dict[int, asyncio.Future[int]] = {
-            block.id: loop.create_future() for block in self._blocks
+            block.id: loop.create_future() for block in blocks
         }
 
         def heard(packet: Any) -> None:

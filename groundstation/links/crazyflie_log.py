@@ -32,6 +32,8 @@ CONSOLE_LINES = 200
 """Of the craft's console, until the link is read."""
 RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 """Whole ms, and not below what identification needs."""
+SETTING_MS = 2
+"""How often today's firmware sets the motors."""
 DEVICES = {
     "Crazyflie 2.1 Brushless": "brushless",
     "Crazyflie 2.1": "crazyflie21",
@@ -86,13 +88,14 @@ class CrazyflieTelemetry(Link):
         await self._connection.open()
         try:
             identity = await self._connection.identify()
-            plan = plan_log(self._connection.variables(), self._wanted)
+            slow = self._period_ms > SETTING_MS
+            plan = plan_log(self._connection.variables(), self._wanted, slow)
             if self._rows is None:
                 self._rows = LogRows(plan, self._period_ms)
             else:
                 self._rows.restart(plan, self._period_ms)
             blocks = [*plan.blocks, *plan.extra]
-            await self._connection.start_log(blocks, self._period_ms, self._take)
+            await self._connection.start_log(blocks, self._period_ms, self._take, plan.again)
         except BaseException:
             await self._connection.close()
             raise

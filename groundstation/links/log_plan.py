@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from groundstation.errors import BadInputError, LinkError
 
@@ -45,12 +45,15 @@ class LogPlan:
     known_as: variable -> the column that ``samples_from_columns`` knows.
     missing: what the craft does not have, in words.
     extra: blocks of what the user wants besides, which no row waits for.
+    again: number of the block that holds the motors' commands a second time, for rows slower than
+    these are set; 0: none does.
     """
 
     blocks: tuple[tuple[Variable, ...], ...]
     known_as: Mapping[str, str]
     missing: tuple[str, ...]
     extra: tuple[tuple[Variable, ...], ...] = ()
+    again: int = 0
 
 
 def _each(pattern: str, parts: str | Sequence[str]) -> tuple[str, ...]:
@@ -59,14 +62,16 @@ def _each(pattern: str, parts: str | Sequence[str]) -> tuple[str, ...]:
 
 _ANGLES = ("roll", "pitch", "yaw")
 _GYRO = _Choice(_each("gyro.{}", "xyz"), "float")
+_ACCELEROMETER = (_Choice(_each("acc.{}", "xyz"), "float"),)
+_MOTORS = (
+    _Choice(_each("motor.m{}", "1234"), "uint16_t"),
+    _Choice(_each("pwm.m{}_pwm", "1234"), "uint16_t"),
+)
 _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
     (
         "motor commands",
         "motors and thrust cannot be identified",
-        (
-            _Choice(_each("motor.m{}", "1234"), "uint16_t"),
-            _Choice(_each("pwm.m{}_pwm", "1234"), "uint16_t"),
-        ),
+        _MOTORS,
     ),
     (
         "battery voltage",
@@ -76,7 +81,7 @@ _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
     (
         "accelerometer",
         "thrust cannot be identified",
-        (_Choice(_each("acc.{}", "xyz"), "float"),),
+        _ACCELEROMETER,
     ),
     (
         "attitude",
@@ -99,9 +104,9 @@ _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
 )  # fmt: skip
 
 
-def plan_log(listed: Mapping[str, str], wanted: Sequence[str] = ()) -> LogPlan:
+def plan_log(listed: Mapping[str, str], wanted: Sequence[str] = (), slow: bool = False) -> LogPlan:
     """The blocks for a craft. listed: variable -> type, its table of contents. wanted: further
-    variables.
+    variables. slow: the motors are set more often than rows come.
 
     Raises LinkError where it does not even list a gyro, BadInputError for a wanted variable that
     it does not list.
@@ -119,13 +124,37 @@ def plan_log(listed: Mapping[str, str], wanted: Sequence[str] = ()) -> LogPlan:
         # all of it in two blocks: the attitude in 4 bytes instead of 12
         attitude = _Choice((QUATERNION,), "uint32_t")
         chosen = [attitude if "roll" in each.names[0] else each for each in chosen]
-    blocks = _packed([[(name, choice.kind) for name in choice.names] for choice in chosen])
+    blocks = _packed(_groups(chosen))
     known_as = {
         name: column
         for choice in chosen
         for name, column in zip(choice.names, choice.known_as or choice.names, strict=True)
     }
-    return LogPlan(blocks, known_as, tuple(missing), _packed(_wanted(listed, wanted)))
+    again = 0
+    if slow and (motors := next((choice for choice in chosen if choice in _MOTORS), None)):
+        # half a thousandth of 1 g is less than a tenth of the accelerometer's noise
+        halved = [replace(one, kind="FP16") if one in _ACCELEROMETER else one for one in chosen]
+        for way in (blocks, _packed(_groups(halved))):
+            if not again:
+                blocks, again = _motors_again(way, motors)
+    return LogPlan(blocks, known_as, tuple(missing), _packed(_wanted(listed, wanted)), again)
+
+
+def _groups(chosen: Sequence[_Choice]) -> list[list[Variable]]:
+    return [[(name, choice.kind) for name in choice.names] for choice in chosen]
+
+
+def _motors_again(
+    blocks: tuple[tuple[Variable, ...], ...], motors: _Choice
+) -> tuple[tuple[tuple[Variable, ...], ...], int]:
+    """The blocks with the motors' commands in a second one as well, where one has room, and its
+    number: half a period later they are often others."""
+    again = tuple((name, motors.kind) for name in motors.names)
+    for number, block in enumerate(blocks):
+        room = BLOCK_BYTES - _size(block)
+        if number > 0 and again[0] not in block and room >= motors.size:
+            return (*blocks[:number], (*block, *again), *blocks[number + 1 :]), number
+    return blocks, 0
 
 
 def _wanted(listed: Mapping[str, str], wanted: Sequence[str]) -> list[list[Variable]]:

@@ -4,7 +4,8 @@ A packet has a stamp of 24 bits in ms and no number: time is unwrapped with the 
 what was lost shows only as a missing step. The blocks of one period are started one after the
 other, so their stamps may differ by a constant part of it: a row has the stamps of the first
 block, and the others are read there, on the line between their neighbours where they are not from
-the same moment.
+the same moment. The motors are set 500 times a second: where rows are slower and a second block has
+their commands as well, a row holds the mean of both settings that acted before it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ TICK_S = 1e-6
 WRAP_MS = 1 << 24
 BACKWARDS_MS = 100
 """Blocks share one queue, so their stamps run forward: one so far back is a restart's."""
+MOTORS, FULL = 4, 65535.0
+"""Commands of 16 bits in a block."""
 _WRAPPING = ("stateEstimate.roll", "stateEstimate.yaw")
 
 LogPacket = tuple[int, int, tuple[float, ...], int]
@@ -162,7 +165,11 @@ class LogRows:
         same = 1 if self.period_ms > 2 else 0  # a timer may be served one tick late
         near = [one for one in (before, after) if one and abs(one.time_ms - time_ms) <= same]
         if near:
-            return min(near, key=lambda one: abs(one.time_ms - time_ms))
+            one = min(near, key=lambda one: abs(one.time_ms - time_ms))
+            if block == self.plan.again:  # the same as in the first block
+                unknown = (math.nan,) * MOTORS
+                one = replace(one, values=(*one.values[:-MOTORS], *unknown))
+            return one
         if before is None or after is None:
             return None
         span = after.time_ms - before.time_ms
@@ -176,6 +183,8 @@ class LogRows:
             self._between(name, share, *pair)
             for name, *pair in zip(names, before.values, after.values, strict=True)
         )
+        if block == self.plan.again:  # as they were set, and before the row
+            values = (*values[:-MOTORS], *before.values[-MOTORS:])
         return _Reading(time_ms, values, after.host_ns)
 
     def _between(self, name: str, share: float, before: float, after: float) -> float:
@@ -202,6 +211,13 @@ class LogRows:
             return empty_samples(0, TICK_S)
         names = [name for block in self.plan.blocks for name, _ in block]
         table = np.array([values for *_, values in rows], np.float64)
+        again = table[:, :0]
+        if self.plan.again:
+            last = sum(map(len, self.plan.blocks[: self.plan.again + 1]))
+            between = slice(last - MOTORS, last)
+            again = table[:, between]
+            table = np.delete(table, between, axis=1)
+            del names[between]
         columns: dict[str, NDArray[Any]] = {
             self.plan.known_as[name]: table[:, column] for column, name in enumerate(names)
         }
@@ -214,6 +230,9 @@ class LogRows:
         samples.host_time_ns[:] = [host_ns for _, host_ns, *_ in rows]
         samples.segment[:] = [segment for _, _, segment, _ in rows]
         self._as_they_acted(samples)
+        if again.size:
+            mean = 0.5 * (samples.duty + again / FULL)
+            samples.duty[:] = np.where(np.isfinite(mean), mean, samples.duty)
         return samples
 
     def _as_they_acted(self, samples: SampleBatch) -> None:

@@ -60,7 +60,8 @@ class SampleBatch:
     segment: (n,) int32, counts restarts of the device; device time is continuous inside one.
     copies: (n,) uint8, how many agreeing copies arrived (saturates at 255).
     battery_v: (n,) float32.
-    duty: (n, 4) float32, 0..1, the PWM that acted over the 2 ms before the gyro sample.
+    duty: (n, 4) float32, 0..1, the PWM that acted over the 2 ms before the gyro sample; where
+        rows are slower, the mean of two such settings if the source has both.
     gyro: (n, 3) float32, rad/s.
     accelerometer: (n, 3) float32, specific force in m/s^2.
     attitude: (n, 3) float32, roll pitch yaw in rad.

@@ -177,3 +177,22 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
     if segments == 1:
         counted = station.receiver.link.sample_counts().lost
         assert counted == pytest.approx(steps.max() / 0.01 - 1, abs=2)
+
+
+def test_the_blocks_of_a_slow_row_come_half_a_period_apart(craft: ServedCraft) -> None:
+    """The motors are set every 2 ms, and rows that come every 4 hold both settings."""
+
+    async def session() -> tuple[SampleBatch, int]:
+        async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=250) as link:
+            parts: list[SampleBatch] = []
+            while sum(map(len, parts)) < 200:
+                batch = await link.read()
+                if isinstance(batch, SampleBatch):
+                    parts.append(batch)
+            assert link._rows is not None
+            return SampleBatch.concatenate(parts), link._rows.apart_ms
+
+    samples, apart_ms = asyncio.run(session())
+    assert apart_ms == 2
+    assert np.median(np.diff(samples.ticks)) == 4000
+    assert np.isfinite(samples.duty).all()

@@ -59,3 +59,16 @@ def test_further_variables_have_blocks_of_their_own():
     assert plan.extra == ((("range.zrange", "uint16_t"),),)
     with pytest.raises(BadInputError, match=r"range\.zrang: .* near are range\.zrange"):
         plan_log(TODAY, ["range.zrang"])
+
+
+@pytest.mark.parametrize("listed", [TODAY, TODAY | DECK])
+def test_rows_slower_than_the_motors_settings_have_them_in_two_blocks(listed):
+    plan = plan_log(listed, slow=True)
+    assert len(plan.blocks) == 2
+    motors = tuple(f"motor.m{m}" for m in range(1, 5))
+    for block in plan.blocks:
+        assert {*motors} <= {name for name, _ in block}
+        assert sum(TYPE_BYTES[kind] for _, kind in block) <= BLOCK_BYTES
+    assert plan.again == 1
+    assert tuple(name for name, _ in plan.blocks[1][-4:]) == motors
+    assert plan_log(listed).again == 0

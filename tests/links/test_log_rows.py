@@ -129,3 +129,44 @@ def test_attitude_in_32_bits_is_that_of_the_firmware():
     back = decompressed(codes)
     same = np.abs((back * quaternions).sum(axis=1))
     assert np.degrees(2 * np.arccos(np.minimum(same, 1.0))).max() < 0.25
+
+
+def test_a_slow_row_holds_the_mean_of_both_settings_that_acted_before_it():
+    """Motors are set every 2 ms: the second block tells of those between the rows."""
+    plan = LogPlan(
+        (FIRST + MOTORS, SECOND + MOTORS), {name: name for name, _ in FIRST + SECOND + MOTORS},
+        (), again=1,
+    )  # fmt: skip
+    rows = LogRows(plan, 4)
+    times = [t for t in range(0, 400, 4) if t != 200]
+
+    def in_first(t):
+        return (0.0, 0.0, 0.0, *4 * (100.0 * t,))
+
+    def in_second(t):
+        return (0.0, 0.0, float(t), *4 * (100.0 * t,))
+
+    between = [t + 2 for t in range(0, 400, 4)]
+    samples = rows.add(in_order(packets(times, 0, in_first), packets(between, 1, in_second)))
+    read_at = np.rint(samples.time_s * 1000).astype(int)
+    assert read_at.tolist() == times[1:]
+    acted = samples.duty[:, 2] * 65535 / 100.0
+    whole = ~np.isin(read_at, [4, 204])  # the setting before these rows was not heard
+    assert acted[whole] == pytest.approx(read_at[whole] - 3)  # of those 4 and 2 ms ago
+    assert samples.accelerometer[:, 2] == pytest.approx(9.80665 * read_at, rel=1e-6)
+
+
+def test_a_second_block_of_the_same_moment_tells_nothing_more_of_the_motors():
+    plan = LogPlan(
+        (FIRST + MOTORS, SECOND + MOTORS), {name: name for name, _ in FIRST + SECOND + MOTORS},
+        (), again=1,
+    )  # fmt: skip
+    rows = LogRows(plan, 4)
+    times = range(0, 400, 4)
+
+    def both(t):
+        return (0.0, 0.0, 0.0, *4 * (100.0 * t,))
+
+    samples = rows.add(in_order(packets(times, 0, both), packets(times, 1, both)))
+    acted = samples.duty[1:, 0] * 65535 / 100.0
+    assert acted == pytest.approx(np.rint(samples.time_s[1:] * 1000) - 4)

@@ -11,6 +11,7 @@ from groundstation.identification.body.setup import CONSTANTS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
 from groundstation.identification.likelihood.parameters import SENSOR_LAG
+from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,9 @@ TELLS = 0.2
 CONTROL_HZ, SLOW = 500.0, 1.5
 """At which the firmware of 2014 and today's set the motors, and from how many settings a row on a
 recorded one is not what was flown."""
+FULL, HALF_WAY, MEANS = 65535.0, 0.05, 0.2
+"""Full scale of a setting, and the share of settings that lie so near half-way between two from
+which they are means: of those joined from other rates a tenth does."""
 MOTION_S = 0.05
 """Means over so long are the craft's motion, not its vibration."""
 BY_CHANCE = 2.5
@@ -47,9 +51,17 @@ def certain(setup: Setup, free: FreeFit) -> tuple[Array, dict[str, float]]:
     return covariance, moves
 
 
-def settings_a_row(period_s: float) -> float:
-    """How many settings of the motors each row stands for, 1 where it is all there are."""
-    settings = CONTROL_HZ * period_s
+def is_fast(period_s: float) -> bool:
+    """Whether rows follow each other as fast as settings of the motors."""
+    return CONTROL_HZ * period_s < SLOW
+
+
+def settings_a_row(run: Run) -> float:
+    """How many settings of the motors stand behind each that a row holds, 1 where it is all there
+    are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
+    half-way between the 65536 that there are."""
+    away = np.abs((run.duty * FULL) % 1.0 - 0.5) < HALF_WAY
+    settings = CONTROL_HZ * run.period_s / (2.0 if away.mean() > MEANS else 1.0)
     return settings if settings >= SLOW else 1.0
 
 
@@ -63,8 +75,8 @@ def between_rows(setup: Setup) -> dict[str, float]:
     frequency at which the craft turns to and fro.
     """
     flights = setup.problem.flights
-    period = flights[0].period_s
-    if flights[0].rotor_measured or settings_a_row(period) == 1.0:
+    period, settings = flights[0].period_s, settings_a_row(flights[0].run)
+    if flights[0].rotor_measured or settings == 1.0:
         return {}
     width = max(round(MOTION_S / period), 1)
     turned, rate = np.zeros(3), np.zeros(3)
@@ -74,7 +86,7 @@ def between_rows(setup: Setup) -> dict[str, float]:
         means = (sums[width:] - sums[:-width]) / width
         turned += (((means[width:] - means[:-width]) / (width * period)) ** 2).sum(axis=0)
         rate += (means**2).sum(axis=0)
-    phase = (period - 1.0 / CONTROL_HZ) * np.sqrt(turned / rate)
+    phase = (settings - 1.0) / CONTROL_HZ * np.sqrt(turned / rate)
     return {"c0": float(phase[0]), "c1": float(phase[1])}
 
 

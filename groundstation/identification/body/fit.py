@@ -20,7 +20,7 @@ from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import between_rows, certain, settings_a_row
+from groundstation.identification.body.certainty import between_rows, certain, is_fast
 from groundstation.identification.body.judgement import (
     cross_talk,
     hints,
@@ -135,7 +135,7 @@ def fit_body(
         setup = set_up(stretches, vehicle, thrust, acting, tie_roll_pitch, rotor)
         found.append((setup, likeliest(setup)))
     setup, free = min(found, key=lambda one: one[1].cost)
-    if vehicle.gyro_filter_hz > 0.0 and settings_a_row(stretches[0].run.period_s) <= 1.0:
+    if vehicle.gyro_filter_hz > 0.0 and is_fast(stretches[0].run.period_s):
         # Whether a log holds filtered rates depends on the firmware: its likelihood says, where
         # rows are not so slow that the motors' settings between them blur what is fast.
         raw = setup.unfiltered()
@@ -288,7 +288,7 @@ def _outcome(
                 for key, reason in reasons.items()
             ),
             *warnings_of(estimates, moves, missed),
-            *slow_rows(setup.problem.flights[0].period_s, missed),
+            *slow_rows(setup.problem.flights[0].run, missed),
             *cross_talk(setup, free),
             *hints(setup, free, nuisances),
         ),

@@ -16,6 +16,7 @@ from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit
 from groundstation.identification.likelihood.parameters import value
+from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.torque import AXES
 
@@ -57,7 +58,7 @@ def require_usable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
                 )
 
 
-def slow_rows(period_s: float, shares: Mapping[str, float]) -> list[str]:
+def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
     """A warning where rows come slower than the controller moves the motors, otherwise nothing.
 
     shares: of ``certainty.between_rows``.
@@ -65,7 +66,7 @@ def slow_rows(period_s: float, shares: Mapping[str, float]) -> list[str]:
     if not shares:
         return []
     return [
-        f"{1 / period_s:.0f} rows a second hold one in {settings_a_row(period_s):.0f} of the"
+        f"{1 / run.period_s:.0f} rows a second hold one in {settings_a_row(run):g} of the"
         f" motors' settings: c0 and c1 are uncertain by {100 * max(shares.values()):.0f} % for it"
         " where the motor was fitted (--model), by more where it was not, c2 by more than its"
         " error says; record 500 a second, or rotor speeds"
