@@ -22,19 +22,18 @@ SHOWS_S = 1.0 / 240.0
 def filters_of(vehicle: Vehicle, flights: Sequence[Flight]) -> dict[str, float]:
     """Corner in Hz of each on-board filter that these flights show, by its effect's name.
 
-    Not the accelerometer's where rotor speeds were measured: along z, what is fast behind the
-    filter is less thrust than the noise of these speeds, and would say how late everything is.
+    None where rotor speeds were recorded: their sensor lags by as much, what is fast in them is
+    mostly noise, and behind the filters it would say how late everything is. On real flights a
+    search then lost what it had named (payload: gap 4.5, with the filters 8.4).
     """
-    if any(flight.period_s > SHOWS_S for flight in flights):
+    if not _fast(flights) or _speeds_recorded(flights):
         return {}
-    measured = any(flight.rotor_measured for flight in flights)
     felt = all(flight.has_accelerometer for flight in flights)
-    lacking = {"modelled rotors": measured, "accelerometer": not felt}
     return {
         name: corner
         for name, effect in ON_BOARD.items()
         if (corner := getattr(vehicle, effect.on_board)) > 0.0
-        and not any(lacking.get(need, False) for need in effect.needs)
+        and (felt or "accelerometer" not in effect.needs)
     }
 
 
@@ -43,10 +42,17 @@ def in_plane_hz(vehicle: Vehicle, flights: Sequence[Flight], known: Collection[s
 
     known: effects of the model.
     """
-    shown = all(flight.period_s < SHOWS_S for flight in flights)
-    measured = any(flight.rotor_measured for flight in flights)
     held = any("accelerometer" in EFFECTS[name].needs for name in known if name in ON_BOARD)
-    return vehicle.accelerometer_filter_hz if shown and measured and not held else 0.0
+    shown = _fast(flights) and _speeds_recorded(flights) and not held
+    return vehicle.accelerometer_filter_hz if shown else 0.0
+
+
+def _fast(flights: Sequence[Flight]) -> bool:
+    return all(flight.period_s < SHOWS_S for flight in flights)
+
+
+def _speeds_recorded(flights: Sequence[Flight]) -> bool:
+    return any(np.isfinite(flight.run.rotor_rev_s).any() for flight in flights)
 
 
 def filter_prior(known: Sequence[Variant], start: Point) -> list[Prior]:
