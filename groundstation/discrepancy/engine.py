@@ -36,7 +36,6 @@ from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import (
     ON_BOARD,
     filter_prior,
-    filters_of,
     in_plane_hz,
 )
 from groundstation.identification.likelihood.parameters import (
@@ -192,7 +191,7 @@ def find_effects(
     problem.prior += filter_prior(known, start)
     corner = in_plane_hz(vehicle, fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
-    out = {*lost, *there, *(ON_BOARD.keys() - filters_of(vehicle, fit_on))}
+    out = {*lost, *there, *ON_BOARD}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v not in RENAMES]
     search = Search(problem, held, known, candidates, report)
     if judged is not None:

@@ -169,7 +169,7 @@ class Effect:
     told; ``modelled rotors``: not where rotor speeds were measured. unmeasured: what its law reads
     that no sensor shows.
     on_board: the vehicle's field that says its size: what a firmware does to its readings, known
-    and not estimated. A craft without it has no such effect.
+    and no candidate: it is in a model or it is not.
     renames: the base constant whose change it is. It is no candidate beside that constant, which
     explains the same, but its name once that has moved.
     negligible, because: a size (norm of all sizes) below which it is fitted but no finding.

@@ -66,7 +66,7 @@ def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
     if not shares:
         return []
     return [
-        f"{1 / run.period_s:.0f} rows a second hold one in {settings_a_row(run):g} of the"
+        f"{1 / run.period_s:.0f} rows a second hold one in {settings_a_row(run):.2g} of the"
         f" motors' settings: c0 and c1 are uncertain by {100 * max(shares.values()):.0f} % for it"
         " where the motor was fitted (--model), by more where it was not, c2 by more than its"
         " error says; record 500 a second, or rotor speeds"

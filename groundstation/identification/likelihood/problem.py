@@ -122,7 +122,9 @@ class Problem:
         effects = self.frame.unknowns.items()
         measured = any(flight.rotor_measured for flight in flights)
         self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
-        self.every_key = (*self.base_keys, *(key for key, one in effects if not one.effect.renames))
+        told = [key for key, one in effects if not (one.effect.renames or one.effect.on_board)]
+        known = [key for key, one in effects if one.effect.on_board and key in start]
+        self.every_key = (*self.base_keys, *told, *known)
         lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}
         unknowns = self.frame.unknowns.values()
