@@ -66,7 +66,6 @@ EFFECT = Effect(
             bounds=(0.0, 0.01),
             step=1e-4,
             stride=1e-3,
-            near=3e-4,
         ),
     ),
     adds="the firmware's low-pass of second order behind the gyro; 0 Hz means none",
