@@ -198,7 +198,12 @@ def _put_own(craft: np.void, own: Mapping[str, list[Acting]]) -> None:
 def _put_states(craft: np.void, stage: Stage, own: Sequence[Effect]) -> None:
     """Where the states of a stage begin, and how many there are to integrate."""
     listed = [effect for effect in at_stage(stage) if effect.states]
-    remembered = [state for effect in (*listed, *own) for state in effect.states]
+    acts = [*(bool(craft[effect.name][0]) for effect in listed), *(True for _ in own)]
+    remembered = [
+        (state, there)
+        for effect, there in zip((*listed, *own), acts, strict=True)
+        for state in effect.states
+    ]
     theirs = sum(len(effect.states) for effect in own)
     if theirs > STATE_SLOTS:
         raise BadInputError(f"its own effects have {theirs} states, at most {STATE_SLOTS} can act")
@@ -206,9 +211,10 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Effect]) -> None:
         craft[f"{stage}_states"] = LISTED_STATES[stage] + STATE_SLOTS
     elif any(craft[effect.name][0] for effect in listed):
         craft[f"{stage}_states"] = LISTED_STATES[stage]
-    for place, state in enumerate(remembered):
+    for place, (state, there) in enumerate(remembered):
         craft[f"{stage}_initial"][place] = state.initial
-        if state.follows is not None and stage == "sensor":
+        # An observer takes the first that follows a channel for what the sensor shows of it.
+        if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
 
 

@@ -219,7 +219,7 @@ def test_an_operator_stops_the_motors_of_whoever_commands(fly, path, stations):
             ask(path, "POST", "/command/stop")
             with pytest.raises(GroundStationError, match="not \\(or no more\\) in force"):
                 pilot.setpoint(0.0, 0.0, 0.0, HOVER)
-            until(lambda: stations[0].newest().motors == [0.0] * 4, "the motors stand")
+            until(lambda: stations[0].newest.telemetry().motors == [0.0] * 4, "the motors stand")
         ask(path, "POST", "/command/stop")  # also where nobody commands
 
     recording = fly(conversation, **PATIENT)
