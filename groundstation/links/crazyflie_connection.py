@@ -14,7 +14,7 @@ import logging
 import os
 import random
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,6 +135,10 @@ class Connection:
         craft.connection_failed.add_callback(failed)
         craft.connection_lost.add_callback(lost)
         craft.console.receivedChar.add_callback(lambda text: call(self._hear, text))
+        stop_pings = craft.link_statistics.stop
+        # it joins the thread of the pings, and fails, silently for us, where a ping finds the craft
+        # gone: nobody is told of the loss then
+        craft.link_statistics.stop = lambda: _elsewhere(stop_pings)
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
@@ -284,11 +288,14 @@ class Connection:
         block is merely of another moment.
         """
         near_ms = (period_ms - 1) // 4
+
+        async def both() -> None:
+            while not {0, number} <= stamps.keys():
+                await asyncio.sleep(1e-3 * period_ms)
+
         for _ in range(STAGGER_TRIES):
             stamps.clear()
-            async with asyncio.timeout(BLOCK_S):
-                while not {0, number} <= stamps.keys():
-                    await asyncio.sleep(1e-3 * period_ms)
+            await self._within(both(), "did not send what it was asked to log")
             off_ms = (stamps[number] - stamps[0]) % period_ms - period_ms // 2
             if abs(off_ms) <= near_ms:
                 return
@@ -332,7 +339,7 @@ class Connection:
         finally:
             craft.remove_header_callback(heard, _LOG, _LOG_CONTROL)
 
-    async def _within(self, answer: asyncio.Future[Any], what: str) -> Any:
+    async def _within(self, answer: Awaitable[Any], what: str) -> Any:
         try:
             async with asyncio.timeout(BLOCK_S):
                 return await answer
@@ -377,6 +384,11 @@ def in_reach() -> list[str]:
         for driver in (RadioDriver(), UsbDriver()):
             found += [uri for uri, *_ in driver.scan_interface(None)]
     return found
+
+
+def _elsewhere(function: Callable[[], None]) -> None:
+    """Let a thread of its own call it: one that may not wait for the thread that asks."""
+    threading.Thread(target=function, daemon=True).start()
 
 
 def _packet(port: int, channel: int, data: bytes) -> Any:

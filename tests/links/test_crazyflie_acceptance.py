@@ -54,19 +54,25 @@ class Air:
             self._send(packet, addr)
 
 
+async def received(link: CrazyflieTelemetry, rows: int) -> SampleBatch:
+    """So many rows at least."""
+    parts: list[SampleBatch] = []
+    while sum(map(len, parts)) < rows:
+        batch = await link.read()
+        if isinstance(batch, SampleBatch):
+            parts.append(batch)
+    return SampleBatch.concatenate(parts)
+
+
 def test_four_per_cent_of_lost_packets_are_told_to_the_row(craft: ServedCraft) -> None:
     air = Air(craft, loss=0.04)
 
     async def session() -> tuple[SampleBatch, int, int]:
         async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=100) as link:
-            parts: list[SampleBatch] = []
-            while sum(map(len, parts)) < 800:
-                batch = await link.read()
-                if isinstance(batch, SampleBatch):
-                    parts.append(batch)
+            samples = await received(link, 800)
             counts = link.sample_counts()
             assert counts is not None
-            return SampleBatch.concatenate(parts), counts.samples, counts.lost
+            return samples, counts.samples, counts.lost
 
     samples, told, lost = asyncio.run(session())
     times = np.rint(samples.time_s * 1000).astype(int)
@@ -184,13 +190,9 @@ def test_the_blocks_of_a_slow_row_come_half_a_period_apart(craft: ServedCraft) -
 
     async def session() -> tuple[SampleBatch, int]:
         async with asyncio.timeout(PATIENCE_S), CrazyflieTelemetry(craft.uri, rate_hz=250) as link:
-            parts: list[SampleBatch] = []
-            while sum(map(len, parts)) < 200:
-                batch = await link.read()
-                if isinstance(batch, SampleBatch):
-                    parts.append(batch)
+            samples = await received(link, 200)
             assert link._rows is not None
-            return SampleBatch.concatenate(parts), link._rows.apart_ms
+            return samples, link._rows.apart_ms
 
     samples, apart_ms = asyncio.run(session())
     assert apart_ms == 2

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from flown_link import free_udp_port
 from programs import run_program
-from served_craft import served
+from served_craft import ServedCraft, served
 from usb.core import USBError
 
 from groundstation.errors import BadInputError, LinkError
@@ -138,3 +138,23 @@ def test_a_library_that_locks_itself_up_holds_nobody_up(monkeypatch: pytest.Monk
 
     with served(craft="crazyflie21", plant="reduced") as craft:
         asyncio.run(session(craft.uri))
+
+
+def test_a_craft_that_a_ping_finds_gone_is_told_of() -> None:
+    """cflib's own ping waits for itself then, and said nothing to anybody."""
+    told: list[str] = []
+
+    async def session(craft: ServedCraft) -> None:
+        connection = Connection(craft.uri)
+        connection.on_lost.append(told.append)
+        await connection.open()
+        connection.craft.link.pause()  # else the thread that receives may find it first
+        asyncio.run_coroutine_threadsafe(craft.server.close(), craft.loop).result(10)
+        async with asyncio.timeout(20):
+            while not told:
+                await asyncio.sleep(0.05)
+            await connection.close()
+
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        asyncio.run(session(craft))
+    assert told == ["refused: nothing serves there"]

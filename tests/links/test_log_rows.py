@@ -131,13 +131,16 @@ def test_attitude_in_32_bits_is_that_of_the_firmware():
     assert np.degrees(2 * np.arccos(np.minimum(same, 1.0))).max() < 0.25
 
 
+TWICE = LogPlan(
+    (FIRST + MOTORS, SECOND + MOTORS), {name: name for name, _ in FIRST + SECOND + MOTORS},
+    (), again=1,
+)  # fmt: skip
+"""The motors in both blocks."""
+
+
 def test_a_slow_row_holds_the_mean_of_both_settings_that_acted_before_it():
     """Motors are set every 2 ms: the second block tells of those between the rows."""
-    plan = LogPlan(
-        (FIRST + MOTORS, SECOND + MOTORS), {name: name for name, _ in FIRST + SECOND + MOTORS},
-        (), again=1,
-    )  # fmt: skip
-    rows = LogRows(plan, 4)
+    rows = LogRows(TWICE, 4)
     times = [t for t in range(0, 400, 4) if t != 200]
 
     def in_first(t):
@@ -157,11 +160,7 @@ def test_a_slow_row_holds_the_mean_of_both_settings_that_acted_before_it():
 
 
 def test_a_second_block_of_the_same_moment_tells_nothing_more_of_the_motors():
-    plan = LogPlan(
-        (FIRST + MOTORS, SECOND + MOTORS), {name: name for name, _ in FIRST + SECOND + MOTORS},
-        (), again=1,
-    )  # fmt: skip
-    rows = LogRows(plan, 4)
+    rows = LogRows(TWICE, 4)
     times = range(0, 400, 4)
 
     def both(t):
