@@ -11,7 +11,6 @@ import argparse
 import os
 import shutil
 import signal
-import socket
 import time
 from typing import Any
 
@@ -19,10 +18,12 @@ import psutil
 
 from bench.daemon import at_line_rate
 from groundstation.service.client import ask
+from groundstation.viewer.viewer import free_port
 
 FLOWN_S, FRESH_S, PATIENCE_S, WATCHED_S = 40.0, 5.0, 240.0, 20.0
 PAUSES_S = 8.0, 25.0
 LOOK_S = 0.3
+HERE = "127.0.0.1"
 _AGE = "window._handle ? window.age_s() : null"
 
 
@@ -30,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.live_view")
     parser.add_argument("--openings", type=int, default=3)
     openings = parser.parse_args().openings
-    ports = "--viewer-port", str(_free_port()), "--web-port", str(_free_port())
+    ports = "--viewer-port", str(free_port(HERE)), "--web-port", str(free_port(HERE))
     with at_line_rate("--viewer", "serve", "--no-page", *ports) as path:
         time.sleep(FLOWN_S)
         for _ in range(openings):
@@ -109,12 +110,6 @@ def _age_s(page: Any) -> float | None:
     except Error:  # it loads itself anew
         return None
     return None if age_s is None else float(age_s)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from typing import Any
 from groundstation.errors import GroundStationError
 from groundstation.viewer.channels import DEVICE_TIME
 from groundstation.viewer.child import Child
-from groundstation.viewer.viewer import rerun_program
+from groundstation.viewer.viewer import free_port, rerun_program
 
 START_S = 60.0
 PAINT_S = 30.0
@@ -78,7 +78,7 @@ def hidden_viewer(path: Path, size: tuple[int, int] = (1920, 1080)) -> Iterator[
     """
     from rerun.experimental import ViewerClient
 
-    port = _free_port()
+    port = free_port("127.0.0.1")
     command = [
         str(rerun_program()), "--headless", "--bind", "127.0.0.1", "--port", str(port),
         "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen",
@@ -126,10 +126,3 @@ def _open(client_type: Any, process: Child, port: int, path: Path) -> Any:
             raise GroundStationError(f"{path} could not be opened in the viewer")
         time.sleep(0.05)
     raise GroundStationError(f"the viewer did not answer within {START_S:g} s")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
