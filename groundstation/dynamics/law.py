@@ -21,6 +21,7 @@ the ones before it left (``Effect.order``).
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 Three = tuple[float, float, float]
@@ -120,6 +121,24 @@ def to_body(quaternion: Any, vector: Any) -> Three:
     """An inertial vector in body axes."""
     w, x, y, z = quaternion
     return to_inertial((w, -x, -y, -z), vector)
+
+
+def butterworth_slopes(given: Any, state: Any, corner_hz: float) -> Any:
+    """Slopes of three signals behind a low-pass of second order, and of their slopes.
+
+    given: the signals (3); state: what has passed and its slopes (6).
+    """
+    pace = 2.0 * math.pi * corner_hz
+    stiff, damped = pace * pace, math.sqrt(2.0) * pace
+    x, y, z = given
+    return (
+        state[3],
+        state[4],
+        state[5],
+        stiff * (x - state[0]) - damped * state[3],
+        stiff * (y - state[1]) - damped * state[4],
+        stiff * (z - state[2]) - damped * state[5],
+    )
 
 
 def rotor_wrench(craft: Any, rotor: Any) -> tuple[float, float, float, float]:
