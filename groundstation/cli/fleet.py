@@ -42,6 +42,7 @@ def index(
         metavar="FOLDER...", help="Folders, files, globs, or addresses such as s3://bucket/flights."
     ),
     output: Path = typer.Option(..., "-o", "--output", help="The catalogue: a folder, new or old."),
+    vehicle: str | None = VEHICLE,
     workers: int | None = WORKERS,
     scheduler: str | None = SCHEDULER,
     as_json: bool = AS_JSON,
@@ -59,7 +60,12 @@ def index(
 
     with shown("looking") as progress, held(output):
         counts = brought_up(
-            output, sources, workers=workers or cores(), scheduler=scheduler, progress=progress
+            output,
+            sources,
+            vehicle=vehicle,
+            workers=workers or cores(),
+            scheduler=scheduler,
+            progress=progress,
         )
         rows = recordings_of(output, ("craft", "state", "reason", "sha256"))
     crafts = sorted({row["craft"] for row in rows if row["craft"]})

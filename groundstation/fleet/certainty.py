@@ -27,7 +27,7 @@ NOTHING = 1.0
 LEAST = 1e-6
 
 
-def expected(recording: Recording, runs: Sequence[Run]) -> Row:
+def expected(recording: Recording, runs: Sequence[Run], asked_vehicle: str | None) -> Row:
     """The columns of a recording. runs: its flights, without gaps. Never raises for what it holds:
     that is ``not_expected``."""
     from groundstation.dynamics.vehicle import load_vehicle
@@ -36,7 +36,7 @@ def expected(recording: Recording, runs: Sequence[Run]) -> Row:
     from groundstation.recording.craft_family import vehicle_of
 
     try:
-        vehicle = load_vehicle(vehicle_of([recording], None) or "crazyflie1")
+        vehicle = load_vehicle(vehicle_of([recording], asked_vehicle) or "crazyflie1")
         shares = flight_excitation(stretches_of(runs, vehicle.motor), vehicle)
     except BadInputError as error:
         return {"not_expected": str(error)}

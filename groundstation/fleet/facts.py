@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ COLUMNS = {
     "sha256": "text",
     "craft": "text",
     "vehicle": "text",
+    "asked_vehicle": "text",
     "firmware": "text",
     "link": "text",
     "begun": "text",
@@ -64,15 +66,23 @@ YEAR_2000_NS = 946_684_800 * 10**9
 LEAST_AIR_S = 4.0
 
 
-def facts_of(address: str) -> Row:
-    """A row of the catalogue. Never raises for what a file holds: that is its ``reason``."""
+def reading(vehicle: str | None) -> partial[Row]:
+    """``facts_of``, for a worker."""
+    return partial(facts_of, vehicle=vehicle)
+
+
+def facts_of(address: str, vehicle: str | None = None) -> Row:
+    """A row of the catalogue. Never raises for what a file holds: that is its ``reason``.
+
+    vehicle: a profile's name or file; None: what the recording names, or else crazyflie1.
+    """
     row: Row = dict.fromkeys(COLUMNS)
-    row |= {"address": address, "reader": READER}
+    row |= {"address": address, "reader": READER, "asked_vehicle": vehicle}
     try:
         row["stamp"] = stamp_of(address)
         with fetched(address) as path:
             row |= {"bytes": path.stat().st_size, "sha256": digest(path)}
-            row |= _described(path, address)
+            row |= _described(path, address, vehicle)
     except GroundStationError as error:
         row |= {"state": "damaged", "reason": str(error)}
     except OSError as error:
@@ -125,7 +135,7 @@ def fetched(address: str) -> Iterator[Path]:
             raise
 
 
-def _described(path: Path, address: str) -> Row:
+def _described(path: Path, address: str, vehicle: str | None) -> Row:
     from groundstation.recording.open_recording import open_recording
     from groundstation.recording.quality import inspect_recording
 
@@ -138,7 +148,7 @@ def _described(path: Path, address: str) -> Row:
     flights = _flights(recording)
     return {
         "craft": _craft(metadata, address),
-        "vehicle": metadata.get("vehicle", {}).get("profile"),
+        "vehicle": vehicle or metadata.get("vehicle", {}).get("profile"),
         "firmware": metadata.get("craft", {}).get("firmware"),
         "link": recording.link,
         "begun": _begun(recording, address, path),
@@ -149,7 +159,11 @@ def _described(path: Path, address: str) -> Row:
         "battery_first_v": float(battery[0]) if len(battery) else None,
         "battery_last_v": float(battery[-1]) if len(battery) else None,
         "channels": sorted(set(report["ranges"]) - set(report["missing"])),
-        **(expected(recording, flights) if flights else {"not_expected": "nothing was flown"}),
+        **(
+            expected(recording, flights, vehicle)
+            if flights
+            else {"not_expected": "nothing was flown"}
+        ),
         "state": grade.split(",")[0],
         "reason": reason,
     }

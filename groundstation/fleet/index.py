@@ -7,10 +7,12 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
-from groundstation.fleet.facts import COLUMNS, KEY, READER, facts_of, stamp_of
+from groundstation.fleet.facts import COLUMNS, KEY, READER, reading, stamp_of
 from groundstation.fleet.gather import gathered
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
@@ -146,20 +148,26 @@ def index(
     catalogue: Path,
     sources: Sequence[str],
     *,
+    vehicle: str | None = None,
     workers: int,
     scheduler: str | None = None,
     progress: Progress = silent,
 ) -> Indexed:
     """Bring the catalogue up to date with what the sources hold.
 
-    Rows of other sources stay. A file that is gone loses its row.
+    vehicle: profile of all crafts, a name or a file; None: what each recording names. Rows of other
+    sources stay. A file that is gone loses its row.
+
+    Raises BadInputError for a profile that there is not.
     """
+    if vehicle is not None:
+        load_vehicle(vehicle)
     table = recordings_table(catalogue)
-    known = table.rows(["stamp", "reader"])
+    known = table.rows(["stamp", "reader", "asked_vehicle"])
     addresses = addresses_of(sources)
-    changed = [one for one in addresses if one not in known or _changed(known[one])]
+    changed = [one for one in addresses if one not in known or _changed(known[one], vehicle)]
     rows = gathered(
-        *(table, facts_of, changed, _deadly),
+        *(table, reading(vehicle), changed, partial(_deadly, vehicle=vehicle)),
         at_once=KEPT_AT,
         doing="reading",
         workers=workers,
@@ -173,8 +181,8 @@ def index(
     return Indexed(len(changed), len(addresses) - len(changed), damaged, len(gone))
 
 
-def _changed(row: Row) -> bool:
-    if row["reader"] != READER:
+def _changed(row: Row, vehicle: str | None) -> bool:
+    if (row["reader"], row["asked_vehicle"]) != (READER, vehicle):
         return True
     try:
         return bool(stamp_of(row[KEY]) != row["stamp"])
@@ -197,7 +205,7 @@ def _remote_folder(source: str) -> str | None:
     return str(system.unstrip_protocol(path)).rstrip("/") + "/"
 
 
-def _deadly(address: str) -> Row:
+def _deadly(address: str, vehicle: str | None) -> Row:
     """The row of a recording that every process dies of."""
     row: Row = dict.fromkeys(COLUMNS)
     with suppress(OSError, ImportError):  # until it changes it is not read again
@@ -205,6 +213,7 @@ def _deadly(address: str) -> Row:
     return row | {
         KEY: address,
         "reader": READER,
+        "asked_vehicle": vehicle,
         "state": "damaged",
         "reason": "the process that reads it dies, again and again; it is set aside",
     }

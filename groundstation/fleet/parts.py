@@ -100,7 +100,8 @@ class Parts:
     def _files(self) -> list[Path]:
         if not self._folder.is_dir():
             return []
-        return sorted(one for one in self._folder.iterdir() if one.suffix == _SUFFIX)
+        named = (one for one in self._folder.iterdir() if one.suffix == _SUFFIX)
+        return sorted(one for one in named if one.stem.isdecimal())  # what others put there stays
 
     def _next(self) -> int:
         files = self._files()

@@ -208,7 +208,7 @@ def test_a_recording_that_is_gone_from_a_remote_folder_loses_its_row(flights, tm
 def test_a_recording_that_processes_die_of_is_not_read_again_until_it_changes(flights, tmp_path):
     index(tmp_path / "fleet", [str(flights)], workers=1)
     Parts(tmp_path / "fleet" / "recordings", FACTS, KEY).append(
-        [_deadly(str(flights / "torn.mcap"))]
+        [_deadly(str(flights / "torn.mcap"), None)]
     )
     assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 0
     os.utime(flights / "torn.mcap", ns=(1, 1))
@@ -225,6 +225,16 @@ def test_rows_of_an_older_reader_are_told_of_and_read_again(flights, tmp_path):
         warn_of_older(recordings_of(tmp_path / "fleet"), tmp_path / "fleet")
     assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 2
     assert recordings_of(tmp_path / "fleet") == read
+
+
+def test_a_file_that_others_put_into_a_table_is_no_part_of_it_and_stays(flights, tmp_path):
+    index(tmp_path / "fleet", [str(flights)], workers=1)
+    read, foreign = recordings_of(tmp_path / "fleet"), tmp_path / "fleet/recordings/mine.parquet"
+    shutil.copy(next(foreign.parent.iterdir()), foreign)
+    os.utime(flights / "torn.mcap", ns=(1, 1))
+    assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 1
+    assert len(recordings_of(tmp_path / "fleet")) == len(read)
+    assert foreign.exists()
 
 
 def test_a_recording_that_is_there_twice_counts_once_and_is_told(flights, tmp_path):

@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from groundstation.errors import BadInputError
 from groundstation.fleet.certainty import PERCENT, TOLD, errors_of, expectations
 from groundstation.fleet.facts import facts_of
 from groundstation.fleet.flight_fit import CONSTANTS, fit_flight
+from groundstation.fleet.index import index, recordings_of
 from groundstation.fleet.search import chosen
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -47,6 +49,24 @@ def test_a_recording_of_an_unknown_craft_is_read_and_says_why_nothing_is_expecte
     assert row["state"] in ("good", "usable")
     assert "say which with --vehicle" in row["not_expected"]
     assert row["c0_expected_percent"] is None
+
+
+def test_a_catalogue_of_crafts_that_the_user_names_expects_by_their_profile(tmp_path):
+    catalogue, flights = tmp_path / "fleet", [str(RECORDINGS / "stand_in_flight.mcap")]
+
+    def read(vehicle):
+        counts = index(catalogue, flights, vehicle=vehicle, workers=1)
+        (row,) = recordings_of(catalogue)
+        return counts.read, row["vehicle"], row["c0_expected_percent"]
+
+    read_first, named, expected = read(None)
+    assert (read_first, named) == (1, "crazyflie1")
+    again, other, of_other = read("crazyflie21")
+    assert (again, other) == (1, "crazyflie21")
+    assert of_other != pytest.approx(expected, rel=0.05)
+    assert read("crazyflie21") == (0, other, of_other)
+    with pytest.raises(BadInputError, match="neither built in"):
+        read("crazyfly")
 
 
 def test_fits_count_in_place_of_what_was_expected_once_all_flights_of_a_craft_have_one():
