@@ -182,7 +182,7 @@ def _one_sigma(name: str) -> dict[str, float]:
              "copies": 1, "loss": {"good_loss": 0.0}}  # fmt: skip
     for _ in range(2):
         trial = {**usual, "effects": planted(name, values, True)}
-        flights = [sealed_flight({**trial, "seed": 100 + k}, 60.0) for k in range(2)]
+        flights = [sealed_flight({**trial, "seed": 100 + k}, 60.0)[1] for k in range(2)]
         found = significances(msgspec.convert(trial, StandInSettings), flights)[name]
         values = scaled(name, values, 10.0 / found)
     return scaled(name, values, 0.1)

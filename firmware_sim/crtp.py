@@ -103,7 +103,10 @@ class Conversation:
         return []
 
     def due(self, uptime_ms: int) -> list[bytes]:
-        """Log packets due until a time of the firmware's clock, ms, in order of time."""
+        """Log packets due before a time of the firmware's clock, ms, in order of time.
+
+        What is due at that very time would hold the pass before: the one of that time is to come.
+        """
         if self._craft.boots != self._boots:  # a firmware that starts anew has no blocks
             self._boots = self._craft.boots
             self._blocks.clear()
@@ -113,7 +116,7 @@ class Conversation:
                 continue
             if uptime_ms - block.next_ms > MISSED_MS:
                 block.next_ms += (uptime_ms - block.next_ms) // block.period_ms * block.period_ms
-            while block.next_ms <= uptime_ms:
+            while block.next_ms < uptime_ms:
                 moments.append((block.next_ms, number))
                 block.next_ms += block.period_ms
         out = []

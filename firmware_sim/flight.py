@@ -229,6 +229,8 @@ def _report(p: Record, fw: Record, s: Record, row: Record, slot: int, index: int
         row.accelerometer[i] = s.ring_accel[slot, i]
         row.angles[i] = math.floor(100.0 * fw.angles[i] + 0.5)
     row.debug = s.gate_ticks
+    # what a log says of the battery is never newer than the motors that it says acted
+    row.battery_v = fw.battery_filter
 
 
 @inner
@@ -243,7 +245,6 @@ def _log(fw: Record, s: Record, row: Record) -> None:
         row.pwm[i] = fw.pwm[i]
         row.rotor_rev_s[i] = s.y[ROTOR + i]
     row.thrust = fw.thrust
-    row.battery_v = fw.battery_filter
     row.power_state = fw.power_state
 
 

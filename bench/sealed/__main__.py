@@ -9,12 +9,14 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from bench.sealed.cases import GROUPS, Mode, matrix, named
+from bench.sealed.cases import GROUPS, PLAIN, Mode, matrix, named
 from bench.sealed.hidden import LISTED
+from groundstation.dynamics.vehicle import BUILT_IN
 
 EXAMPLES = """examples:
   python -m bench.sealed run --only single quiet --seeds 2 --results results
   python -m bench.sealed run --case single:rotor_drag:3:clean --results results --keep
+  python -m bench.sealed run --only single quiet --craft crazyflie21 --seeds 2 --results results
   python -m bench.sealed zero --seeds 10 --results results
   python -m bench.sealed make single:rotor_drag:3:clean -o folder       (see what the search sees)
   python -m bench.sealed table --results results
@@ -50,6 +52,13 @@ def main() -> int:
     )
     run.add_argument("--seeds", type=int, default=10)
     run.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
+    run.add_argument(
+        "--craft",
+        choices=tuple(BUILT_IN),
+        default=PLAIN,
+        help="one of today's is heard by its radio's log blocks, 250 rows a second, and has no"
+        " motor bench",
+    )
     run.add_argument("--case", nargs="+", default=[], help="these cases only")
     run.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     run.add_argument(
@@ -86,7 +95,7 @@ def _run(options: argparse.Namespace) -> int:
         modes = (options.mode,)
     cases = [named(text) for text in options.case] or [
         case
-        for case in matrix(tuple(options.only), modes, options.seeds, options.first)
+        for case in matrix(tuple(options.only), modes, options.seeds, options.first, options.craft)
         if not options.names or set(case.names) & set(options.names)
     ]
     for line in run(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from bench.sealed.hidden import ALWAYS_FAITHFUL, CONFUSABLE, LISTED, OUTSIDE
+from groundstation.dynamics.vehicle import BUILT_IN
 
 Mode = Literal["clean", "affected"]
 Condition = Literal["", "loss", "restart", "low_battery", "other_mass"]
@@ -33,6 +34,8 @@ POWER_SIGMAS = (3.0, 5.0, 8.0, 12.0, 20.0)
 NO_SMALL_SIZE = ("attitude_filter_lean", "gyro_low_pass")
 """The lean is there or not; a gyro's lag of any bandwidth that flies is far above every limit."""
 PAIRS, TRIPLES = 30, 15
+PLAIN = "crazyflie1"
+"""The craft whose cases do not name it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +44,8 @@ class Case:
 
     names: what is hidden on top of the plant. mode: whether the base model comes from flights
     without the effect (``clean``) or from the very flights that have it. sigmas: the size in
-    standard errors where the power curve asks for one, else 0: drawn from the range.
+    standard errors where the power curve asks for one, else 0: drawn from the range. craft: the
+    vehicle; one with today's firmware is heard as its radio link logs it.
     """
 
     group: str
@@ -50,13 +54,15 @@ class Case:
     mode: Mode = "clean"
     condition: Condition = ""
     sigmas: float = 0.0
+    craft: str = PLAIN
 
     @property
     def name(self) -> str:
         """Unique, and what ``--case`` takes."""
         hidden = "+".join(self.names) or "nothing"
         size = f":{self.sigmas:g}" if self.sigmas else ""
-        return f"{self.group}:{hidden}:{self.seed}:{self.mode}{size}"
+        craft = "" if self.craft == PLAIN else f"@{self.craft}"
+        return f"{self.group}{craft}:{hidden}:{self.seed}:{self.mode}{size}"
 
     @property
     def number(self) -> int:
@@ -78,7 +84,7 @@ class Case:
 
 
 def matrix(
-    groups: tuple[str, ...], modes: tuple[Mode, ...], seeds: int, first: int = 0
+    groups: tuple[str, ...], modes: tuple[Mode, ...], seeds: int, first: int = 0, craft: str = PLAIN
 ) -> Iterator[Case]:
     """All cases of some groups, seed by seed so that a part of the matrix is a fair sample.
 
@@ -88,21 +94,28 @@ def matrix(
     for seed in range(first, first + seeds):
         for group in groups:
             for mode in modes:
-                yield from _of_seed(group, mode, seed)
+                yield from (replace(case, craft=craft) for case in _of_seed(group, mode, seed))
 
 
 def named(name: str) -> Case:
     """The case of that name. Raises ValueError where it is none."""
     parts = name.split(":")
-    if len(parts) not in (4, 5) or parts[0] not in GROUPS or parts[3] not in ("clean", "affected"):
-        raise ValueError(f"{name!r} is no case; GROUP:EFFECT[+EFFECT]:SEED:clean|affected[:SIGMAS]")
+    group, _, craft = parts[0].partition("@")
+    craft = craft or PLAIN
+    modes = ("clean", "affected")
+    if len(parts) not in (4, 5) or group not in GROUPS or parts[3] not in modes:
+        raise ValueError(
+            f"{name!r} is no case; GROUP[@CRAFT]:EFFECT[+EFFECT]:SEED:clean|affected[:SIGMAS]"
+        )
+    if craft not in BUILT_IN:
+        raise ValueError(f"{name!r}: no craft {craft}; there are {', '.join(BUILT_IN)}")
     hidden = () if parts[1] == "nothing" else tuple(parts[1].split("+"))
     unknown = set(hidden) - {*LISTED, *OUTSIDE}
     if unknown:
         raise ValueError(f"{name!r}: no effect {', '.join(sorted(unknown))}")
     sigmas = float(parts[4]) if len(parts) == 5 else 0.0
     mode: Mode = "affected" if parts[3] == "affected" else "clean"
-    return _case(parts[0], hidden, int(parts[2]), mode, sigmas)
+    return replace(_case(group, hidden, int(parts[2]), mode, sigmas), craft=craft)
 
 
 def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:

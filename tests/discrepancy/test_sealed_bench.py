@@ -13,9 +13,17 @@ from mcap.reader import make_reader
 from stand_in_bench import plant, slopes
 
 from bench.sealed.bound import significances
-from bench.sealed.cases import GROUPS, POWER_SIGMAS, Case, matrix, named
+from bench.sealed.cases import GROUPS, PLAIN, POWER_SIGMAS, Case, matrix, named
 from bench.sealed.figures import draw as draw_figures
-from bench.sealed.flights import CARRY, PROGRAMME, Sealed, constants_alone, flown, record
+from bench.sealed.flights import (
+    CARRY,
+    CARRY_TODAY,
+    PROGRAMME,
+    Sealed,
+    constants_alone,
+    flown,
+    record,
+)
 from bench.sealed.hidden import CHANNELS, LISTED, OUTSIDE, REGIMES, planted, scaled
 from bench.sealed.judge import judge, points_at
 from bench.sealed.run import judged_again, run, search_arguments, settles
@@ -117,9 +125,38 @@ def test_the_matrix_has_every_name_in_both_modes_and_conditions_on_a_third_of_th
     assert counts["faithful"] == 20
 
 
-@pytest.mark.parametrize("name", ["nonsense", "single:flutter:0:clean", "single:dead_time:0:odd"])
+def test_a_case_of_another_craft_says_which():
+    (case, *others) = matrix(("single",), ("clean",), 1, craft="crazyflie21")
+    assert case.name.startswith(f"single@crazyflie21:{case.names[0]}:0:clean")
+    assert all(named(one.name) == one for one in (case, *others))
+    assert named("single:rotor_drag:0:clean").craft == PLAIN
+
+
+def test_today_s_craft_is_heard_as_its_radio_logs_it():
+    """250 rows a second, each with the mean of the two settings that acted before it."""
+    common = {"plant": "reduced", "craft": "crazyflie21", "program": PROGRAMME, "seed": 4}
+    samples, truth = flown({**common, "gains": CARRY_TODAY, "loss": {"good_loss": 0.0}}, 8.0)
+    assert (np.diff(samples.ticks) == 4000).all()
+    acted = {round(1e3 * row["time_s"]): row["duty"] for row in truth}
+    rows = [(round(1e3 * t), duty) for t, duty in zip(samples.time_s, samples.duty, strict=True)]
+    both = [(duty, 0.5 * (acted[t] + acted[t - 2])) for t, duty in rows[1:] if t in acted]
+    found, expected = map(np.array, zip(*both, strict=True))
+    assert len(found) > 1800
+    assert found.max() > 0.5
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nonsense",
+        "single:flutter:0:clean",
+        "single:dead_time:0:odd",
+        "single@kite:dead_time:0:clean",
+    ],
+)
 def test_a_case_that_does_not_exist_is_refused(name):
-    with pytest.raises(ValueError, match=r"case|no effect"):
+    with pytest.raises(ValueError, match=r"case|no effect|no craft"):
         named(name)
 
 
@@ -202,7 +239,7 @@ def damped_flights():
         "loss": {"good_loss": 0.0},
         "effects": {"rate_damping": {"damping_n_m_s": 1e-5}},
     }
-    return settings, [flown({**settings, "seed": seed}, 60.0) for seed in range(2)]
+    return settings, [flown({**settings, "seed": seed}, 60.0)[1] for seed in range(2)]
 
 
 def test_the_bound_is_what_least_squares_on_the_truth_scatters_by(damped_flights):
@@ -213,7 +250,7 @@ def test_the_bound_is_what_least_squares_on_the_truth_scatters_by(damped_flights
     )
     found = significances(craft, flights)["rate_damping"]
     squares = 0.0
-    for _, truth in flights:
+    for truth in flights:
         up = truth["position_m"][:, 2] > 0.012
         squares += np.sum(truth["rate_rad_s"][up][:, :2] ** 2)
     sigma_torque = 2.0 * 50.0

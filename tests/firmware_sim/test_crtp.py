@@ -128,7 +128,7 @@ def test_a_log_block_is_sent_at_its_period_with_the_live_values(client, craft):
 def test_a_variable_is_sent_as_the_type_that_was_asked_for(client, craft):
     assert block(client, 1, "pm.vbat", kind=2) == 0
     client.answer(bytes([0x5D, 3, 1, 1]))
-    (packet,) = client.due(craft.uptime_ms + 10)
+    (packet,) = client.due(craft.uptime_ms + 11)
     assert struct.unpack("<H", packet[5:]) == (4,)
 
 
@@ -151,5 +151,5 @@ def test_appending_to_a_block_keeps_its_order(client, craft):
     append = bytes([0x5D, 1, 1, 7, variable("acc.z")])
     assert client.answer(append) == [bytes([0x5D, 1, 1, 0])]
     client.answer(bytes([0x5D, 3, 1, 1]))
-    (packet,) = client.due(craft.uptime_ms + 10)
+    (packet,) = client.due(craft.uptime_ms + 11)
     assert len(packet) == 5 + 8

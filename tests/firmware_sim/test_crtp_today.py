@@ -97,7 +97,29 @@ def test_periods_below_10_ms_are_kept_to_the_millisecond(client, standing):
     assert asked(client, START_V2, 1, struct.pack("<H", 2)) == 0
     start = standing.uptime_ms
     stamps = [int.from_bytes(p[2:5], "little") for p in client.due(start + 100)]
-    assert stamps == list(range(start + 2, start + 101, 2))
+    assert stamps == list(range(start + 2, start + 100, 2))
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.5])
+def test_a_packet_holds_the_pass_of_its_stamp_however_the_craft_is_flown_on(step_s):
+    """The clock shows the pass to come, whose values nobody has yet."""
+    settings = StandInSettings(craft="crazyflie21", plant="reduced", truth=True)
+    craft = StandIn(settings)
+    craft.advance(6.0)
+    client = Conversation(craft)
+    assert asked(client, CREATE_V2, 1, place(client, "gyro.x")) == 0
+    assert asked(client, START_V2, 1, struct.pack("<H", 2)) == 0
+    packets, lasting = [], round(2.0 / step_s)
+    for _ in range(lasting):
+        craft.advance(craft.time_s + step_s)
+        packets += client.due(craft.uptime_ms)
+    late = StandIn(settings)
+    late.advance(craft.time_s)
+    said = [struct.unpack("<f", p[5:])[0] for p in packets]
+    times = [int.from_bytes(p[2:5], "little") for p in packets]
+    meant = [late.logged(time_ms).gyro_dps[0] for time_ms in times]
+    assert len(set(meant[-500:])) > 50
+    assert said[-500:] == pytest.approx(meant[-500:], rel=1e-6)
 
 
 def test_blocks_started_at_different_moments_keep_their_distance(client, standing):
