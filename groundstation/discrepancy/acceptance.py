@@ -72,7 +72,7 @@ class Trial:
     best: (gain, name) of the strongest plausible candidate of the same turn. tried: whether this
     very set of effects was accepted before. removal: what -2 log L gains when it leaves. slow:
     channel -> structure that nothing explains, in -2 log L. predicted: share of the squared excess
-    of held-out predictions over noise that goes with it.
+    of held-out predictions over noise that goes with it. open_s: delay that the rows leave open.
     """
 
     variant: Variant
@@ -84,6 +84,7 @@ class Trial:
     removal: float = np.inf
     slow: Mapping[int, float] | None = None
     predicted: float = 0.0
+    open_s: float = 0.0
     scored: Scored | None = None
 
 
@@ -179,6 +180,11 @@ def negligible(trial: Trial) -> str:
     assert trial.fit is not None
     effect = trial.variant.definition
     size = float(np.linalg.norm(sizes_at(trial.variant, trial.fit.point)))
+    if effect.stage == "delay" and size < trial.open_s:
+        return (
+            "fitted, but no effect: the controller answers several times within a row, which leaves"
+            f" a delay below {1e3 * trial.open_s:.2g} ms open"
+        )
     return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
 
 

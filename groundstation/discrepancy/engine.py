@@ -32,6 +32,7 @@ from groundstation.discrepancy.search import Accepted, Outcome, Search
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
+from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import (
     ON_BOARD,
@@ -254,9 +255,12 @@ def _findings(
     final, errors, residual = outcome.final, outcome.errors, outcome.residual
     keys = given = tuple(key for v in known for key in v.keys)
     effects: list[FoundEffect] = []
+    # measured rotor speeds know what the controller did within a row
+    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
+    open_s = max((open_delay_s(flight.period_s) for flight in modelled), default=0.0)
     for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
-        why = refusal(Stage.NAMED, Trial(one.variant, final))
+        why = refusal(Stage.NAMED, Trial(one.variant, final, open_s=open_s))
         if why is not None:
             outcome.refused[one.variant.label] = why
         else:

@@ -7,6 +7,7 @@ from groundstation.discrepancy.acceptance import GATES, Stage, Trial, refusal
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
+from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.likelihood.parameters import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
 
@@ -100,6 +101,21 @@ def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():
     for point, reason in ((small, Reason.NEGLIGIBLE), (large, None)):
         place = Fit(point, (), 0.0, np.eye(0))
         assert said(Stage.NAMED, "gyro_bias", fit=place) is reason
+
+
+@pytest.mark.parametrize(
+    ("rows_hz", "delay_s", "reason"),
+    [
+        (250.0, 0.0005, Reason.NEGLIGIBLE),
+        (250.0, 0.0015, None),
+        (500.0, 0.0005, None),
+        (100.0, 0.003, Reason.NEGLIGIBLE),
+    ],
+)
+def test_a_delay_that_slow_rows_leave_open_is_no_effect(rows_hz, delay_s, reason):
+    place = fit(dead_time__delay_s=delay_s)
+    open_s = open_delay_s(1.0 / rows_hz)
+    assert said(Stage.NAMED, "dead_time", fit=place, open_s=open_s) is reason
 
 
 def test_every_gate_has_a_reason_of_its_own():

@@ -56,6 +56,15 @@ def is_fast(period_s: float) -> bool:
     return CONTROL_HZ * period_s < SLOW
 
 
+def open_delay_s(period_s: float) -> float:
+    """Delay that rows leave open: half of what a row is longer than a setting, 0 where it is none.
+
+    A craft answers a disturbance within a row that holds several settings, so these go with what
+    the row's own disturbance did: to a model that takes them as given before, all seems late.
+    """
+    return 0.0 if is_fast(period_s) else 0.5 * (period_s - 1.0 / CONTROL_HZ)
+
+
 def settings_a_row(run: Run) -> float:
     """How many settings of the motors stand behind each that a row holds, 1 where it is all there
     are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
