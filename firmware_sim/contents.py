@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
-from firmware_sim.craft import CraftState, StandIn
+from firmware_sim.craft import HEIGHT_DECK, CraftState, StandIn
 from firmware_sim.physics import PARAMETER_NAMES
 
 U8, U16, U32, I8, I16, I32, FLOAT, HALF = range(1, 9)
@@ -46,16 +46,17 @@ class Contents:
 
 def contents_of(craft: StandIn) -> Contents:
     """What the firmware of this craft lists."""
-    return _contents(craft.protocol, craft.settings.rotor_speed_deck)
+    has = craft.settings
+    return _contents(craft.protocol, has.rotor_speed_deck, has.height_deck)
 
 
 @cache
-def _contents(protocol: int, rotor_speed_deck: bool) -> Contents:
+def _contents(protocol: int, rotor_speed_deck: bool, height_deck: bool) -> Contents:
     if protocol < TODAY:
         return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
     return Contents(
         tuple(_parameters_of_today()),
-        tuple(_variables_of_today(protocol, rotor_speed_deck)),
+        tuple(_variables_of_today(protocol, rotor_speed_deck, height_deck)),
         most_blocks=16,
         most_variables=128,
     )
@@ -100,9 +101,12 @@ def _parameters_of_today() -> Iterator[tuple[str, int]]:
     for name, kind in PARAMETERS:
         if not name.startswith(("sensorfusion6.", "imu_acc_lpf.")):
             yield name, kind
+    yield HEIGHT_DECK, PARAM_U8 | READ_ONLY
 
 
-def _variables_of_today(protocol: int, rotor_speed_deck: bool) -> Iterator[Variable]:
+def _variables_of_today(
+    protocol: int, rotor_speed_deck: bool, height_deck: bool
+) -> Iterator[Variable]:
     motors = U16 if protocol >= MOTORS_16_BIT else U32
     yield from _parts("gyro", FLOAT, "gyro_dps")
     yield from _parts("acc", FLOAT, "accel_g")
@@ -121,6 +125,9 @@ def _variables_of_today(protocol: int, rotor_speed_deck: bool) -> Iterator[Varia
     if rotor_speed_deck:
         for index, name in enumerate(MOTORS):
             yield f"rpm.{name}", U16, _rotor_rpm(index)
+    yield "stateEstimate.z", FLOAT, lambda s: s.height_m
+    if height_deck:
+        yield "range.zrange", U16, lambda s: 1000.0 * s.range_m
 
 
 def supervisor_bits(state: CraftState) -> int:

@@ -32,6 +32,8 @@ CHUNK_PASSES = 5000
 HISTORY_PASSES = 1000
 """The last 2 s, for whoever logs."""
 
+HEIGHT_DECK = "deck.bcZRanger2"
+"""What the firmware says of it can only be read."""
 DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
 """Vehicle -> the name the firmware gives; a 2.1 and a 2.1+ call themselves alike."""
 
@@ -42,7 +44,8 @@ class CraftState:
 
     time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
     firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
-    the firmware uses them. motors: 16-bit.
+    the firmware uses them. motors: 16-bit. height_m: the firmware's estimate, range_m: what a
+    Z-ranger measures; 0 without one.
     """
 
     time_s: float
@@ -61,6 +64,8 @@ class CraftState:
     calibrated: bool
     position_m: tuple[float, float, float]
     rotor_rev_s: tuple[float, float, float, float]
+    height_m: float
+    range_m: float
 
 
 class StandIn:
@@ -156,6 +161,8 @@ class StandIn:
                 calibrated=bool(fw["bias_found"]),
                 position_m=_floats(s["y"][:3]),
                 rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
+                height_m=float(fw["height"]),
+                range_m=float(fw["range_m"]),
             )
 
     def logged(self, uptime_ms: int) -> CraftState:
@@ -178,6 +185,8 @@ class StandIn:
             battery_v=float(row["battery_v"]),
             power_state=int(row["power_state"]),
             rotor_rev_s=_floats(row["rotor_rev_s"]),
+            height_m=float(row["height_m"]),
+            range_m=float(row["range_m"]),
         )
 
     def command(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
@@ -202,7 +211,19 @@ class StandIn:
             held = fw["altitude_hold"] > 0 and fw["client_ns"] >= 0 and fw["thrust"] > 0
             if not held or (thrust <= 10000 and not today):
                 fw["setpoint_thrust"] = float(thrust)
+            fw["holds_height"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = now
+
+    def command_height(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
+    ) -> None:
+        """The same with a height in the place of thrust, which today's firmware then finds itself;
+        without a deck that measures height nothing flies."""
+        with self._lock:
+            fw = self._firmware[0]
+            fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
+            fw["holds_height"], fw["setpoint_height"] = fw["height_deck"], height_m
+            fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
 
     def arm(self, armed: bool) -> bool:
         """Arm the motors, or disarm them; whether they are armed. Brushed ones always are."""
@@ -223,6 +244,8 @@ class StandIn:
         """A firmware parameter by full name (``pid_rate.roll_kp``)."""
         from firmware_sim.physics import gain_place
 
+        if name == HEIGHT_DECK:
+            return float(self.settings.height_deck)
         column, axis = gain_place(name)
         with self._lock:
             value = self._firmware[0][column]

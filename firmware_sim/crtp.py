@@ -18,6 +18,7 @@ from firmware_sim.contents import (
     HALF,
     PARAM_FLOAT,
     PARAM_U8,
+    READ_ONLY,
     TODAY,
     Contents,
     checksum,
@@ -27,7 +28,7 @@ from firmware_sim.contents import (
 from firmware_sim.craft import CraftState, StandIn
 
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
-LOCALIZATION, SUPERVISOR, PLATFORM, LINK = 6, 9, 13, 15
+LOCALIZATION, GENERIC, SUPERVISOR, PLATFORM, LINK = 6, 7, 9, 13, 15
 SUPERVISED = 12
 """The protocol from which on the supervisor has a port."""
 MAX_DATA = 30
@@ -48,6 +49,9 @@ _LOG_LIMITS = {
 }
 _HALF_MOST = 65504.0
 _SETPOINT = struct.Struct("<fffH")
+_AT_HEIGHT = struct.Struct("<Bffff")
+LEGACY_Z_DISTANCE, Z_DISTANCE = 2, 9
+"""Generic setpoints of attitude and height; the first counts yaw clockwise."""
 
 CREATE, APPEND, DELETE, START, STOP, RESET, CREATE_V2, APPEND_V2, START_V2 = range(9)
 """Commands of the log; those of version 2 are today's."""
@@ -87,6 +91,8 @@ class Conversation:
         port, channel, data = packet[0] >> 4, packet[0] & 3, packet[1:]
         if port == COMMANDER and channel == 0:
             self._setpoint(data)
+        elif port == GENERIC and channel == 0 and self._today:
+            self._setpoint_of_height(data)
         elif port == PARAM:
             return [bytes([packet[0]]) + body for body in self._parameter(channel, data)]
         elif port == LOG:
@@ -138,6 +144,14 @@ class Conversation:
         if all(map(math.isfinite, (roll, pitch, yaw))):
             self._craft.command(roll, pitch, yaw, thrust)
 
+    def _setpoint_of_height(self, data: bytes) -> None:
+        if len(data) != _AT_HEIGHT.size or data[0] not in (LEGACY_Z_DISTANCE, Z_DISTANCE):
+            return
+        kind, roll, pitch, yaw, height = _AT_HEIGHT.unpack(data)
+        if all(map(math.isfinite, (roll, pitch, yaw, height))):
+            clockwise = yaw if kind == LEGACY_Z_DISTANCE else -yaw
+            self._craft.command_height(roll, pitch, clockwise, height)
+
     def _request(self, port: int, channel: int, data: bytes) -> list[bytes]:
         """Versions, and requests to arm and to stop: on ports of their own from 2026 on."""
         if not data:
@@ -175,9 +189,9 @@ class Conversation:
         if number >= len(self.contents.parameters):
             return [place + bytes([errno.ENOENT]) if self._today else bytes([255, number, 2])]
         name, kind = self.contents.parameters[number]
-        form = struct.Struct(_PARAM_FORMAT[kind])
+        form = struct.Struct(_PARAM_FORMAT[kind & ~READ_ONLY])
         if channel == 2:
-            if len(given) != form.size:
+            if len(given) != form.size or kind & READ_ONLY:
                 return []
             value = form.unpack(given)[0]
             # A value that is no number would leave the loops undefined: what is set stays.

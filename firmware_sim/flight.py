@@ -12,6 +12,7 @@ from firmware_sim.bench_motor import watch_gate
 from firmware_sim.commander import watch
 from firmware_sim.compiled import inner, kernel, source_stamp
 from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
+from firmware_sim.height import estimate_height, hold_height
 from firmware_sim.imu import fetch, sample
 from firmware_sim.layout import (
     CLOCK_STREAM,
@@ -137,6 +138,10 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
     if fw.bias_found == 0:
         _motor_test(fw, s.now_ns - s.boot_ns - WAIT_NS)
     else:
+        if fw.height_deck != 0:
+            estimate_height(fw, s, index)
+            if fw.holds_height != 0:
+                fw.setpoint_thrust = hold_height(fw, index)
         watch(fw, s.now_ns)
         if fw.today != 0:
             stabilize_today(fw)
@@ -245,6 +250,8 @@ def _log(fw: Record, s: Record, row: Record) -> None:
         row.pwm[i] = fw.pwm[i]
         row.rotor_rev_s[i] = s.y[ROTOR + i]
     row.thrust = fw.thrust
+    row.height_m = fw.height
+    row.range_m = fw.range_m
     row.power_state = fw.power_state
 
 

@@ -199,6 +199,15 @@ FIRMWARE = np.dtype(
         ("setpoint_ns", "i8"),
         ("client_ns", "i8"),  # last setpoint of a client, -1: never
         ("thrust", "f8"),
+        # height, with a deck that measures it
+        ("height_deck", "i8"),
+        ("holds_height", "i8"),  # 1: the setpoint is a height
+        ("setpoint_height", "f8"),  # m
+        ("range_m", "f8"),
+        ("height", "f8"),  # m, estimated
+        ("climb", "f8"),  # m/s, estimated
+        ("height_integral", "f8"),
+        ("climb_integral", "f8"),
         # outputs
         ("compare", "i8", (4,)),  # 9-bit PWM
         # power management
@@ -273,6 +282,8 @@ ROWS = np.dtype(
         ("accel_g", "f8", (3,)),
         ("angles_deg", "f8", (3,)),
         ("thrust", "f8"),
+        ("height_m", "f8"),
+        ("range_m", "f8"),
         ("pwm", "i8", (4,)),  # 16 bits, computed in this pass
         ("battery_v", "f8"),
         ("power_state", "i8"),

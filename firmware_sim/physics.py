@@ -205,6 +205,7 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     fw["armed"] = not (is_today and today.needs_arming(vehicle))
     if is_today:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
+        fw["height_deck"] = settings.height_deck
         fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
     fw["altitude_hold"] = float(settings.altitude_hold)
     quirks = settings.quirks

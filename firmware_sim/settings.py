@@ -126,6 +126,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     protocol: CRTP version of a craft with today's firmware, 7 (2023) to 12 (2026); one of 2014
         speaks its own.
     rotor_speed_deck: today's craft measures its rotor speeds.
+    height_deck: today's craft has a Z-ranger and takes setpoints of height.
     substeps: Runge-Kutta steps per pass.
     truth: keep the log of what really happened.
     """
@@ -156,6 +157,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     firmware: Literal["2014", "2.x"] | None = None
     protocol: int = 10
     rotor_speed_deck: bool = False
+    height_deck: bool = False
     substeps: int = 4
     truth: bool = False
 

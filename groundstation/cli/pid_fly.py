@@ -68,7 +68,9 @@ def fly(
         help="2014 or 2.x, where neither file nor craft say whose the gains are.",
     ),
     thrust: str = typer.Option(
-        "", help="stand-in, keyboard or gamepad:/dev/input/js0 (default: by the command link)."
+        "",
+        help="stand-in, height:0.5 (m, held by a craft with a Flow or Z-ranger deck), keyboard or"
+        " gamepad:/dev/input/js0 (default: by what the craft can).",
     ),
     restore: bool = typer.Option(False, "--restore", help="Put the former gains back after it."),
     undo: bool = typer.Option(
@@ -216,7 +218,14 @@ def _flight(
         require_ready(pilot)
         if real and not yes:
             require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
-        with open_sticks(thrust or ("keyboard" if real else "stand-in")) as sticks:
+        by_itself = pilot.lease["holds_height"]
+        if thrust.startswith("height") and not by_itself:
+            raise BadInputError(
+                f"--thrust {thrust}: {uri} holds no height by itself; it needs today's firmware and"
+                " a Flow or Z-ranger deck"
+            )
+        usual = "height" if by_itself else "keyboard" if real else "stand-in"
+        with open_sticks(thrust or usual) as sticks:
             recording = begin_recording(path)
             changed = dict(wanted)
             if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):

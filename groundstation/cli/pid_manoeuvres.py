@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from groundstation.cli.sticks import Source, StandInPilot
+from groundstation.cli.sticks import CLIMB_M_S, Hands, Source, StandInPilot
 from groundstation.cli.terminal import say
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from groundstation.control.programme import Programme
 
 HOLD_HEIGHT = "flightmode.althold"
-MOTORS_ON = 10000
-"""The firmware takes less thrust for none."""
 DESCENT = 0.97
 """Thrust of the landing, as a share of what hovered: about 0.5 m/s^2 downwards."""
 DESCENT_S = 2.4
 TOUCHED_DPS = 150.0
 """Level flight never turns so fast: the ground has been met."""
 TAKE_OFF_S = 3.0
+ON_GROUND_S = 0.7
+"""How long no height is asked for at a landing, before the motors are stopped."""
 STOPPED_S = 3.0
 STOPS = 5
 """Zero thrust is sent so often at least: a radio may lose some."""
@@ -38,9 +38,9 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
     clock = SetpointClock()
     answer: dict[str, Any] = {}
 
-    def send(roll: float, pitch: float, yaw: float, thrust: int) -> str:
+    def send(hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> str:
         nonlocal answer
-        answer = pilot.setpoint(roll, pitch, yaw, thrust)
+        answer = _sent(pilot, hands, roll, pitch, yaw)
         return reason_to_abort(answer)
 
     # take-off: until the human says so, or the pilot has had his time
@@ -48,20 +48,18 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
         hands = sticks.read()
         if hands.stop:
             return "stopped by hand"
-        reason = send(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
-        if reason and hands.thrust > MOTORS_ON:
+        reason = send(hands)
+        if reason and hands.flies:
             return reason
-        if hands.begin and hands.thrust > MOTORS_ON and tick >= TAKE_OFF_S * RATE_HZ:
+        if hands.begin and hands.flies and tick >= TAKE_OFF_S * RATE_HZ:
             break
         clock.wait()
     pilot.mark("pid fly programme")
     for roll, pitch, yaw in table.tolist():
         hands = sticks.read()
-        if hands.stop or hands.thrust <= MOTORS_ON:
+        if hands.stop or not hands.flies:
             return "stopped by hand"
-        reason = send(
-            roll + hands.roll_deg, pitch + hands.pitch_deg, yaw + hands.yaw_dps, hands.thrust
-        )
+        reason = send(hands, roll, pitch, yaw)
         if reason:
             return reason
         clock.wait()
@@ -96,7 +94,8 @@ def _land(
     last: dict[str, Any],
     firmware: Firmware | None,
 ) -> str:
-    """The stand-in sinks at a little less thrust than hovered; a human lands by hand."""
+    """A craft that holds its height is asked for less and less of it, the stand-in sinks at a
+    little less thrust than hovered, a human lands by hand."""
     from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
 
     if firmware is not None:
@@ -109,21 +108,45 @@ def _land(
             reason = reason_to_abort(answer, LANDING)
             if reason:
                 return reason
-            if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:
+            if _touched(answer):
+                break
+            clock.wait()
+        return ""
+    height_m = sticks.read().height_m
+    if height_m is not None:
+        for tick in range(round((height_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ)):
+            lower = Hands(height_m=max(height_m - CLIMB_M_S * tick / RATE_HZ, 0.0))
+            answer = _sent(pilot, lower)
+            reason = reason_to_abort(answer, LANDING)
+            if reason:
+                return reason
+            if _touched(answer):
                 break
             clock.wait()
         return ""
     say("the programme is flown: land", error=True)
     while True:
         hands = sticks.read()
-        if hands.stop or hands.thrust <= MOTORS_ON:
+        if hands.stop or not hands.flies:
             return ""
-        reason = reason_to_abort(
-            pilot.setpoint(hands.roll_deg, hands.pitch_deg, hands.yaw_dps, hands.thrust)
-        )
+        reason = reason_to_abort(_sent(pilot, hands))
         if reason:
             return reason
         clock.wait()
+
+
+def _sent(
+    pilot: Pilot, hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+) -> dict[str, Any]:
+    """The daemon's answer to a setpoint of the programme with a human's part in it."""
+    return pilot.setpoint(
+        roll + hands.roll_deg, pitch + hands.pitch_deg, yaw + hands.yaw_dps, hands.thrust,
+        height_m=hands.height_m,
+    )  # fmt: skip
+
+
+def _touched(answer: dict[str, Any]) -> bool:
+    return max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS
 
 
 def _firmware(pilot: Pilot) -> Firmware:

@@ -6,11 +6,13 @@ reads as stop.
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import struct
 import sys
 import termios
+import time
 import tty
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +24,9 @@ THRUST_MOST = 55000
 KEY_STEP = 500
 FULL_LEAN_DEG, FULL_YAW_DPS = 15.0, 90.0
 DEAD_ZONE = 0.08
+HEIGHTS_M, DEFAULT_HEIGHT_M, CLIMB_M_S = (0.2, 2.0), 0.5, 0.4
+MOTORS_ON = 10000
+"""The firmware takes less thrust for none."""
 _EVENT = struct.Struct("<IhBB")
 _BUTTON, _AXIS, _INITIAL = 1, 2, 0x80
 KEYS = "w/s more/less thrust, W/S five times as much, g begins the programme, space stops"
@@ -30,15 +35,21 @@ STICKS = "left stick thrust and yaw, right stick attitude, first button begins, 
 
 @dataclass(frozen=True, slots=True)
 class Hands:
-    """What a human wants: thrust 0..55000, angles in deg and yaw rate in deg/s to be added in
-    the signs of the telemetry, whether the programme may begin, whether to stop at once."""
+    """What a human wants: thrust 0..55000, or a height in m that the craft holds by itself, angles
+    in deg and yaw rate in deg/s to be added in the signs of the telemetry, whether the programme
+    may begin, whether to stop at once."""
 
     thrust: int = 0
+    height_m: float | None = None
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_dps: float = 0.0
     begin: bool = False
     stop: bool = False
+
+    @property
+    def flies(self) -> bool:
+        return self.thrust > MOTORS_ON or self.height_m is not None
 
 
 class StandInPilot:
@@ -51,6 +62,28 @@ class StandInPilot:
 
     def read(self) -> Hands:
         return self._hands
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+
+class CraftHeight:
+    """The craft holds its height by itself, measured by a deck: nobody gives thrust."""
+
+    def __init__(self, height_m: float) -> None:
+        self.height_m = height_m
+        self.help = f"the craft holds {height_m:g} m by itself"
+        self._begun_s: float | None = None
+
+    def read(self) -> Hands:
+        now_s = time.monotonic()
+        if self._begun_s is None:
+            self._begun_s = now_s
+        height_m = min(CLIMB_M_S * (now_s - self._begun_s), self.height_m)
+        return Hands(height_m=height_m, begin=height_m >= self.height_m)
 
     def __enter__(self) -> Self:
         return self
@@ -144,19 +177,35 @@ class Gamepad:
         )
 
 
-Source = StandInPilot | Keyboard | Gamepad
+Source = StandInPilot | CraftHeight | Keyboard | Gamepad
 
 
 def open_sticks(name: str) -> Source:
-    """``stand-in``, ``keyboard`` or ``gamepad:/dev/input/js0``. Raises BadInputError."""
+    """``stand-in``, ``height:0.5``, ``keyboard`` or ``gamepad:/dev/input/js0``. Raises
+    BadInputError."""
     kind, _, rest = name.partition(":")
     if name == "stand-in":
         return StandInPilot()
+    if kind == "height":
+        return CraftHeight(_height(rest))
     if name == "keyboard":
         return Keyboard()
     if kind == "gamepad":
         return Gamepad(Path(rest or "/dev/input/js0"))
-    raise BadInputError(f"--thrust {name}: there are stand-in, keyboard, gamepad:/dev/input/js0")
+    raise BadInputError(
+        f"--thrust {name}: there are stand-in, height:0.5, keyboard, gamepad:/dev/input/js0"
+    )
+
+
+def _height(text: str) -> float:
+    low, high = HEIGHTS_M
+    try:
+        height_m = float(text or DEFAULT_HEIGHT_M)
+    except ValueError:
+        height_m = math.nan
+    if not low <= height_m <= high:
+        raise BadInputError(f"--thrust height:{text}: give metres, {low:g}..{high:g}")
+    return height_m
 
 
 def _beyond_dead_zone(value: float) -> float:

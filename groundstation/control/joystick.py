@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.control.pid import AXES, PidGains
+from groundstation.control.step_analysis import is_flown
 from groundstation.control.thesis_loop import SUPPLY_MV, WholeResponse, body_of, run_whole
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
@@ -117,14 +118,14 @@ def joystick_of_recording(recording: Recording) -> Joystick:
     """
     where = Path(recording.path).name
     sent = [
-        (e["time_ns"], e["roll_deg"], e["pitch_deg"], e["yaw_dps"], e["thrust"])
+        (e["time_ns"], e["roll_deg"], e["pitch_deg"], e["yaw_dps"], is_flown(e))
         for e in recording.commands
         if e.get("kind") == "setpoint"
     ]
-    flown = [at for at, row in enumerate(sent) if row[4] > 0]
+    flown = [at for at, row in enumerate(sent) if row[4]]
     if len(flown) < 2:
         raise BadInputError(
-            f"inputs {where}: no setpoints with thrust; give a flight of 'pid fly', or a CSV file"
+            f"inputs {where}: no setpoints that fly; give a flight of 'pid fly', or a CSV file"
             " with time_s, roll_deg, pitch_deg, yaw_deg"
         )
     table = np.array(sent[flown[0] : flown[-1] + 1], np.float64)

@@ -110,18 +110,17 @@ class Flown:
     edges: int
 
 
+def is_flown(entry: Mapping[str, Any]) -> bool:
+    """Whether a recording's command is a setpoint for which motors run."""
+    return entry.get("kind") == "setpoint" and (entry.get("thrust", 0) > 0 or "height_m" in entry)
+
+
 def setpoint_table(
     commands: Sequence[Mapping[str, Any]], client: str
 ) -> tuple[NDArray[np.int64], Array]:
     """Host times (k,) in ns and setpoints (k, 3) in rad and rad/s that a client sent while the
     motors ran, from a recording's commands."""
-    rows = [
-        entry
-        for entry in commands
-        if entry.get("kind") == "setpoint"
-        and entry.get("client") == client
-        and entry.get("thrust", 0) > 0
-    ]
+    rows = [entry for entry in commands if is_flown(entry) and entry.get("client") == client]
     times = np.array([entry["time_ns"] for entry in rows], np.int64)
     names = ("roll_deg", "pitch_deg", "yaw_dps")
     values = np.array([[entry[name] for name in names] for entry in rows], np.float64)

@@ -18,6 +18,8 @@ from groundstation.links.base import EventSink, LinkEvent
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""
+HEIGHT_MOST_M = 3.0
+"""A Z-ranger sees 4 m, indoors, and less when it leans."""
 ANGLE_MOST_DEG = 45.0
 YAW_RATE_MOST_DPS = 720.0
 GAIN_MOST = 1000.0
@@ -59,6 +61,11 @@ class CommandLink(ABC):
         """Whose loops the craft flies, 2014 or 2.x; empty where nothing says so."""
         return ""
 
+    @property
+    def holds_height(self) -> bool:
+        """Whether the craft takes a height in the place of thrust."""
+        return False
+
     @abstractmethod
     async def open(self) -> None:
         """Connect and learn the craft's parameters. Raises LinkError when nothing answers."""
@@ -72,16 +79,24 @@ class CommandLink(ABC):
         """Every parameter of the craft by full name, as last read."""
 
     def setpoint(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int, *, client: str = ""
+        self,
+        roll_deg: float,
+        pitch_deg: float,
+        yaw_dps: float,
+        thrust: int,
+        *,
+        height_m: float | None = None,
+        client: str = "",
     ) -> int:
         """Hand over one setpoint without waiting for the radio; when, Unix ns.
 
         Signs are those of the telemetry samples: roll left side up, pitch nose down, yaw rate
         counter-clockwise from above. thrust: 0..60000. The firmware levels the craft 0.5 s after
-        the last setpoint and stops its motors after 2 s. client: who wants it, recorded.
+        the last setpoint and stops its motors after 2 s. height_m: the craft finds the thrust that
+        brings it there, see ``holds_height``; thrust is 0 then. client: who wants it, recorded.
 
         Raises BadInputError before anything is sent for a value that is not finite or out of
-        range, LinkError when the craft is not connected.
+        range, or a height for a craft that cannot hold one; LinkError when it is not connected.
         """
         for name, value, most in (
             ("roll_deg", roll_deg, ANGLE_MOST_DEG),
@@ -92,10 +107,24 @@ class CommandLink(ABC):
                 raise BadInputError(f"setpoint: {name} {value} is outside -{most:g}..{most:g}")
         if not 0 <= thrust <= THRUST_MOST:
             raise BadInputError(f"setpoint: thrust {thrust} is outside 0..{THRUST_MOST}")
-        self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust)
+        if height_m is None:
+            self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust)
+        else:
+            if not 0.0 <= height_m <= HEIGHT_MOST_M:
+                raise BadInputError(
+                    f"setpoint: height {height_m} m is outside 0..{HEIGHT_MOST_M:g}"
+                )
+            if thrust:
+                raise BadInputError("setpoint: give thrust or height_m, not both")
+            if not self.holds_height:
+                raise BadInputError(
+                    "setpoint: this craft holds no height: it needs today's firmware and a deck"
+                    " that measures it (Flow or Z-ranger)"
+                )
+            self._send_height(roll_deg, pitch_deg, yaw_dps, height_m)
         return self._entry(
             "out", "setpoint", client=client, roll_deg=roll_deg, pitch_deg=pitch_deg,
-            yaw_dps=yaw_dps, thrust=thrust,
+            yaw_dps=yaw_dps, thrust=thrust, **({} if height_m is None else {"height_m": height_m}),
         )  # fmt: skip
 
     def require_parameter(self, name: str, value: float) -> None:
@@ -149,6 +178,12 @@ class CommandLink(ABC):
     def _send_setpoint(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
     ) -> None: ...
+
+    def _send_height(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
+    ) -> None:
+        """Only where ``holds_height`` says so."""
+        raise NotImplementedError
 
     @abstractmethod
     async def _write_parameter(self, name: str, value: float) -> float: ...

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 from groundstation.clock import HostClock
@@ -25,6 +27,13 @@ PLATFORM, SUPERVISOR = (13, 0), (9, 1)
 ARM, ANSWER = 1, 0x80
 EMERGENCY = (6, 1, b"\x03")
 SUPERVISED_STOP = (9, 1, b"\x03")
+HEIGHT_DECKS = ("deck.bcZRanger", "deck.bcZRanger2", "deck.bcFlow", "deck.bcFlow2")
+"""Parameters that are 1 where such a deck is plugged in: each measures the height by itself."""
+AT_HEIGHT = (7, 0)
+Z_DISTANCE, LEGACY_Z_DISTANCE = 9, 2
+"""Generic setpoints of attitude, yaw rate and height: counter-clockwise, and clockwise before
+protocol 9."""
+SIGNED_YAW = 9
 LOCKS_AFTER_S = 2.0
 """Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
 _WHOLE = {
@@ -86,6 +95,13 @@ class CrazyflieLink(CommandLink):
         # the loops of today came between the first version that was numbered and this one
         return "2.x" if protocol >= TODAY else "2014" if protocol < 0 else ""
 
+    @property
+    def holds_height(self) -> bool:
+        if not self._is_up_to_date():
+            return False
+        known = self.parameters()
+        return any(known.get(name) for name in HEIGHT_DECKS)
+
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:
             return {}
@@ -144,7 +160,27 @@ class CrazyflieLink(CommandLink):
         assert self._sender is not None
         self._connection.commanded = True
         # cflib turns pitch round by itself, from nose down to the firmware's nose up
-        self.superseded += self._sender.send((roll_deg, pitch_deg, -yaw_dps, thrust))
+        commander = self._connection.craft.commander
+        self.superseded += self._sender.send(
+            lambda: commander.send_setpoint(roll_deg, pitch_deg, -yaw_dps, thrust)
+        )
+
+    def _send_height(
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
+    ) -> None:
+        self._connected()
+        assert self._sender is not None
+        self._connection.commanded = True
+        # cflib turns nothing round here: the firmware's pitch is nose up
+        kind, turn = (
+            (Z_DISTANCE, yaw_dps)
+            if self._connection.protocol >= SIGNED_YAW
+            else (LEGACY_Z_DISTANCE, -yaw_dps)
+        )
+        data = struct.pack("<Bffff", kind, roll_deg, -pitch_deg, turn, height_m)
+        self.superseded += self._sender.send(
+            lambda: self._connection.send(*AT_HEIGHT, data), unlocks=False
+        )
 
     async def _write_parameter(self, name: str, value: float) -> float:
         craft = self._connected()
@@ -189,17 +225,18 @@ class _Sender:
     def __init__(self, craft: Any, *, locks: bool) -> None:
         self._craft, self._locks = craft, locks
         self._sent_s = -LOCKS_AFTER_S
-        self._next: tuple[float, float, float, int] | None = None
+        self._next: tuple[Callable[[], None], bool] | None = None
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
         self._thread.start()
 
-    def send(self, setpoint: tuple[float, float, float, int]) -> bool:
-        """Whether it replaced one that had not been sent."""
+    def send(self, setpoint: Callable[[], None], *, unlocks: bool = True) -> bool:
+        """Whether it replaced one that had not been sent. setpoint: sends it. unlocks: whether it
+        holds thrust, which may have to be unlocked first."""
         with self._changed:
             replaced = self._next is not None
-            self._next = setpoint
+            self._next = setpoint, unlocks
             self._changed.notify()
         return replaced
 
@@ -214,11 +251,13 @@ class _Sender:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._next is not None or self._closing)
-                setpoint, self._next = self._next, None
-            if setpoint is None:
+                waiting, self._next = self._next, None
+            if waiting is None:
                 return
+            setpoint, unlocks = waiting
             now_s = time.monotonic()
-            if self._locks and now_s - self._sent_s >= LOCKS_AFTER_S:
+            if self._locks and unlocks and now_s - self._sent_s >= LOCKS_AFTER_S:
                 self._craft.commander.send_setpoint(0, 0, 0, 0)
-            self._craft.commander.send_setpoint(*setpoint)
-            self._sent_s = now_s
+            setpoint()
+            if unlocks:
+                self._sent_s = now_s

@@ -89,7 +89,7 @@ def operations(station: Station) -> list[Operation]:
 
     async def setpoint(body: requests.Setpoint) -> Any:
         time_ns = commander.setpoint(
-            body.token, body.roll_deg, body.pitch_deg, body.yaw_dps, body.thrust
+            body.token, body.roll_deg, body.pitch_deg, body.yaw_dps, body.thrust, body.height_m
         )
         return requests.Sent(
             time_ns=time_ns,

@@ -137,15 +137,22 @@ class Pilot(Client):
         self.close()
 
     def setpoint(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+        self,
+        roll_deg: float,
+        pitch_deg: float,
+        yaw_dps: float,
+        thrust: int = 0,
+        *,
+        height_m: float | None = None,
     ) -> dict[str, Any]:
         """Send one setpoint: ``time_ns``, the newest ``telemetry`` and ``link_state``.
 
         Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate
-        counter-clockwise. At most 100 a second; thrust 0..60000.
+        counter-clockwise. At most 100 a second; thrust 0..60000, or a height in its place.
         """
         values = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_dps": yaw_dps}
-        answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust)
+        at_height = {} if height_m is None else {"height_m": height_m}
+        answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust, **at_height)
         return answer
 
     def parameters(self) -> dict[str, float]:

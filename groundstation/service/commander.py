@@ -77,10 +77,19 @@ class Lease:
     """When the client last said anything, monotonic."""
     setpoint_s: float = 0.0
     thrust: int = 0
+    height_m: float | None = None
     levelled: bool = False
     """By the dead man."""
     held_level: bool = False
     """By the operator."""
+
+    @property
+    def flies(self) -> bool:
+        """Whether motors run for it."""
+        return bool(self.thrust) or self.height_m is not None
+
+    def set_down(self) -> None:
+        self.thrust, self.height_m = 0, None
 
 
 class Commander:
@@ -148,12 +157,13 @@ class Commander:
             uri=link.uri,
             state=link.state.value,
             firmware=link.firmware,
+            holds_height=link.holds_height,
         )
 
     def release(self, token: str) -> None:
         """End the lease; motors that still run are stopped."""
         lease = self._require(token)
-        if lease.thrust:
+        if lease.flies:
             self._stop_motors(lease.client)
         self._end(f"{lease.client} has released the craft")
 
@@ -175,8 +185,8 @@ class Commander:
 
     def level(self, on: bool) -> None:
         """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
-        kept; until it is switched off or the lease is over. Raises BadInputError where nobody
-        commands."""
+        or height kept; until it is switched off or the lease is over. Raises BadInputError where
+        nobody commands."""
         if self._lease is None:
             raise BadInputError("nobody commands: there is nothing to hold level")
         if on is not self._lease.held_level:
@@ -221,11 +231,17 @@ class Commander:
         self._require(token)
 
     def setpoint(
-        self, token: str, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+        self,
+        token: str,
+        roll_deg: float,
+        pitch_deg: float,
+        yaw_dps: float,
+        thrust: int,
+        height_m: float | None = None,
     ) -> int:
         """Send one setpoint in the frame of the telemetry; when, Unix ns.
 
-        Signs as in ``CommandLink.setpoint``.
+        Signs, and thrust or height, as in ``CommandLink.setpoint``.
         """
         lease = self._require(token)
         link = self._require_link()
@@ -235,15 +251,18 @@ class Commander:
         if lease.held_level:
             roll_deg = pitch_deg = yaw_dps = 0.0
         try:
-            sent_ns = link.setpoint(roll_deg, pitch_deg, yaw_dps, thrust, client=lease.client)
+            sent_ns = link.setpoint(
+                roll_deg, pitch_deg, yaw_dps, thrust, height_m=height_m, client=lease.client
+            )
         except GroundStationError:
             self.refused += 1
             raise
         self._stops = 0
-        if thrust:
+        lease.setpoint_s, lease.levelled = lease.heard_s, False
+        lease.thrust, lease.height_m = thrust, height_m
+        if lease.flies:
             self._stop = None
         self.setpoints += 1
-        lease.setpoint_s, lease.thrust, lease.levelled = lease.heard_s, thrust, False
         return sent_ns
 
     def parameters(self) -> dict[str, float]:
@@ -335,12 +354,12 @@ class Commander:
             self.interventions += 1
             self._stop_motors(DEAD_MAN)
             self._end(f"{lease.client} has vanished: its motors are asked to stop", kind="fault")
-        elif lease.thrust and silent_s >= self.limits.level_s:
+        elif lease.flies and silent_s >= self.limits.level_s:
             if not lease.levelled:
                 lease.levelled = True
                 self._note("dead man", f"no setpoint from {lease.client}: level attitude")
-            self._send(lease.thrust, DEAD_MAN)
-        elif not lease.thrust and now_s - lease.heard_s >= self.limits.lease_s:
+            self._send(lease.thrust, DEAD_MAN, lease.height_m)
+        elif not lease.flies and now_s - lease.heard_s >= self.limits.lease_s:
             self._end(f"{lease.client} was silent for {self.limits.lease_s:g} s: its lease is over")
 
     async def close(self) -> None:
@@ -349,7 +368,7 @@ class Commander:
         self._closing = True
         lease = self._lease
         if lease is not None:
-            if lease.thrust:
+            if lease.flies:
                 self._stop_motors(DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
@@ -368,7 +387,7 @@ class Commander:
 
     def _is_overdue(self, lease: Lease, now_s: float) -> bool:
         """Whether motors run although their client has been silent for too long."""
-        return bool(lease.thrust) and now_s - lease.setpoint_s >= self.limits.stop_s
+        return lease.flies and now_s - lease.setpoint_s >= self.limits.stop_s
 
     def _require(self, token: str) -> Lease:
         now_s = time.monotonic()
@@ -384,7 +403,7 @@ class Commander:
 
     def _stop_motors(self, client: str) -> None:
         if self._lease is not None:
-            self._lease.thrust = 0
+            self._lease.set_down()
         self._stops = STOPS - 1
         self._stopped_by = client
         self._stop = Stop(time.monotonic())
@@ -422,12 +441,12 @@ class Commander:
                     means = "emergency stop"
             self._note("fault", f"asked to stop, motors still turn: {means}")
 
-    def _send(self, thrust: int, client: str) -> None:
+    def _send(self, thrust: int, client: str, height_m: float | None = None) -> None:
         link = self.link
         if link is not None:
             # without the craft there is nothing to be done: its own limits stop it
             with contextlib.suppress(LinkError):
-                link.setpoint(0.0, 0.0, 0.0, thrust, client=client)
+                link.setpoint(0.0, 0.0, 0.0, thrust, height_m=height_m, client=client)
 
     def _end(self, text: str, *, kind: str = "command") -> None:
         self._lease = None

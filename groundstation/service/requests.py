@@ -59,13 +59,15 @@ class Level(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One setpoint, in the signs of the telemetry: roll left side up, pitch nose down, yaw rate
-    counter-clockwise from above. thrust: 0..60000, up to 10000 is none."""
+    counter-clockwise from above. thrust: 0..60000, up to 10000 is none. height_m: 0..3, for
+    a craft that holds a height by itself, with no thrust."""
 
     token: Token
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_dps: float = 0.0
     thrust: int
+    height_m: float | None = None
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -141,7 +143,7 @@ class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
     """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
     uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
-    it does not say."""
+    it does not say. holds_height: whether it takes a height in the place of thrust."""
 
     token: str
     lease_s: float
@@ -150,6 +152,7 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     uri: str
     state: str
     firmware: str
+    holds_height: bool
 
 
 class Telemetry(msgspec.Struct, frozen=True, kw_only=True):

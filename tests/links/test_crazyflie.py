@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 from flown_link import flown, free_udp_port
+from served_craft import ServedCraft, served
 
+from firmware_sim.craft import CraftState
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import CrazyflieLink
@@ -119,3 +121,51 @@ def test_a_craft_that_does_not_answer_gives_one_clear_error(
 def test_an_unknown_kind_of_command_link_is_refused(uri: str) -> None:
     with pytest.raises(BadInputError, match="not known"):
         make_command_link(uri)
+
+
+@pytest.mark.parametrize("protocol", [7, 10])
+def test_a_craft_with_a_deck_holds_a_height_and_leans_and_turns_in_the_signs_of_the_telemetry(
+    protocol: int,
+) -> None:
+    entries: list[dict[str, Any]] = []
+
+    async def fly(craft: ServedCraft) -> tuple[CraftState, CraftState]:
+        link = CrazyflieLink(craft.uri)
+        link.on_entry = entries.append
+        await link.open()
+        assert link.holds_height
+        for k in range(300):
+            link.setpoint(0, 0, 0, 0, height_m=min(0.004 * k, 0.5))
+            await asyncio.sleep(0.01)
+        before = craft.craft.state()
+        for _ in range(60):
+            link.setpoint(0, 8.0, 40.0, 0, height_m=0.5)
+            await asyncio.sleep(0.01)
+        after = craft.craft.state()
+        with pytest.raises(BadInputError, match="not both"):
+            link.setpoint(0, 0, 0, 30000, height_m=0.5)
+        with pytest.raises(BadInputError, match=r"outside 0\.\.3"):
+            link.setpoint(0, 0, 0, 0, height_m=math.nan)
+        link.setpoint(0, 0, 0, 0)
+        await link.close()
+        return before, after
+
+    with served(craft="crazyflie21", height_deck=True, protocol=protocol) as craft:
+        before, after = asyncio.run(fly(craft))
+        craft.wait_for(lambda: not craft.craft.state().thrust)
+    assert before.position_m[2] == pytest.approx(0.5, abs=0.15)
+    assert after.angles_deg[1] < -3.0  # the firmware counts nose up
+    assert after.angles_deg[2] > before.angles_deg[2] + 5.0
+    assert entries[-1]["thrust"] == 0
+    assert "height_m" not in entries[-1]
+    assert max(entry.get("height_m", 0.0) for entry in entries) == 0.5
+
+
+def test_a_craft_without_such_a_deck_or_firmware_is_asked_for_no_height() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        assert not link.holds_height
+        with pytest.raises(BadInputError, match="a deck that measures it"):
+            link.setpoint(0, 0, 0, 0, height_m=0.5)
+        assert entries == []
+
+    on_a_stand_in(scenario)

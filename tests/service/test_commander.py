@@ -48,11 +48,11 @@ def stations():
 def fly(tmp_path, path, crafts, stations):
     """Runs a conversation with a daemon whose craft can be commanded; then its recording."""
 
-    def flying(conversation, **dead_man):
+    def flying(conversation, stand_in=None, **dead_man):
         config = Config(
             link=LinkConfig(name="stand-in"),
             command=f"udp://127.0.0.1:{free_udp_port()}",
-            stand_in={"program": "wait", "altitude_hold": True},
+            stand_in={"program": "wait", "altitude_hold": True} if stand_in is None else stand_in,
             recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
             dead_man=DeadManConfig(**dead_man),
         )
@@ -197,6 +197,32 @@ def test_a_client_that_vanishes_means_level_and_then_motors_off(fly, path):
     told = [event["text"] for event in recording.events]
     assert "no setpoint from doomed: level attitude" in told
     assert "doomed has vanished: its motors are asked to stop" in told
+
+
+def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_off(fly, path):
+    def conversation():
+        pilot = Pilot(path, "doomed").__enter__()
+        assert pilot.lease["holds_height"]
+        for k in range(60):
+            pilot.setpoint(5.0, 0, 0, height_m=min(0.01 * k, 0.4))
+            time.sleep(0.02)
+        pilot.close()
+        until(lambda: ask(path, "GET", "/status")["command"]["client"] is None, "the lease is over")
+        with Pilot(path, "next") as following:
+            following.setpoint(0, 0, 0)
+
+    today = {"craft": "crazyflie21", "program": "wait", "height_deck": True}
+    recording = fly(conversation, today)
+    entries = setpoints(recording)
+    last = max(k for k, entry in enumerate(entries) if entry["client"] == "doomed")
+    assert entries[last]["height_m"] == 0.4
+    after = [entry for entry in entries[last + 1 :] if entry["client"] == "dead man"]
+    assert {(entry["roll_deg"], entry["thrust"]) for entry in after} == {(0.0, 0)}
+    heights = [entry.get("height_m") for entry in after]
+    assert heights[0] == 0.4
+    assert heights[-1] is None
+    assert (recording.samples.duty > 0).any(axis=1).sum() > 100
+    assert not recording.samples.duty[-1].any()
 
 
 def test_a_daemon_that_ends_stops_the_motors_first(fly, path):

@@ -107,13 +107,19 @@ def craft():
 
 
 @pytest.fixture
-def station(tmp_path, port, craft):
+def deck():
+    """Whether the craft measures its height."""
+    return False
+
+
+@pytest.fixture
+def station(tmp_path, port, craft, deck):
     settings = tmp_path / "groundstation.toml"
     settings.write_text(
         f'command = "udp://127.0.0.1:{port}"\n'
         '[link]\nname = "stand-in"\n'
         "[stand_in]\n"
-        f'craft = "{craft}"\nprogram = "wait"\nseed = 3\n'
+        f'craft = "{craft}"\nprogram = "wait"\nseed = 3\nheight_deck = {str(deck).lower()}\n'
         f'[recording]\nfolder = "{tmp_path / "sessions"}"\nlow_space_mb = 0\n'
     )
     with Daemon(tmp_path, "--config", settings) as daemon:
@@ -331,3 +337,27 @@ def test_todays_craft_flies_its_own_gains_and_is_never_given_those_of_2014(stati
     roll = report["axes"]["roll"]["measured"]
     assert roll["overshoot_pct"] < 20.0
     assert station.gain() == before
+
+
+@pytest.mark.parametrize(("craft", "deck"), [("crazyflie21", True)])
+def test_a_craft_with_a_deck_holds_its_height_by_itself_in_the_programme(station):
+    flight = station.fly("--thrust", "height:0.6", "--json", *SHORT)
+    if flight.returncode:
+        require_flown(flight.stderr)
+    assert "the craft holds 0.6 m by itself" in flight.stderr
+    report = json.loads(flight.stdout)
+    assert not report["aborted"]
+    assert report["motors"] == "motors are off"
+    assert report["axes"]["roll"]["measured"]["overshoot_pct"] < 20.0
+    recording = open_recording(Path(report["recording"]))
+    sent = [e for e in recording.commands if e["kind"] == "setpoint"]
+    assert {e["thrust"] for e in sent} == {0}
+    heights = [e["height_m"] for e in sent if "height_m" in e]
+    assert max(heights) == 0.6
+    assert heights[-1] == 0.0
+    assert "height_m" not in sent[-1]
+
+
+def test_a_craft_without_a_deck_is_not_flown_by_height(station):
+    said = require_failure(station.fly("--thrust", "height", *ONCE))
+    assert "holds no height by itself" in said

@@ -1,0 +1,74 @@
+"""A craft with a Z-ranger holds the height that it is asked for."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.crtp import Conversation
+
+HEADER = 7 << 4
+STEP_S = 0.01
+
+
+def flown(craft_name, packets, *, height_deck=True):
+    """Position (m), angles (deg) and thrust after each packet, 100 a second."""
+    craft = StandIn(
+        StandInSettings(
+            craft=craft_name, program="wait", resume_s=1e6, height_deck=height_deck, seed=4
+        )
+    )
+    craft.advance(3.0)
+    craft.arm(True)
+    talk, rows = Conversation(craft), []
+    for k, packet in enumerate(packets):
+        talk.answer(packet)
+        craft.advance(3.0 + STEP_S * (k + 1))
+        said = craft.state()
+        rows.append((*said.position_m, *said.angles_deg, said.thrust, said.height_m))
+    return np.array(rows)
+
+
+def at_height(height_m, roll=0.0, pitch=0.0, yaw=0.0, kind=9):
+    return bytes([HEADER]) + struct.pack("<Bffff", kind, roll, pitch, yaw, height_m)
+
+
+def climb(height_m, steps):
+    return [at_height(min(0.4 * STEP_S * k, height_m)) for k in range(steps)]
+
+
+@pytest.mark.parametrize("craft", ["crazyflie21", "crazyflie21plus", "brushless"])
+def test_it_climbs_there_stays_while_it_leans_and_comes_down(craft):
+    leaning = [at_height(0.6, roll=10.0 if k < 50 else -10.0) for k in range(100)]
+    landing = [at_height(max(0.6 - 0.4 * STEP_S * k, 0.0)) for k in range(200)]
+    stop = [bytes([3 << 4]) + struct.pack("<fffH", 0, 0, 0, 0)] * 50
+    flight = flown(craft, [*climb(0.6, 500), *leaning, *landing, *stop])
+    assert flight[400:600, 2] == pytest.approx(0.6, abs=0.06)
+    assert flight[520:550, 3].max() > 8.0
+    assert flight[570:600, 3].min() < -8.0
+    assert flight[799, 2] == pytest.approx(0.0, abs=0.02)
+    assert np.abs(flight[:, 2] - flight[:, 7]).max() < 0.02
+    assert flight[780, 6] >= 20000
+    assert flight[-1, 6] == 0
+
+
+@pytest.mark.parametrize(("kind", "turned"), [(9, 1.0), (2, -1.0)])
+def test_pitch_is_nose_up_and_the_older_packet_turns_the_other_way(kind, turned):
+    turning = [at_height(0.5, pitch=6.0, yaw=40.0, kind=kind)] * 60
+    flight = flown("crazyflie21", [*climb(0.5, 250), *turning])
+    assert flight[-1, 4] > 4.0
+    assert turned * (flight[-1, 5] - flight[250, 5]) > 15.0
+
+
+def test_without_a_deck_nothing_flies():
+    assert flown("crazyflie21", climb(0.5, 200), height_deck=False)[:, 6].max() == 0
+
+
+def test_a_client_that_falls_silent_is_levelled_and_then_stopped():
+    lean = [at_height(0.5, roll=10.0)] * 30
+    flight = flown("crazyflie21", [*climb(0.5, 250), *lean, *[b""] * 300])
+    assert flight[280:320, 3].max() > 8.0
+    assert abs(flight[400, 3]) < 3.0
+    assert flight[450, 2] == pytest.approx(0.5, abs=0.1)
+    assert flight[-1, 6] == 0
