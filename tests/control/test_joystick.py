@@ -87,7 +87,7 @@ def test_inputs_that_cannot_be_flown_are_refused_by_what_is_wrong(tmp_path, text
 def test_a_recording_without_setpoints_and_gains_that_lose_the_craft_are_said(tmp_path):
     silent = flown()
     silent.commands.clear()
-    with pytest.raises(BadInputError, match="no setpoints with thrust"):
+    with pytest.raises(BadInputError, match="no setpoints that fly"):
         joystick_of_recording(silent)
     inputs = load_joystick(written(tmp_path, f"{HEAD}\n0,0,0,0\n1,10,0,0\n20,10,0,0\n"))
     with pytest.raises(BadInputError, match=r"the craft is lost after \d"):
