@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from groundstation.cli.sticks import CLIMB_M_S, Hands, Source, StandInPilot
@@ -96,34 +97,20 @@ def _land(
 ) -> str:
     """A craft that holds its height is asked for less and less of it, the stand-in sinks at a
     little less thrust than hovered, a human lands by hand."""
-    from groundstation.control.programme import LANDING, RATE_HZ, reason_to_abort
+    from groundstation.control.programme import RATE_HZ, reason_to_abort
 
     if firmware is not None:
         if HOLD_HEIGHT in pilot.parameters():
             pilot.write({HOLD_HEIGHT: 0.0})
         said = last["telemetry"]
         hover = float(firmware.thrust(said["motors"], 1000.0 * said["battery_v"]).mean())
-        for _ in range(round(DESCENT_S * RATE_HZ)):
-            answer = pilot.setpoint(0.0, 0.0, 0.0, round(DESCENT * hover))
-            reason = reason_to_abort(answer, LANDING)
-            if reason:
-                return reason
-            if _touched(answer):
-                break
-            clock.wait()
-        return ""
+        sinking = Hands(thrust=round(DESCENT * hover))
+        return _come_down(pilot, clock, [sinking] * round(DESCENT_S * RATE_HZ))
     height_m = sticks.read().height_m
     if height_m is not None:
-        for tick in range(round((height_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ)):
-            lower = Hands(height_m=max(height_m - CLIMB_M_S * tick / RATE_HZ, 0.0))
-            answer = _sent(pilot, lower)
-            reason = reason_to_abort(answer, LANDING)
-            if reason:
-                return reason
-            if _touched(answer):
-                break
-            clock.wait()
-        return ""
+        ticks = range(round((height_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
+        heights = (max(height_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
+        return _come_down(pilot, clock, (Hands(height_m=lower) for lower in heights))
     say("the programme is flown: land", error=True)
     while True:
         hands = sticks.read()
@@ -145,8 +132,19 @@ def _sent(
     )  # fmt: skip
 
 
-def _touched(answer: dict[str, Any]) -> bool:
-    return max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS
+def _come_down(pilot: Pilot, clock: SetpointClock, steps: Iterable[Hands]) -> str:
+    """Send one after the other until the ground is met; why it was aborted, or empty."""
+    from groundstation.control.programme import LANDING, reason_to_abort
+
+    for hands in steps:
+        answer = _sent(pilot, hands)
+        reason = reason_to_abort(answer, LANDING)
+        if reason:
+            return reason
+        if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:
+            break
+        clock.wait()
+    return ""
 
 
 def _firmware(pilot: Pilot) -> Firmware:
