@@ -187,6 +187,7 @@ class Search:
             self.progress(f"weighing {variant.effect}", -1.0)
             rest = tuple(key for key in after.keys if key not in variant.keys)
             before = self.problem.fit(without(after.point, variant), rest, settled=ROUGHLY)
+            after = self._nested(after, before, variant)
             evidence = gather(self.problem, self.validation, before, after, variant)
             why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
             if why is None:
@@ -261,6 +262,7 @@ class Search:
             self.progress(f"fitting {one.variant.effect}", -1.0)
             keys = (*self.now.keys, *one.variant.keys)
             fit = self.problem.fit(started(self.now.point, one), keys, settled=ROUGHLY)
+            fit = self._nested(fit, before, one.variant)
             gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
             trials.append(Trial(one.variant, fit, gain))
         trials.sort(key=lambda trial: trial.gain, reverse=True)
@@ -269,6 +271,14 @@ class Search:
         for trial in trials:
             trial.best = able[0] if able else (0.0, "")
         return trials
+
+    def _nested(self, fit: Fit, before: Fit, variant: Variant) -> Fit:
+        """A fit with a variant, from where it is absent if that is better than where the fit with
+        its screened size ended."""
+        if fit.cost <= before.cost:
+            return fit
+        point = before.point | {key: absent(key) for key in variant.keys}
+        return self.problem.fit(point, fit.keys, settled=ROUGHLY)
 
     def _join(self, trial: Trial, others: Sequence[Trial]) -> None:
         assert trial.fit is not None

@@ -17,6 +17,13 @@ FIRMWARE_GAIN = 0.4
 ACCELEROMETER_SHARE, FIRMWARE_PERIOD_S = 0.125, 0.002
 """The fusion's own filter of the accelerometer: 32/256 each 2 ms."""
 LEAST_ROWS = 100
+BANDS = (0.94, 1.0), (0.6, 0.8)
+"""Bands, over half the row rate, of which the first is missing in angles that were read between
+rows: a mean of two readings has nothing at its end."""
+READ_BETWEEN, READ_BESIDE_GYRO = 0.05, 0.1
+"""Power of the angles' rates in the first band over that in the second, at most, and the same over
+the gyro's: 0.005 and 0.01 for angles made of the gyro, 0.02 and 0.05 for angles with noise of their
+own (stand-in); without a mean 0.3 and more, and 0.5 and more."""
 
 
 class Gaps:
@@ -62,7 +69,12 @@ class AttitudeRows:
     (m, 3, 3) from body to Euler rates (thesis eq. 3.11). rate: measured Euler rates. gyro: mean
     of the gyro over the stride. timing: its last row less that mean. slope: its mean slope,
     rad/s^2. lean: the rate by which a Mahony filter would turn the estimate, over its
-    gain.
+    gain, by the accelerometer behind the fusion's own filter; lean_as_read: by that as it reads,
+    which today's firmware takes.
+
+    Rows of a radio's log hold the mean of the angles half a row before and after, which come in
+    another block than the gyro. ``timing`` and ``slope`` are then such means, too: otherwise what
+    is faster than any of these angles is all that counts, for there they have no noise.
     """
 
     stride: int
@@ -74,6 +86,7 @@ class AttitudeRows:
     timing: Array
     slope: Array
     lean: Array
+    lean_as_read: Array
 
     def where_told(self, rates: Array) -> Array:
         """Rates (m, ...) of data or model, nothing over a gap."""
@@ -101,18 +114,46 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
     for back in range(stride + 1):
         mean += (0.5 if back in (0, stride) else 1.0) / stride * run.gyro[ends - back]
         told &= known[ends - back]
-    now = run.gyro[ends]
+    now, rate = run.gyro[ends], np.diff(angles, axis=0) / seconds
+    timing, slope = now - mean, (now - run.gyro[ends - stride]) / seconds
+    if stride == 1 and _read_between(rate, now):
+        half = _half_a_row_later(run.gyro)
+        late, early, earlier = half[ends], half[ends - 1], half[np.maximum(ends - 2, 0)]
+        timing, slope = 0.5 * (late + early) - mean, (late - earlier) / (2.0 * seconds)
     return AttitudeRows(
         stride,
         int(ends[0]),
         told,
         _to_euler(0.5 * (angles[1:] + angles[:-1])),
-        np.diff(angles, axis=0) / seconds,
+        rate,
         mean,
-        now - mean,
-        (now - run.gyro[ends - stride]) / seconds,
-        _lean(run, known, angles[:-1], ends),
+        timing,
+        slope,
+        *_leans(run, known, angles[:-1], ends),
     )
+
+
+def _read_between(rate: Array, gyro: Array) -> bool:
+    """Whether angles that turn with these rates (m, 3) beside a gyro's are means of readings before
+    and after their rows."""
+    from scipy.signal import welch
+
+    def left(rows: Array) -> float:
+        power = welch(rows, axis=0)[1].sum(axis=1)
+        place = np.linspace(0.0, 1.0, len(power))
+        top, middle = (power[(low <= place) & (place <= high)].mean() for low, high in BANDS)
+        return float(top / middle) if middle > 0.0 else 1.0
+
+    found = left(rate)
+    return found < READ_BETWEEN and found < READ_BESIDE_GYRO * left(gyro)
+
+
+def _half_a_row_later(values: Array) -> Array:
+    """Rows (n, 3) half a period later, cubic through two rows on either side."""
+    before, now, after, next_but_one = (
+        np.pad(values, ((1, 2), (0, 0)), mode="edge")[i : i + len(values)] for i in range(4)
+    )
+    return np.asarray((9.0 * (now + after) - before - next_but_one) / 16.0)
 
 
 def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray[np.int64]:
@@ -125,18 +166,18 @@ def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray
     return first + rhythm_of(changed).rows(last - first)
 
 
-def _lean(run: Run, known: NDArray[np.bool_], before: Array, ends: NDArray[np.int64]) -> Array:
-    """Smoothed specific force x estimated up, both of unit length."""
+def _leans(
+    run: Run, known: NDArray[np.bool_], before: Array, ends: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Specific force x estimated up, both of unit length: by the smoothed force, and as it is."""
     if not np.isfinite(run.accelerometer).all():
-        return np.zeros((len(ends), 3))
+        return np.zeros((len(ends), 3)), np.zeros((len(ends), 3))
     from groundstation.identification.likelihood.kernels import first_order
 
     force = _shaken_across(run.accelerometer, known)
     smooth = np.empty_like(force)
     keep = (1.0 - ACCELEROMETER_SHARE) ** (run.period_s / FIRMWARE_PERIOD_S)
     first_order(force, keep, smooth)
-    felt = smooth[ends]
-    length = np.linalg.norm(felt, axis=1, keepdims=True)
     up = np.column_stack(
         [
             -np.sin(before[:, 1]),
@@ -144,7 +185,12 @@ def _lean(run: Run, known: NDArray[np.bool_], before: Array, ends: NDArray[np.in
             np.cos(before[:, 1]) * np.cos(before[:, 0]),
         ]
     )
-    return np.asarray(np.cross(felt / np.maximum(length, 1e-9), up))
+
+    def lean(felt: Array) -> Array:
+        length = np.linalg.norm(felt, axis=1, keepdims=True)
+        return np.asarray(np.cross(felt / np.maximum(length, 1e-9), up))
+
+    return lean(smooth[ends]), lean(force[ends])
 
 
 def _shaken_across(values: Array, known: NDArray[np.bool_]) -> Array:

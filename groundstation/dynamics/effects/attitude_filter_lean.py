@@ -30,7 +30,7 @@ EFFECT = Effect(
             default=1.0,
             low=0.05,
             high=1.5,
-            bounds=(-1.0, 1.0),
+            bounds=(-1.5, 1.5),
             step=0.05,
             near=0.1,
         ),

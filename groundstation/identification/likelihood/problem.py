@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
 from groundstation.dynamics.vehicle import Vehicle
-from groundstation.identification.estimate import inverse
+from groundstation.identification.estimate import bounded_step, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import (
@@ -280,19 +280,24 @@ class Problem:
     def fit(
         self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
     ) -> Fit:
-        """Gauss-Newton over ``keys`` with the noise as it is, halving steps that do not help.
+        """Gauss-Newton over ``keys`` with the noise as it is, shortening steps that do not help;
+        never worse than where it starts, which is within the bounds.
 
         settled: drop of -2 log L that is not worth another step.
         """
         keys = tuple(keys)
+        unknowns, free = self.frame.unknowns, np.ones(len(keys), np.bool_)
+        point = bounded(point, keys, np.zeros(len(keys)), unknowns)
         now = self._whole(point, keys)
         for _ in range(steps):
-            change = inverse(now.normal) @ now.gradient
+            at = np.array([value(point, key) for key in keys])
+            low, high = (ends - at for ends in _ends(point, keys, unknowns))
+            change = bounded_step(now.normal, now.gradient, free, low, high)
             share, moved, better = 1.0, point, now
             expected = 0.0
             for _ in range(4):
-                moved = bounded(point, keys, share * change, self.frame.unknowns)
-                step = np.array([moved[key] - value(point, key) for key in keys])
+                moved = bounded(point, keys, share * change, unknowns)
+                step = np.array([moved[key] for key in keys]) - at
                 expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
                 if expected < settled:
                     break
@@ -396,19 +401,24 @@ def bounded(
     point: Point, keys: Sequence[str], change: Array, unknowns: Mapping[str, Key] = KEYS
 ) -> Point:
     """The point moved by ``change``, kept where the physics can be evaluated."""
-    moved = dict(point)
-    for key, step in zip(keys, change.tolist(), strict=True):
-        low, high = -np.inf, np.inf
+    moved = np.array([value(point, key) for key in keys]) + change
+    numbers = np.clip(moved, *_ends(point, keys, unknowns)).tolist()
+    return {**point, **dict(zip(keys, numbers, strict=True))}
+
+
+def _ends(point: Point, keys: Sequence[str], unknowns: Mapping[str, Key]) -> tuple[Array, Array]:
+    """Least and largest value (p,) of each of ``keys`` with which the physics can be evaluated."""
+    low, high = np.full(len(keys), -np.inf), np.full(len(keys), np.inf)
+    for i, key in enumerate(keys):
         if key in BODY_KEYS or key in MOTOR_KEYS:
-            low, high = sorted((0.2 * point[key], 5.0 * point[key]))
+            low[i], high[i] = sorted((0.2 * point[key], 5.0 * point[key]))
         elif key == TIMING:
-            low, high = TIMING_BOUNDS
+            low[i], high[i] = TIMING_BOUNDS
         elif key == SENSOR_LAG:
-            low, high = LAG_BOUNDS_S
+            low[i], high[i] = LAG_BOUNDS_S
         elif key in unknowns:
-            low, high = unknowns[key].bounds
-        moved[key] = float(np.clip(value(point, key) + step, low, high))
-    return moved
+            low[i], high[i] = unknowns[key].bounds
+    return low, high
 
 
 def _strides(flight: Flight) -> dict[int, int]:

@@ -204,7 +204,9 @@ class _Evaluation:
         rows = self.flight.attitude
         assert rows is not None
         found = sensors.turning(rows.gyro, rows.slope, 1.0 - lean / FIRMWARE_GAIN)
-        return found + self.point.get(TIMING, 0.0) * rows.timing + lean * rows.lean
+        today = self.frame.vehicle.accelerometer_filter_hz > 0.0
+        leaning = rows.lean_as_read if today else rows.lean
+        return found + self.point.get(TIMING, 0.0) * rows.timing + lean * leaning
 
     def generic(self) -> dict[str, Array]:
         """See ``generic_signals``."""

@@ -1,4 +1,4 @@
-"""Reported angles beside the gyro's: rows that were lost, and an offset that each flight has."""
+"""Reported angles beside the gyro's: lost rows, a flight's own offset, what was read between."""
 
 from dataclasses import replace
 from functools import cache
@@ -12,7 +12,7 @@ from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.parameters import TIMING, point_of
 from groundstation.identification.likelihood.problem import Problem, linearise
 from groundstation.identification.likelihood.residuals import ATTITUDE
 from groundstation.identification.recordings import flights_of
@@ -20,13 +20,20 @@ from groundstation.identification.recordings import flights_of
 SLOW_HZ = 2.0
 LATE = 4000
 """A row in flight."""
+STRENGTH = "attitude_filter_lean.strength"
 COUNT_RAD_S = np.radians(2000.0 / 32768.0)
 
 
 @cache
 def run():
     """A flight whose angles come from the gyro by a Mahony filter, with vibration in the gyro."""
-    (one,) = flights_of(recorded(14.0, seed=5, plant="faithful")[0], "flight")
+    return flown("faithful")
+
+
+@cache
+def flown(plant):
+    leaning = {"attitude_filter_lean": {"strength": 1.0}}
+    (one,) = flights_of(recorded(14.0, seed=5, plant=plant, effects=leaning)[0], "flight")
     return one
 
 
@@ -75,3 +82,54 @@ def test_an_offset_of_one_count_that_a_flight_has_is_no_surprise_and_a_large_one
 
     assert surprise(COUNT_RAD_S * np.array([1.0, -1.0, 1.0])) < 20.0
     assert surprise(np.radians([1.5, -1.0, 2.0])) > 500.0
+
+
+def between_rows():
+    """Every second row of such a flight, without vibration: with the angles that were read half a
+    row before and half a row after."""
+    run = flown("reduced")
+    turned = np.flatnonzero((run.attitude[1:] != run.attitude[:-1]).any(axis=1)) + 1
+    rows = np.arange(1 + turned[-1] % 2, len(run) - 1, 2)
+    slow = {
+        name: getattr(run, name)[rows]
+        for name in ("duty", "supply_v", "gyro", "accelerometer", "rotor_rev_s", "debug_s")
+    }
+    angles = 0.5 * (run.attitude[rows - 1] + run.attitude[rows + 1])
+    return replace(run, period_s=2.0 * run.period_s, attitude=angles, **slow)
+
+
+def fitted(problem, **start):
+    keys = (TIMING, STRENGTH)
+    point = problem.start | {TIMING: start["timing"], STRENGTH: start["strength"]}
+    return problem.fit(point, keys)
+
+
+def test_angles_read_between_rows_tell_the_filter_that_made_them():
+    problem = problem_of(between_rows())
+    screen(problem, problem.start)
+    found = fitted(problem, timing=0.0, strength=0.1)
+    assert found.point[TIMING] == pytest.approx(1.0, abs=0.03)
+    assert found.point[STRENGTH] == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_fit_that_meets_a_bound_ends_at_the_best_there_is_along_it(monkeypatch):
+    problem = problem_of(run())
+    screen(problem, problem.start)
+    monkeypatch.setattr("groundstation.identification.likelihood.problem.TIMING_BOUNDS", (0.0, 0.2))
+    found = fitted(problem, timing=0.1, strength=0.1)
+    assert found.point[TIMING] == 0.2
+    beside = [
+        problem.fit(found.point | {STRENGTH: found.point[STRENGTH] + step}, (), steps=0).cost
+        for step in (-0.03, 0.03)
+    ]
+    assert found.cost < min(beside)
+
+
+@pytest.mark.parametrize(("timing", "strength"), [(0.0, 0.0), (1.9, -1.0), (-0.9, 1.4)])
+def test_a_fit_is_never_worse_than_its_start(timing, strength):
+    problem = problem_of(run())
+    screen(problem, problem.start)
+    start = problem.start | {TIMING: timing, STRENGTH: strength}
+    begun = problem.fit(start, (TIMING, STRENGTH), steps=0)
+    assert begun.point == start
+    assert problem.fit(start, (TIMING, STRENGTH)).cost <= begun.cost
