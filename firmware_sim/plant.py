@@ -49,6 +49,9 @@ from firmware_sim.layout import (
 
 GROUND_PULSATION = 125.0
 """The legs: a critically damped spring of 20 Hz under the craft's weight, rad/s."""
+GROUND_RUB = 2500.0
+"""1/s: how fast the legs' friction takes a yaw rate away. Rotors that run down after the motor test
+must not turn a craft while its gyro is calibrated: the offset would stay for the whole flight."""
 HAND_PULSATION = 25.0
 """How stiffly a hand holds the craft at an attitude, rad/s."""
 
@@ -213,7 +216,7 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
                 brake = 2.0 * GROUND_PULSATION
                 roll_acceleration -= share * (upright * r32 + brake * roll_rate)
                 pitch_acceleration -= share * (-upright * r31 + brake * pitch_rate)
-                yaw_acceleration -= share * brake * yaw_rate
+                yaw_acceleration -= share * GROUND_RUB * yaw_rate
         for i in range(3):
             dy[i] = y[VELOCITY + i]
         dy[3] = push_x

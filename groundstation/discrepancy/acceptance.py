@@ -60,6 +60,8 @@ class Stage(Enum):
     """Nothing joins any more."""
     LEFT = auto()
     """What no effect explains has been looked at."""
+    SETTLED = auto()
+    """Nothing leaves any more, and no fit comes after."""
     NAMED = auto()
     """The last one."""
 
@@ -115,13 +117,20 @@ def explains_less(trial: Trial) -> str:
 
 
 def implausible(trial: Trial) -> str:
-    """No small craft has such a size."""
+    """No small craft has such a size, or it lies where the search ends.
+
+    Asked again in the end: what leaves, and constants that go back, move the sizes of the others.
+    """
     assert trial.fit is not None
-    if plausible(trial.variant, trial.fit.point):
+    point = trial.fit.point
+    ends = any(
+        point.get(u.key, u.absent) in {*u.bounds} - {u.absent} for u in trial.variant.unknowns
+    )
+    if not ends and plausible(trial.variant, point):
         return ""
     values = ", ".join(
         f"{name} {estimate.value:.3g} {estimate.unit}".strip()
-        for name, estimate in estimates_of(trial.variant, trial.fit.point, {}).items()
+        for name, estimate in estimates_of(trial.variant, point, {}).items()
     )
     return f"not plausible: {values}"
 
@@ -188,19 +197,19 @@ def negligible(trial: Trial) -> str:
     return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
 
 
-GATES: tuple[tuple[Stage, Reason, Callable[[Trial], str]], ...] = (
-    (Stage.SCREENED, Reason.WEAK, weak),
-    (Stage.SCREENED, Reason.WRONG_SIGN, wrong_sign),
-    (Stage.FITTED, Reason.EXPLAINS_LESS, explains_less),
-    (Stage.WEIGHED, Reason.IMPLAUSIBLE, implausible),
-    (Stage.WEIGHED, Reason.INSIGNIFICANT, insignificant),
-    (Stage.WEIGHED, Reason.NOT_HELD_OUT, not_held_out),
-    (Stage.WEIGHED, Reason.TRIED_BEFORE, tried_before),
-    (Stage.JOINED, Reason.SUPERFLUOUS, superfluous),
-    (Stage.STABLE, Reason.CHANNELS_DISAGREE, channels_disagree),
-    (Stage.STABLE, Reason.RECORDINGS_DISAGREE, recordings_disagree),
-    (Stage.LEFT, Reason.DROWNED, drowned),
-    (Stage.NAMED, Reason.NEGLIGIBLE, negligible),
+GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
+    ((Stage.SCREENED,), Reason.WEAK, weak),
+    ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
+    ((Stage.FITTED,), Reason.EXPLAINS_LESS, explains_less),
+    ((Stage.WEIGHED, Stage.SETTLED), Reason.IMPLAUSIBLE, implausible),
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, insignificant),
+    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
+    ((Stage.WEIGHED,), Reason.TRIED_BEFORE, tried_before),
+    ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
+    ((Stage.STABLE,), Reason.CHANNELS_DISAGREE, channels_disagree),
+    ((Stage.STABLE,), Reason.RECORDINGS_DISAGREE, recordings_disagree),
+    ((Stage.LEFT,), Reason.DROWNED, drowned),
+    ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
 
@@ -208,7 +217,7 @@ GATES: tuple[tuple[Stage, Reason, Callable[[Trial], str]], ...] = (
 def refusal(stage: Stage, trial: Trial) -> Refusal | None:
     """Why a candidate does not pass a stage; None where it does."""
     for where, reason, question in GATES:
-        if where is stage and (words := question(trial)):
+        if stage in where and (words := question(trial)):
             return Refusal(reason, words)
     return None
 

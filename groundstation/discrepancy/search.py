@@ -145,8 +145,7 @@ class Search:
         self.settle_trim()
         self.hold_base()
         self.name_base_changes()
-        judge = self._judged if self.judge else None
-        if judge and any([answer_to_predictions(self, judge), drop_idle(self, judge)]):
+        if self.settle():
             residual, _ = leftover(self.problem, self.now, self.validation)
         final, accepted = replace(self.now, point=self._named_point(self.now.point)), self.accepted
         return Outcome(
@@ -360,6 +359,32 @@ class Search:
             self.problem.learn_trim(self.now.point)
             self.now = self.problem.fit(self.now.point, self.now.keys)
         self.trims = {self._names(): self.problem.trim}
+
+    def settle(self) -> bool:
+        """Ask predictions, and the sizes that are left at the very end; whether anything left."""
+        changed, leaves = False, True
+        while leaves:
+            if self.judge is not None:
+                changed |= answer_to_predictions(self, self._judged)
+                changed |= drop_idle(self, self._judged)
+            leaves = self.drop_implausible()
+            changed |= leaves
+        return changed
+
+    def drop_implausible(self) -> bool:
+        """Take back, the weakest first, what the last fits left with a size that cannot be; whether
+        anything was."""
+        changed = False
+        while True:
+            asked = ((one, Trial(one.variant, self.now)) for one in self.accepted)
+            out = [(one, why) for one, trial in asked if (why := refusal(Stage.SETTLED, trial))]
+            if not out:
+                return changed
+            one, why = min(out, key=lambda each: each[0].evidence.drop)
+            self.accepted.remove(one)
+            self.refused[one.variant.label] = why
+            self.now = self.refit(self.accepted, self.held)
+            changed = True
 
     def _predicted(self, one: Accepted) -> float:
         """Share of the squared excess over noise that predictions lose with an effect."""

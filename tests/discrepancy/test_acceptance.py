@@ -7,6 +7,7 @@ from groundstation.discrepancy.acceptance import GATES, Stage, Trial, refusal
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
+from groundstation.discrepancy.search import Accepted, Search
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.likelihood.parameters import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
@@ -116,6 +117,50 @@ def test_a_delay_that_slow_rows_leave_open_is_no_effect(rows_hz, delay_s, reason
     place = fit(dead_time__delay_s=delay_s)
     open_s = open_delay_s(1.0 / rows_hz)
     assert said(Stage.NAMED, "dead_time", fit=place, open_s=open_s) is reason
+
+
+@pytest.mark.parametrize(
+    ("effect", "point", "reason"),
+    [
+        ("supply_sag", {"supply_sag__resistance_ohm": -0.0036}, Reason.IMPLAUSIBLE),
+        ("supply_sag", {"supply_sag__resistance_ohm": 0.05}, None),
+        (
+            "ground_effect",
+            {"ground_effect__gain": 0.3, "ground_effect__height_m": 0.01},
+            Reason.IMPLAUSIBLE,
+        ),
+        ("ground_effect", {"ground_effect__gain": 0.3, "ground_effect__height_m": 0.05}, None),
+    ],
+)
+def test_a_size_that_the_last_fit_left_has_to_be_one_that_a_craft_can_have(effect, point, reason):
+    assert said(Stage.SETTLED, effect, fit=fit(**point)) is reason
+
+
+class LastFits(Search):
+    """The end of a search: the sizes that a fit leaves, by the names that are in it."""
+
+    def __init__(self, left):
+        self.accepted = [Accepted(VARIANT[name], evidence(drop=d), []) for name, d in DROPS.items()]
+        self.left, self.held, self.refused, self.judge = left, set(), {}, None
+        self.now = self.refit(self.accepted, self.held)
+
+    def refit(self, accepted, held):
+        return fit(**self.left[tuple(one.variant.effect for one in accepted)])
+
+
+DROPS = {"rate_damping": 5000.0, "supply_sag": 100.0}
+
+
+def test_an_impossible_size_leaves_in_the_end_and_the_others_are_fitted_again():
+    both = {"rate_damping__damping_n_m_s": -1e-6, "supply_sag__resistance_ohm": -0.0036}
+    search = LastFits(
+        {tuple(DROPS): both, ("rate_damping",): {"rate_damping__damping_n_m_s": 1e-5}}
+    )
+    assert search.settle()
+    assert [one.variant.effect for one in search.accepted] == ["rate_damping"]
+    assert search.now.point == {"rate_damping.damping_n_m_s": 1e-5}
+    assert search.refused["supply_sag"].reason is Reason.IMPLAUSIBLE
+    assert not search.settle()
 
 
 def test_every_gate_has_a_reason_of_its_own():
