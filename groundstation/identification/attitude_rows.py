@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.identification.read_between import angles_read_between, half_a_row_later
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import changed_rows, rhythm_of
 
@@ -17,13 +18,6 @@ FIRMWARE_GAIN = 0.4
 ACCELEROMETER_SHARE, FIRMWARE_PERIOD_S = 0.125, 0.002
 """The fusion's own filter of the accelerometer: 32/256 each 2 ms."""
 LEAST_ROWS = 100
-BANDS = (0.94, 1.0), (0.6, 0.8)
-"""Bands, over half the row rate, of which the first is missing in angles that were read between
-rows: a mean of two readings has nothing at its end."""
-READ_BETWEEN, READ_BESIDE_GYRO = 0.05, 0.1
-"""Power of the angles' rates in the first band over that in the second, at most, and the same over
-the gyro's: 0.005 and 0.01 for angles made of the gyro, 0.02 and 0.05 for angles with noise of their
-own (stand-in); without a mean 0.3 and more, and 0.5 and more."""
 
 
 class Gaps:
@@ -72,8 +66,8 @@ class AttitudeRows:
     gain, by the accelerometer behind the fusion's own filter; lean_as_read: by that as it reads,
     which today's firmware takes.
 
-    Rows of a radio's log hold the mean of the angles half a row before and after, which come in
-    another block than the gyro. ``timing`` and ``slope`` are then such means, too: otherwise what
+    between: rows hold means of angles that were read half a row before and half a row after, as
+    those of a radio's log. ``timing`` and ``slope`` are then such means, too: otherwise what
     is faster than any of these angles is all that counts, for there they have no noise.
     """
 
@@ -87,6 +81,7 @@ class AttitudeRows:
     slope: Array
     lean: Array
     lean_as_read: Array
+    between: bool
 
     def where_told(self, rates: Array) -> Array:
         """Rates (m, ...) of data or model, nothing over a gap."""
@@ -116,8 +111,9 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
         told &= known[ends - back]
     now, rate = run.gyro[ends], np.diff(angles, axis=0) / seconds
     timing, slope = now - mean, (now - run.gyro[ends - stride]) / seconds
-    if stride == 1 and _read_between(rate, now):
-        half = _half_a_row_later(run.gyro)
+    between = stride == 1 and angles_read_between(rate, now)
+    if between:
+        half = half_a_row_later(run.gyro)
         late, early, earlier = half[ends], half[ends - 1], half[np.maximum(ends - 2, 0)]
         timing, slope = 0.5 * (late + early) - mean, (late - earlier) / (2.0 * seconds)
     return AttitudeRows(
@@ -130,30 +126,8 @@ def attitude_rows(run: Run, known: NDArray[np.bool_], first: int, last: int) -> 
         timing,
         slope,
         *_leans(run, known, angles[:-1], ends),
+        between,
     )
-
-
-def _read_between(rate: Array, gyro: Array) -> bool:
-    """Whether angles that turn with these rates (m, 3) beside a gyro's are means of readings before
-    and after their rows."""
-    from scipy.signal import welch
-
-    def left(rows: Array) -> float:
-        power = welch(rows, axis=0)[1].sum(axis=1)
-        place = np.linspace(0.0, 1.0, len(power))
-        top, middle = (power[(low <= place) & (place <= high)].mean() for low, high in BANDS)
-        return float(top / middle) if middle > 0.0 else 1.0
-
-    found = left(rate)
-    return found < READ_BETWEEN and found < READ_BESIDE_GYRO * left(gyro)
-
-
-def _half_a_row_later(values: Array) -> Array:
-    """Rows (n, 3) half a period later, cubic through two rows on either side."""
-    before, now, after, next_but_one = (
-        np.pad(values, ((1, 2), (0, 0)), mode="edge")[i : i + len(values)] for i in range(4)
-    )
-    return np.asarray((9.0 * (now + after) - before - next_but_one) / 16.0)
 
 
 def _fresh(run: Run, known: NDArray[np.bool_], first: int, last: int) -> NDArray[np.int64]:

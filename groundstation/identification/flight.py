@@ -12,6 +12,7 @@ from groundstation.dynamics.rotations import attitude_of_matrix, rotation_matrix
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import REST_S, TOUCH_DOWN_S, flights_in
 from groundstation.identification.attitude_rows import AttitudeRows, Gaps, attitude_rows
+from groundstation.identification.read_between import force_read_between
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 
@@ -34,7 +35,8 @@ class Flight:
     did. rotor_measured: rotor speeds were recorded. gaps: rows of the stretch that were lost. up:
     mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
     None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
-    accelerometer, None without attitude.
+    accelerometer, None without attitude. force_between: rows of the accelerometer are means of
+    readings half a row before and half a row after.
     """
 
     run: Run
@@ -50,6 +52,7 @@ class Flight:
     gaps: Gaps
     up: tuple[Array, float] | None
     carried: Array | None
+    force_between: bool
 
     @property
     def period_s(self) -> float:
@@ -110,9 +113,17 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
                 Gaps(~known[first:last]),
                 _mean_up(run, whole) if has_accelerometer and attitude is not None else None,
                 None if attitude is None else _carried(run, attitude, air.start),
+                is_force_between(run, attitude, first, last),
             )
         )
     return flights
+
+
+def is_force_between(run: Run, attitude: AttitudeRows | None, first: int, last: int) -> bool:
+    """Whether rows of the accelerometer are means of two readings. Only where the angles are: what
+    shakes a craft can look like that."""
+    there = attitude is not None and attitude.between
+    return there and force_read_between(run.accelerometer[first:last])
 
 
 def _mean_up(run: Run, rows: slice) -> tuple[Array, float]:

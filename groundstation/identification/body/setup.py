@@ -22,7 +22,7 @@ from groundstation.dynamics.unknowns import Key, variants
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.attitude_rows import Gaps, attitude_rows
-from groundstation.identification.flight import Flight
+from groundstation.identification.flight import Flight, is_force_between
 from groundstation.identification.likelihood.free_spectra import Limits, joined
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.problem import Linear, Problem, linearise
@@ -264,6 +264,7 @@ def as_flight(stretch: Stretch) -> Flight:
         if has_accelerometer and attitude is not None
         else None,
         None,
+        is_force_between(run, attitude, first, last),
     )
 
 

@@ -47,6 +47,7 @@ from groundstation.identification.likelihood.sensing import (
     Sensors,
     passed,
 )
+from groundstation.identification.read_between import mean_between
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -245,7 +246,7 @@ class _Evaluation:
         residual: Columns = {}
         measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
         self._put(RATES, residual, measured - self.gyro_model)
-        self._put(FORCES, residual, self.force - self.force_model)
+        self._put(FORCES, residual, self.force - self._as_read(self.force_model))
         lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
         rows = flight.attitude
         if rows is not None:
@@ -285,6 +286,10 @@ class _Evaluation:
             if self._stage(key) in MAKING_FORCE
         }
         return STANDARD_GRAVITY - mean, slopes
+
+    def _as_read(self, force: Array) -> Array:
+        """Modelled forces (n, 3) as the recording's rows have them."""
+        return mean_between(force) if self.flight.force_between else force
 
     def _put(self, part: slice, out: Columns, values: Array, step: float = math.inf) -> None:
         """Store rows (n, 3) of the gyro's (RATES) or the accelerometer's channels (FORCES), but
@@ -370,7 +375,7 @@ class _Evaluation:
             change = tuple((a - b) / step for a, b in pairs)
             if any(np.ndim(rows) or rows for rows in change):
                 rows = self.sensors.answer(stacked(change, count), part, self.moving)
-                self._put(part, out, rows, step)
+                self._put(part, out, rows if part == RATES else self._as_read(rows), step)
 
     def _bodies(self, moved: Moved | None = None, **other: Any) -> Bodies:
         return self._body(True, moved, **other), self._body(False, moved, **other)
@@ -395,7 +400,7 @@ class _Evaluation:
         moving, passing = self._sensed(*self._bodies(inputs=inputs))
         angular, force = self.sensors.in_body(passing[-1], moving)
         self._put(RATES, out, (angular - self.gyro_model) / step, step)
-        self._put(FORCES, out, (force - self.force_model) / step, step)
+        self._put(FORCES, out, self._as_read(force - self.force_model) / step, step)
 
     def _delay_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         """By the slope: rotors a row earlier, rates as they are."""
@@ -441,7 +446,8 @@ class _Evaluation:
                 rows = tuple((a - b) / step for a, b in zip(above, below, strict=True))
                 change = stacked(rows, len(self.gyro))
                 after = behind + (there is not None)
-                self._put(part, out, self.sensors.answer(change, part, self.moving, after), step)
+                rows_of = self.sensors.answer(change, part, self.moving, after)
+                self._put(part, out, rows_of if part == RATES else self._as_read(rows_of), step)
         ends = [self._sensors(moved) for moved in (high, low)]
         if self.flight.attitude is not None and not ends[0].alike(ends[1]):
             turning = [self._turning(sensors, self.lean) for sensors in ends]
