@@ -118,15 +118,17 @@ PARAMETERS = np.dtype(
         ("ground_gain", "f8"),
         ("ground_height", "f8"),
         ("gyro_lag", "f8"),  # s
+        ("load_share", "f8"),  # of ``mass``
+        ("load_length", "f8"),
+        ("load_damping", "f8"),  # 1/s
+        ("load_below", "f8"),  # m
         # effects whose laws are flown, see effects/own.py
         ("lawful", "i8"),
         ("own", "i8", (5,)),
         ("own_values", "f8", (16,)),
         ("own_initial", "f8", (32,)),
         # effects that no list names
-        ("load_mass", "f8"),
         ("payload", "f8"),  # share of the mass that was added; it is in ``mass`` already
-        ("load_length", "f8"),
         ("arm_hz", "f8"),
         ("arm_gain", "f8"),
         ("arm_damping", "f8"),
@@ -246,7 +248,7 @@ STATE = np.dtype(
         ("ring_gyro", "i8", (SENSOR_RING, 3)),
         ("ring_accel", "i8", (SENSOR_RING, 3)),
         ("ring_angles", "f8", (SENSOR_RING, 3)),
-        ("filter", "f8", (10, 2)),  # memory of the filters: gyro, accelerometer, quaternion
+        ("filter", "f8", (6, 2)),  # memory of the filters
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),

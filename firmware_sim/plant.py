@@ -29,7 +29,7 @@ from firmware_sim.effects.rotor_acceleration_torque import acceleration_torque
 from firmware_sim.effects.rotor_drag import drag_force
 from firmware_sim.effects.rotor_gyroscopic_torque import gyroscopic_torque
 from firmware_sim.effects.side_gust import side_gust
-from firmware_sim.effects.slung_load import ATTACHMENT_M, slung_load
+from firmware_sim.effects.slung_load import slung_load
 from firmware_sim.effects.velocity_moment import flapping_acceleration
 from firmware_sim.effects.yaw_damping import turn_damping
 from firmware_sim.imu import filter_slopes
@@ -38,7 +38,6 @@ from firmware_sim.layout import (
     FIXED,
     FREE,
     GYRO_LAG,
-    LOAD,
     PHASE,
     QUATERNION,
     RATE,
@@ -190,15 +189,17 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         on_y, on_roll = side_gust(p, time_s)
         push_y += on_y / p.mass
         roll += on_roll
-    if p.load_mass != 0.0:
-        pull_x, pull_y, pull_z = slung_load(p, y, dy, push_z * p.mass)
-        push_x += pull_x / p.mass
-        push_y += pull_y / p.mass
-        push_z += pull_z / p.mass
-        dy[LOAD + 2] -= push_x
-        dy[LOAD + 3] -= push_y
-        roll += ATTACHMENT_M * (r12 * pull_x + r22 * pull_y + r32 * pull_z)
-        pitch -= ATTACHMENT_M * (r11 * pull_x + r21 * pull_y + r31 * pull_z)
+    if p.load_share != 0.0:
+        push_x /= 1.0 - p.load_share
+        push_y /= 1.0 - p.load_share
+        push_z /= 1.0 - p.load_share
+        pull_x, pull_y, pull_z = slung_load(p, y, dy, push_x, push_y, push_z)
+        push_x += pull_x
+        push_y += pull_y
+        push_z += pull_z
+        lever = p.load_below * (1.0 - p.load_share) * p.mass
+        roll += lever * (r12 * pull_x + r22 * pull_y + r32 * pull_z)
+        pitch -= lever * (r11 * pull_x + r21 * pull_y + r31 * pull_z)
 
     roll_acceleration = roll / p.inertia[0] + moment_x + s.noise[0]
     pitch_acceleration = pitch / p.inertia[1] + moment_y + s.noise[1]

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.sealed.hidden import ALWAYS_FAITHFUL, CONFUSABLE, LISTED, OUTSIDE
+from bench.sealed.hidden import ALWAYS_FAITHFUL, CONFUSABLE, LISTED, MIXED, OUTSIDE
 from groundstation.dynamics.vehicle import BUILT_IN
 
 Mode = Literal["clean", "affected"]
@@ -152,7 +152,7 @@ def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
 
 def _mixture(number: int, size: int) -> tuple[str, ...]:
     generator = np.random.default_rng((size, number))
-    return tuple(str(name) for name in generator.choice(LISTED, size, replace=False))
+    return tuple(str(name) for name in generator.choice(MIXED, size, replace=False))
 
 
 def _case(group: str, names: tuple[str, ...], seed: int, mode: Mode, sigmas: float = 0.0) -> Case:

@@ -203,7 +203,29 @@ def effect_signals(h: Signals, name: str, values: dict[str, float]) -> dict[str,
         signal = h.from_squares(factor[:, None] * h.square)
         signal["rate"][:, 2] = 0.0  # thrust without more drag
         return {"gain": signal}
+    if name == "slung_load":
+        return {"percent": _swing(h, values)}
     raise ValueError(f"no bound is known for {name}")
+
+
+def _swing(h: Signals, values: dict[str, float]) -> Columns:
+    """What a load on a line does: a small swing, driven by the thrust."""
+    p, share = h.p, 0.01 * values["percent"]
+    length, damping = values["length_m"], values["damping_per_s"]
+    thrust = h.per_mass * h.square.sum(axis=1)
+    push = h.turn[:, :, 2] * (thrust * h.flying)[:, None] / (1.0 - share)
+    offset, slope = np.zeros(2), np.zeros(2)
+    pull = np.zeros_like(push)
+    for row, now in enumerate(push):
+        back = now[2] / length
+        slope = slope - DT * (back * offset + now[:2] + damping * slope)
+        offset = offset + DT * slope
+        pull[row] = share * np.array([back * offset[0], back * offset[1], -now[2]])
+    # Both of inertial axes; less the weight, which is the craft's.
+    pulled = np.einsum("nji,nj->ni", h.turn, pull)
+    force = np.einsum("nji,nj->ni", h.turn, pull + share * push)
+    arm = values["below_m"] * (1.0 - share) * p["mass"]
+    return {**h.torque(arm * pulled[:, 1], -arm * pulled[:, 0], 0.0), "force": force}
 
 
 def _bound_current(h: Signals) -> Array:

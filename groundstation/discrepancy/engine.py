@@ -34,7 +34,11 @@ from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.flight import Flight, prepare
-from groundstation.identification.likelihood.on_board import ON_BOARD, in_plane_hz
+from groundstation.identification.likelihood.on_board import (
+    ON_BOARD,
+    filter_prior,
+    in_plane_hz,
+)
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
@@ -185,6 +189,7 @@ def find_effects(
     known += theirs
     there = {v.effect for v in known}
     vehicle = model_vehicle(model)
+    problem.prior += filter_prior(known, start)
     corner = in_plane_hz(vehicle, fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there, *ON_BOARD}
@@ -389,7 +394,7 @@ def _channels(
 def _saturated(problem: Problem, outcome: Outcome, rows: Sequence[Flight]) -> dict[int, float]:
     """Whitened power of each channel with every effect at once, as fitted to the fitted rows."""
     change = outcome.last.best()
-    linear = problem.linear(outcome.last.point, problem.every_key, rows)
+    linear = problem.linear(outcome.last.point, outcome.last.linear.keys, rows)
     power: dict[int, float] = {}
     for s in linear.spectra:
         left = s.residual - change[s.place] @ s.columns

@@ -7,6 +7,7 @@ off -2 log L, to first order.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,12 @@ from groundstation.identification.likelihood.parameters import (
     Variant,
     absent,
 )
-from groundstation.identification.likelihood.problem import BASE_KEYS, Linear, Problem, bounded
+from groundstation.identification.likelihood.problem import (
+    BASE_KEYS,
+    Linear,
+    Problem,
+    bounded,
+)
 from groundstation.identification.likelihood.spectra import Quadratic
 
 Array = NDArray[np.float64]
@@ -92,6 +98,7 @@ class Screening:
     def scores(self, base_keys: Sequence[str], variants: Sequence[Variant]) -> list[Scored]:
         """Every variant's drop of -2 log L when it joins ``base_keys``, best first."""
         linear, total = self.linear, self.total
+        variants = self._seen(variants)
         at = linear.place(base_keys)
         base = inverse(total.normal[np.ix_(at, at)])
         settled = base @ total.gradient[at]
@@ -112,12 +119,16 @@ class Screening:
             scored.append(Scored(variant, drop, values, errors))
         return sorted(scored, key=lambda one: one.penalised, reverse=True)
 
+    def _seen(self, variants: Sequence[Variant]) -> list[Variant]:
+        """Those whose columns are here."""
+        return [one for one in variants if set(one.sizes) <= set(self.linear.keys)]
+
     def beside_all(self, variants: Sequence[Variant]) -> list[Scored]:
         """Every variant's size and share of -2 log L beside all the others at once."""
         covariance = inverse(self.total.normal)
         change = covariance @ self.total.gradient
         scored = []
-        for variant in variants:
+        for variant in self._seen(variants):
             own = self.linear.place(variant.sizes)
             values = sizes_at(variant, self.point) + change[own]
             block = covariance[np.ix_(own, own)]
@@ -126,9 +137,10 @@ class Screening:
         return scored
 
 
-def screen(problem: Problem, point: Point) -> Screening:
-    """All columns at a point; the noise is learnt anew there."""
-    linear = problem.learn_noise(problem.linear(point, problem.every_key, problem.flights))
+def screen(problem: Problem, point: Point, more: Sequence[str] = ()) -> Screening:
+    """All columns at a point, and those of ``more`` keys; the noise is learnt anew there."""
+    keys = tuple(dict.fromkeys((*problem.every_key, *more)))
+    linear = problem.learn_noise(problem.linear(point, keys, problem.flights))
     return Screening(linear, problem.with_prior(linear))
 
 
@@ -140,7 +152,7 @@ def settle(problem: Problem) -> Screening:
     torque behind a lag looks like the rotors' acceleration. So the body's constants and
     what is far from linear move to what all effects together say, until they stay.
     """
-    point = problem.start | problem.near
+    point = dict(problem.start)
     for _ in range(SETTLINGS):
         seen = screen(problem, point)
         change = _within_reason(seen, problem.frame.unknowns)
@@ -171,6 +183,47 @@ def _within_reason(seen: Screening, unknowns: Mapping[str, Key]) -> Array:
     return np.asarray(inverse(normal) @ gradient)
 
 
+def tried(
+    problem: Problem, point: Point, keys: Sequence[str], variants: Sequence[Variant]
+) -> list[list[tuple[Scored, Point]]]:
+    """What absent variants would explain beside a fit of ``keys``, and at which values of the shape
+    of which several are tried; nothing of variants without such a shape."""
+    found = []
+    for variant in variants:
+        shape = variant.tried
+        if shape is None:
+            continue
+        probes = [_probe(variant, shape, number) for number in shape.parameter.tried]
+        wide = copy(problem)
+        wide.frame = replace(problem.frame, own=(*problem.frame.own, *probes))
+        sizes = (key for one in probes for key in one.sizes)
+        linear = wide.linear(point, (*keys, *sizes), problem.flights)
+        seen = Screening(linear, wide.with_prior(linear))
+        found.append(
+            [
+                (replace(seen.scores(keys, [one])[0], variant=variant), {shape.key: key.absent})
+                for one in probes
+                if (key := one.tried)
+            ]
+        )
+    return found
+
+
+def _probe(variant: Variant, shape: Key, number: float) -> Variant:
+    """A variant with another value of a shape where it is absent, under keys of its own."""
+    return replace(
+        variant,
+        unknowns=tuple(
+            replace(
+                one,
+                key=f"{one.key} at {number:g}",
+                parameter=replace(one.parameter, default=number) if one is shape else one.parameter,
+            )
+            for one in variant.unknowns
+        ),
+    )
+
+
 def removal_cost(values: Array, covariance: Array) -> float:
     """What -2 log L gains, to first order, when sizes (k,) with covariance (k, k) leave and the
     others settle."""
@@ -182,14 +235,15 @@ def sizes_at(variant: Variant, point: Point) -> Array:
     return np.array([point.get(key, absent(key)) - absent(key) for key in variant.sizes])
 
 
-def started(point: Point, one: Scored) -> Point:
-    """Where a joint fit with a variant begins: its screened sizes, kept plausible."""
+def started(point: Point, one: Scored, shapes: Mapping[str, float] | None = None) -> Point:
+    """Where a joint fit with a variant begins: its screened sizes, kept plausible, and the shapes
+    that they were screened at."""
     start = dict(point)
     variant = one.variant
     if variant.start:
         start.update(zip(variant.keys, variant.start[len(variant.start) // 2], strict=True))
         return start
-    start.update({key: absent(key) for key in variant.keys})
+    start.update({key: (shapes or {}).get(key, absent(key)) for key in variant.keys})
     for unknown, size in zip(variant.unknowns, one.values.tolist(), strict=False):
         start[unknown.key] = _possible(unknown, unknown.absent + size)
     return start

@@ -37,6 +37,7 @@ from groundstation.discrepancy.screening import (
     settle,
     sizes_at,
     started,
+    tried,
     without,
 )
 from groundstation.discrepancy.whiteness import leftover
@@ -100,14 +101,11 @@ class Search:
         candidates: Sequence[Variant],
         progress: Progress,
     ) -> None:
-        """known: effects of the model, fitted along and never dropped. What the firmware does on
-        board is not fitted: its numbers are known, and beside what is missing they would bend."""
+        """known: effects of the model, fitted along and never dropped."""
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
         self.candidates = list(candidates)
-        fixed = [one for one in known if one.definition.renames or one.definition.on_board]
-        free = [variant for variant in known if variant not in fixed]
-        self.fixed = {key: problem.start[key] for one in fixed for key in one.keys}
+        free = [variant for variant in known if not variant.definition.renames]
         self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
         self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]
@@ -123,6 +121,8 @@ class Search:
         self.banned: set[str] = set()
         self.beside: list[Variant] = []
         """Fitted along, not named: too small to be believed, but left out they bend the others."""
+        self.shapes: Point = {}
+        """Of effects with a shape that is tried: its best value."""
         self.first: Screening
         self.last: Screening
         self.now: Fit
@@ -135,13 +135,19 @@ class Search:
         self.first = settle(self.problem)
         plain = self.first.without_effects(self.base_keys)
         scores = plain.scores(self.base_keys, self.candidates)
+        scores += [one for one, _ in self.best_tried(plain.point, self.base_keys)]
         self.join_what_is_sure(plain)
         for number in range(MOST_ROUNDS):
             count = len(self.accepted)
             what = f"screening after {count} effects" if count else "screening"
             self.progress(what, min(0.9, 0.1 + 0.2 * number))
-            self.last = screen(self.problem, self.now.point)
-            if not (self.drop_needless() or self.join_best() or self.drop_disputed()):
+            self.last = screen(self.problem, self.now.point, self.now.keys)
+            if not (
+                self.drop_needless()
+                or self.join_best(self.able())
+                or self.drop_disputed()
+                or self.join_tried()
+            ):
                 break
         self.now = self.problem.fit(self.now.point, self.now.keys)
         residual = self.drop_drowned()
@@ -203,14 +209,49 @@ class Search:
             self._refit_without(*out)
         self.tried.add(self._names())
 
-    def join_best(self) -> bool:
-        """Fit the best candidates and join the first that passes.
+    def join_tried(self) -> bool:
+        """Join an effect with a shape of which several values are tried, once nothing else joins.
+
+        It has columns only where one of the values promises something, and where it is refused
+        after all everything is as it was: a column without a meaning takes a share of the noise.
+        """
+        promising: list[Variant] = []
+        for one, shape in self.best_tried(self.now.point, self.now.keys):
+            why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+            if why is None:
+                promising.append(one.variant)
+                self.shapes |= shape
+            else:
+                self.refused.setdefault(one.variant.label, why)
+        if not promising:
+            return False
+        problem, last = self.problem, self.last
+        noise, own, reference = dict(problem.noise), dict(problem.shapes), problem.reference
+        keys = (*self.now.keys, *(key for one in promising for key in one.keys))
+        self.last = screen(problem, {**self.now.point, **self.shapes}, keys)
+        if self.join_best(promising):
+            return True
+        problem.noise, problem.shapes, problem.reference = noise, own, reference
+        self.last = last
+        return False
+
+    def best_tried(self, point: Point, keys: Sequence[str]) -> list[tuple[Scored, Point]]:
+        """Of each effect with a shape that is tried, the best value that is possible."""
+
+        def worth(one: tuple[Scored, Point]) -> tuple[bool, float]:
+            scored = one[0]
+            return refusal(
+                Stage.SCREENED, Trial(scored.variant, scored=scored)
+            ) is None, scored.drop
+
+        return [max(some, key=worth) for some in tried(self.problem, point, keys, self.able())]
+
+    def join_best(self, able: Sequence[Variant]) -> bool:
+        """Fit the best of these candidates and join the first that passes.
 
         Where all of the best are refused, the next ones get their turn: what is wrong with the
         strongest need not be wrong with an effect on other channels.
         """
-        joined = {one.variant.effect for one in self.accepted}
-        able = [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
         scores = self.last.scores(self.now.keys, able)
         before: Fit | None = None
         for _ in range(TURNS):
@@ -239,6 +280,11 @@ class Search:
             scores = [one for one in scores if one not in shortlist]
         return False
 
+    def able(self) -> list[Variant]:
+        """The candidates that may still join."""
+        joined = {one.variant.effect for one in self.accepted}
+        return [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
+
     def _shortlist(self, scores: Sequence[Scored]) -> list[Scored]:
         """The best few that pass the screening, and what the best one is easily confused with."""
         able = []
@@ -263,7 +309,8 @@ class Search:
         for one in shortlist:
             self.progress(f"fitting {one.variant.effect}", -1.0)
             keys = (*self.now.keys, *one.variant.keys)
-            fit = self.problem.fit(started(self.now.point, one), keys, settled=ROUGHLY)
+            start = started(self.now.point, one, self.shapes)
+            fit = self.problem.fit(start, keys, settled=ROUGHLY)
             fit = self._nested(fit, before, one.variant)
             gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
             trials.append(Trial(one.variant, fit, gain))
@@ -279,7 +326,7 @@ class Search:
         its screened size ended."""
         if fit.cost <= before.cost:
             return fit
-        point = before.point | {key: absent(key) for key in variant.keys}
+        point = before.point | {k: self.shapes.get(k, absent(k)) for k in variant.keys}
         return self.problem.fit(point, fit.keys, settled=ROUGHLY)
 
     def _join(self, trial: Trial, others: Sequence[Trial]) -> None:
@@ -471,13 +518,13 @@ class Search:
         keys = (*self.base_keys, *(key for variant in fitted for key in variant.keys))
         start = self.problem.start
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
-        point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
+        point |= {key: start.get(key, absent(key)) for key in held}
         return self.problem.fit(point, [key for key in keys if key not in held])
 
     def point_with(self, accepted: Sequence[Accepted]) -> Point:
         """The final constants, with only some of the effects."""
         keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
-        return {k: number for k, number in self.now.point.items() if k in keys} | self.fixed
+        return {key: number for key, number in self.now.point.items() if key in keys}
 
     def _names(self, *more: str) -> frozenset[str]:
         return _names(self.accepted) | {*more}

@@ -98,7 +98,8 @@ class Parameter:
     finding, the default's where None. starts: from where joint fits begin. near: columns hold so
     far from where they were evaluated; None: everywhere, the law is linear. shares: the key
     (``effect.parameter``) of the same number of the craft in another effect: fitted together the
-    two have one value.
+    two have one value. tried: values of a shape of which none tells of the others, each of them
+    screened (how long a pendulum is).
     """
 
     name: str
@@ -118,6 +119,7 @@ class Parameter:
     starts: tuple[float, ...] = ()
     near: float | None = None
     shares: str = ""
+    tried: tuple[float, ...] = ()
 
     def to_unknown(self, value: float) -> float:
         """A value of the parameter in the unit in which it is estimated."""

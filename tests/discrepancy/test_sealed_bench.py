@@ -62,6 +62,7 @@ RANGES = {
     "imu_lever_arm": (1e-3, 6e-3),
     "ground_effect": (0.03, 0.15),
     "attitude_filter_lean": (1.0, 1.0),
+    "slung_load": (2.0, 12.0),
 }
 """The acceptance list, typed by hand."""
 
@@ -71,8 +72,8 @@ UNEQUAL = ("created", "crc32")
 
 
 def size(name, values):
-    if name == "ground_effect":
-        return values["height_m"]
+    if name in ("ground_effect", "slung_load"):
+        return values["height_m" if name == "ground_effect" else "percent"]
     return math.hypot(*(value for key, value in values.items() if key != "rotor"))
 
 

@@ -101,7 +101,7 @@ LARGEST: list[tuple[str, dict[str, float]]] = [
     ("imu_lever_arm", {"x_m": 6e-3}),
     ("ground_effect", {"height_m": 0.15}),
     ("attitude_filter_lean", {}),
-    ("slung_load", {}),
+    ("slung_load", {"percent": 12.0}),
     ("cracked_arm", {}),
     ("bent_propeller", {}),
     ("side_gust", {}),

@@ -67,6 +67,12 @@ class Variant:
         return tuple(zip(*(one.parameter.starts for one in self.unknowns), strict=False))
 
     @property
+    def tried(self) -> Key | None:
+        """The shape of which several values are screened; such an effect has no columns before one
+        of them promises something."""
+        return next((one for one in self.unknowns if one.parameter.tried), None)
+
+    @property
     def label(self) -> str:
         return self.effect if self.definition.choice is None else self.keys[0]
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.unknowns import Key
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.estimate import bounded_step, inverse
@@ -121,10 +120,16 @@ class Problem:
         self.flights = list(flights)
         self.frame = Frame(model_vehicle(model), model.motors, own=tuple(own))
         effects = self.frame.unknowns.items()
+        tried = {k for v in self.frame.variants.values() if v.tried for k in v.keys} - {*start}
         measured = any(flight.rotor_measured for flight in flights)
         self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
-        told = [key for key, one in effects if not (one.effect.renames or one.effect.on_board)]
-        self.every_key = (*self.base_keys, *told)
+        told = [
+            key
+            for key, one in effects
+            if not (one.effect.renames or one.effect.on_board or key in tried)
+        ]
+        known = [key for key, one in effects if one.effect.on_board and key in start]
+        self.every_key = (*self.base_keys, *told, *known)
         lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}
         unknowns = self.frame.unknowns.values()
@@ -133,9 +138,6 @@ class Problem:
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
-        near = _fitted_along(model) if measured else {}
-        self.near: Point = {key: number for key, number in near.items() if key not in start}
-        """Where columns are evaluated first: what the body's fit saw beside its constants."""
         self.trim = _trim(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
@@ -465,16 +467,6 @@ def _sensor_lag(model: Model) -> float:
     account = model.fit.get("motor", {}).get("estimates") or {}
     known = dict(zip(account.get("names", ()), account.get("values", ()), strict=False))
     return float(np.clip(known.get("sensor_lag_s", 0.0), *LAG_BOUNDS_S))
-
-
-def _fitted_along(model: Model) -> Point:
-    """How late the rotors' answer is and what they take to speed up, as the body's fit found it.
-
-    They and the lag of the rotors' sensor multiply each other: from nothing each of them alone
-    leads astray.
-    """
-    along = model.fit.get("body", {}).get("fitted_along") or {}
-    return {key: along[key]["value"] for key in (DELAY, SPIN_UP, SENSOR_LAG) if key in along}
 
 
 def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:

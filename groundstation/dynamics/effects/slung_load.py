@@ -1,0 +1,148 @@
+"""A load that swings on a line below the craft: what it does beside being carried.
+
+With r the load's mass over the bare craft's, f the specific force as it would be were the load
+fixed to the craft, e the line's direction and f' the part of f across it (inertial axes):
+
+    L e'' = -(1 + r) f' - L |e'|^2 e - damping L e',   force + r f' + r / (1 + r) L |e'|^2 e
+
+A spherical pendulum of any angle on a line that stays taut, hung from a craft that is free to move
+(Sreenath, Lee and Kumar, Geometric control of a quadrotor with a cable-suspended load, 2013). Its
+weight is not in it: that is in the thrust per mass, as any payload's (``mass_change``), and
+``percent`` is its share of the whole. The line is tied ``below_m`` under the centre of gravity,
+where its pull is a moment as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from groundstation.dynamics.effect import (
+    HOVER_DOUBLETS,
+    TILT_RATES,
+    TRANSLATE,
+    TRANSLATION,
+    Confusion,
+    Effect,
+    Parameter,
+    State,
+)
+from groundstation.dynamics.law import to_body, to_inertial
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+STRAIGHT = (0.0, 0.0, -1.0)
+LENGTHS_M = tuple(0.1 * 1.15**i for i in range(21))
+"""A swing that dies out within seconds hardly answers to one a tenth longer."""
+
+
+def law(values: Any, craft: Any, body: Any, state: Any) -> Any:
+    """Angular and linear acceleration that it adds, and the slopes of the line's direction and of
+    its slope, inertial axes."""
+    percent, length, damping, below = values
+    ratio = percent / (100.0 - percent)
+    x, y, z, u, v, w = state
+    size = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / size, y / size, z / size
+    out = u * x + v * y + w * z
+    u, v, w = u - out * x, v - out * y, w - out * z
+    turn = u * u + v * v + w * w
+    f, g, h = to_inertial(body.quaternion, body.force)
+    along = f * x + g * y + h * z
+    f, g, h = f - along * x, g - along * y, h - along * z
+    inward = 0.01 * percent * length * turn
+    push = to_body(
+        body.quaternion,
+        (ratio * f + inward * x, ratio * g + inward * y, ratio * h + inward * z),
+    )
+    drive = (1.0 + ratio) / length
+    slopes = (
+        u,
+        v,
+        w,
+        -drive * f - turn * x - damping * u,
+        -drive * g - turn * y - damping * v,
+        -drive * h - turn * z - damping * w,
+    )
+    ixx, iyy, _ = craft.inertia
+    arm = below * craft.mass / (1.0 + ratio)
+    forward, left = push[0] - ratio * body.force[0], push[1] - ratio * body.force[1]
+    return (arm * left / ixx, -arm * forward / iyy, 0.0), push, slopes
+
+
+def _fastest(values: Mapping[str, float]) -> float:
+    """A swing at twice the weight, 1/s."""
+    return math.sqrt(2.0 * STANDARD_GRAVITY / values["length_m"]) + values["damping_per_s"]
+
+
+EFFECT = Effect(
+    name="slung_load",
+    stage="body",
+    law=law,
+    order=10,  # of the force on the craft with its load
+    states=(
+        *(State(f"line {axis}", one) for axis, one in zip("xyz", STRAIGHT, strict=True)),
+        *(State(f"slope of line {axis}") for axis in "xyz"),
+    ),
+    fastest=_fastest,
+    parameters=(
+        Parameter(
+            "percent",
+            "%",
+            default=7.0,
+            low=0.5,
+            high=50.0,
+            least=0.0,
+            most=90.0,
+            bounds=(-20.0, 70.0),
+            step=0.05,
+        ),
+        Parameter(
+            "length_m",
+            "m",
+            default=0.3,
+            low=0.05,
+            high=2.5,
+            absent=0.3,
+            kind="shape",
+            least=0.02,
+            bounds=(0.04, 3.0),
+            step=1e-3,
+            tried=LENGTHS_M,
+        ),
+        Parameter(
+            "damping_per_s",
+            "1/s",
+            default=0.4,
+            low=0.0,
+            high=4.0,
+            absent=0.4,
+            kind="shape",
+            least=0.0,
+            bounds=(0.0, 5.0),
+            step=0.01,
+        ),
+        Parameter(
+            "below_m",
+            "m",
+            default=0.01,
+            low=-0.03,
+            high=0.06,
+            absent=0.01,
+            kind="shape",
+            bounds=(-0.05, 0.1),
+            step=1e-4,
+        ),
+    ),
+    adds="a load that swings below the craft pulls along its line; its weight is mass_change's",
+    signature="the craft is pulled to and fro at a steady pace of its own, long after it stopped",
+    excited_by="brisk flight to and fro with sudden stops, then hover for several swings",
+    channels=("accelerometer x", "accelerometer y", *TILT_RATES),
+    regimes=TRANSLATION | {"whole flight"},
+    needs=("accelerometer", "attitude"),
+    confused_with=(
+        Confusion("rotor_drag", f"{TRANSLATE}: drag ends with the motion, a load swings on"),
+        Confusion("velocity_moment", f"{TRANSLATE}: a moment ends with the motion"),
+        Confusion("imu_lever_arm", f"{HOVER_DOUBLETS}: no load follows them"),
+    ),
+)
