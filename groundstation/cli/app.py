@@ -23,9 +23,10 @@ from groundstation.cli import (
     simulate,
     thesis,
 )
+from groundstation.cli.command_group import Commands
 from groundstation.cli.terminal import show
 
-app = typer.Typer(
+app = Commands(
     name="groundstation",
     help=(
         "Ground station for the Crazyflie quadrotor: receive, record, view and replay telemetry."

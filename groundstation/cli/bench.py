@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.commanding import (
     await_connection,
     begin_recording,
@@ -35,7 +36,7 @@ WARNING = (
 
 
 def add_commands(app: typer.Typer) -> None:
-    bench = typer.Typer(
+    bench = Commands(
         no_args_is_help=True,
         help="A craft fixed to a bench: drive its motors and identify them."
         "\n\nExample: [bold]groundstation bench motor --profile steps -o motor.json[/bold]",

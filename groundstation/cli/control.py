@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli import config, jobs, models, page, recordings
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 WATCH_S = 0.5
 
-record = typer.Typer(
+record = Commands(
     help=(
         "Start, stop or mark a recording of the running daemon."
         "\n\nExample: [bold]groundstation record stop[/bold]"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from groundstation.identification.likelihood.parameters import Variant
 
 VALIDATE = typer.Option(
-    None, "--validate", help="Recordings that no fit sees (default: the last third of each REC)."
+    None, "--validate", help="Recordings that no fit sees (default: a third of each REC)."
 )
 OUTPUT = typer.Option(None, "-o", "--output", help="Write the improved model to this new file.")
 EFFECTS = typer.Option(

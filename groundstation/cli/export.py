@@ -6,11 +6,12 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import require_new
 from groundstation.cli.terminal import show
 from groundstation.errors import BadInputError
 
-export = typer.Typer(
+export = Commands(
     help="Files for whoever writes firmware or other programs."
     "\n\nExample: [bold]groundstation export header -o groundstation_telemetry.h[/bold]",
     no_args_is_help=True,

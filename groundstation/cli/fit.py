@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
     AS_JSON,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
 VALIDATE = typer.Option(
-    None, "--validate", help="Recordings to judge on (default: the last third of each REC)."
+    None, "--validate", help="Recordings to judge on (default: a third of all rows)."
 )
 OUTPUT = typer.Option(..., "-o", "--output", help="The new model file.")
 MODEL = typer.Option(
@@ -60,9 +61,11 @@ SELECT = typer.Option(
     " saturated, auto, battery=LOW:HIGH (V).",
 )
 
+USUALLY_HELD = "last third"
+
 
 def add_commands(app: typer.Typer) -> None:
-    fit = typer.Typer(
+    fit = Commands(
         no_args_is_help=True,
         help="Identify a motor, a body or ARX models."
         "\n\nExample: [bold]groundstation fit body flight.mcap -o body.json[/bold]",
@@ -275,9 +278,10 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     from groundstation.dynamics.model import save_model
     from groundstation.dynamics.origin import origin_notes
 
+    given = [_fingerprint(path) for path in files.validate]
     documented = found.documented(
         recordings=[_fingerprint(path) for path in files.recordings],
-        held_out=[_fingerprint(path) for path in files.validate] or "last third",
+        held_out=given or found.account.get("held_out", USUALLY_HELD),
     )
     account = documented.fit[found.account["what"]]
     whole = msgspec.structs.replace(documented, created_by=f"groundstation {__version__}")
@@ -330,6 +334,8 @@ def _fingerprint(path: Path) -> dict[str, str]:
 
 def _print_account(account: dict[str, Any], output: Path) -> None:
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
+    if isinstance(account["held_out"], str) and account["held_out"] != USUALLY_HELD:
+        show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
     estimates = account.get("estimates")
     if estimates:
         width = max(map(len, estimates["names"]))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON, HTML, effect_names, require_new, say_written
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
@@ -24,7 +25,7 @@ CATALOGUE = typer.Argument(metavar="CATALOGUE", help="The folder that fleet inde
 
 
 def add_commands(app: typer.Typer) -> None:
-    fleet = typer.Typer(
+    fleet = Commands(
         no_args_is_help=True,
         help="Many recordings of many crafts: what changed since when, and which craft differs."
         "\n\nExample: [bold]groundstation fleet index flights/ -o fleet[/bold]",

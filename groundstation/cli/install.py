@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.install_service import service
 from groundstation.errors import GroundStationError
 
@@ -13,7 +14,7 @@ RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
 
 
 def add_commands(app: typer.Typer) -> None:
-    group = typer.Typer(
+    group = Commands(
         no_args_is_help=True,
         help="Set this machine up for the hardware."
         "\n\nExample: [bold]groundstation install service --print[/bold]",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
 
-jobs = typer.Typer(
+jobs = Commands(
     help=(
         "Fits, comparisons and searches that the running daemon does in the background."
         "\n\nExample: [bold]groundstation jobs list[/bold]"

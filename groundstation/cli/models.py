@@ -6,12 +6,13 @@ from typing import Any
 
 import typer
 
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
 
-models = typer.Typer(
+models = Commands(
     help=(
         "The models that the running daemon's jobs have made, beside the recordings."
         "\n\nExample: [bold]groundstation models list[/bold]"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli import pid_design, pid_fly
+from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import (
     AS_JSON,
     ATTITUDE,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def add_commands(app: typer.Typer) -> None:
-    pid = typer.Typer(
+    pid = Commands(
         no_args_is_help=True,
         help="Controllers: evaluate gains on a model, design them, fly them."
         "\n\nExample: [bold]groundstation pid evaluate --thesis[/bold]",

@@ -96,7 +96,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
             *([one["file"], one["sha256"], "fitted"] for one in account["recordings"]),
             *([one["file"], one["sha256"], "held out"] for one in _held_files(account)),
         ],
-        "Held out: the last third of each." if not _held_files(account) else "",
+        f"Held out: the {account['held_out']} of all rows." if not _held_files(account) else "",
     )
     return page
 

@@ -91,17 +91,3 @@ def paced(stretch: Stretch, factor: float) -> Stretch:
     m1, m2, m3, m4 = (quicker(one, factor) for one in each_motor(stretch.motor))
     motors = (m1, m2, m3, m4)
     return replace(stretch, motor=motors, squares=rotor_squares(stretch.run, motors))
-
-
-def split(stretches: Sequence[Stretch], share: float = 1 / 3) -> tuple[list[Stretch], ...]:
-    """(to fit on, to validate on): the last ``share`` of all rows."""
-    left = round(sum(len(s) for s in stretches) * (1 - share))
-    fit, held = [], []
-    for one in stretches:
-        middle = one.first + max(min(left, len(one)), 0)
-        left -= len(one)
-        if middle > one.first:
-            fit.append(replace(one, last=middle))
-        if middle < one.last:
-            held.append(replace(one, first=middle))
-    return fit, held

@@ -27,7 +27,7 @@ def files(tmp_path_factory):
     """A flight of a craft that is 6 ms late, a body fitted without delay, ARX models of both."""
     folder = tmp_path_factory.mktemp("arx")
     late = {"effects": {"dead_time": {"delay_s": 0.006}}}
-    samples, _ = recorded(30.0, seed=5, plant="reduced", **late)
+    samples, _ = recorded(40.0, seed=5, plant="reduced", **late)
     write_csv(Recording(folder / "flight.csv", "csv", samples), folder / "flight.csv")
     found = {name: folder / name for name in ("flight.csv", "body.json", "rates.json", "four.json")}
     run("fit", "body", found["flight.csv"], "-o", found["body.json"])

@@ -142,3 +142,15 @@ def test_a_failed_recording_and_the_good_one_after_it_are_told_apart(tmp_path):
         assert daemon.stop() == 1
         assert f"{bad.name}: recording stopped: the file was removed" in daemon.last_line
         assert f"{daemon.only_file().name} is complete" in daemon.last_line
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("fit body x.csv --with dead_time --with rotor_drag -o body.json", "separated by commas"),
+        ("run --log acc.x --log acc.y", "separated by commas"),
+        ("pid design --model thesis --seed 1 --axis roll --axis yaw --seed 2", "--seed: given 2"),
+    ],
+)
+def test_an_option_of_one_value_that_is_given_twice_is_refused(tmp_path, command, said):
+    assert said in require_failure(in_shell(f"groundstation {command}", tmp_path))

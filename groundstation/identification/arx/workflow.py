@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from groundstation.dynamics.model import ArxAxis, Model, rotor_motors
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.arx.data import ArxData, arx_data, input_shows, require_usable
+from groundstation.identification.arx.data import (
+    LEAST_ROWS,
+    ArxData,
+    arx_data,
+    input_shows,
+    require_usable,
+)
 from groundstation.identification.arx.fit import (
     ArxCandidate,
     ArxSearch,
@@ -26,6 +32,7 @@ from groundstation.identification.arx.fit import (
     search_arx,
     step_response,
 )
+from groundstation.identification.division import divided
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import (
     Evidence,
@@ -38,9 +45,9 @@ from groundstation.identification.fit_record import (
     residual_test,
     silent,
 )
-from groundstation.identification.runs import Run, hold_out
+from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
-from groundstation.identification.stretches import stretches_of
+from groundstation.identification.stretches import LEAST_S, stretches_of
 from groundstation.identification.torque import AXES
 
 Array = NDArray[np.float64]
@@ -68,27 +75,29 @@ def identify_arx(
 ) -> Identified:
     """One ARX polynomial per axis, angle (or rate) from u', with the table of all structures.
 
-    held: what no fit sees (none: the last third). channel: ``attitude`` or ``gyro``. decimate:
+    held: what no fit sees (none: ``division``). channel: ``attitude`` or ``gyro``. decimate:
     rows of the recording per row of the model. orders: structures to choose from and to show
     beside each other, instead of all.
     """
-    fit_on, validate_on = _flown(runs, before, selection), []
+    motors = rotor_motors(before)
+    fit_on, apart = stretches_of(runs, motors, selection=selection), ""
     if held:
-        validate_on = _flown(held, before, selection)
+        validate_on = stretches_of(held, motors, selection=selection)
     else:
-        fit_on, validate_on = hold_out(fit_on)
+        least_s = max((LEAST_ROWS + LONGEST_ROWS) * decimate * fit_on[0].run.period_s, LEAST_S)
+        fit_on, validate_on, apart = divided(fit_on, vehicle.configuration, least_s)
     data = {
         axis: tuple(
             [
                 arx_data(
-                    run,
+                    one.run[one.rows],
                     axis,
-                    rotor_motors(before),
+                    motors,
                     vehicle.configuration,
                     channel=channel,
                     decimate=decimate,
                 )
-                for run in part
+                for one in part
             ]
             for part in (fit_on, validate_on)
         )
@@ -137,8 +146,9 @@ def identify_arx(
         "method": f"least squares, chosen by {criterion.value.replace('_', ' ')}",
         "channel": channel,
         "decimate": decimate,
-        "samples": sum(len(run) for run in fit_on),
+        "samples": sum(len(one) for one in fit_on),
         "selection": str(selection),
+        "held_out": apart,
         "orders": [list(order) for order in orders],
         "axes": report,
         "other_axis": {
@@ -149,10 +159,6 @@ def identify_arx(
     }
     model = msgspec.structs.replace(before, arx=found)
     return Identified(model, account, Evidence(estimates, traces, tests, steps))
-
-
-def _flown(runs: Sequence[Run], before: Model, selection: Selection) -> list[Run]:
-    return [one.run[one.rows] for one in stretches_of(runs, rotor_motors(before), False, selection)]
 
 
 def _require_shown(axis: str, data: Sequence[ArxData]) -> float:

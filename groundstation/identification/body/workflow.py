@@ -25,6 +25,7 @@ from groundstation.identification.body.validation import (
     prediction_residuals,
     validate_body,
 )
+from groundstation.identification.division import divided
 from groundstation.identification.excitation import body_excitation
 from groundstation.identification.fit_record import (
     Evidence,
@@ -50,7 +51,7 @@ from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.replayed import angle_rms
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
-from groundstation.identification.stretches import Stretch, paced, quicker, split, stretches_of
+from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
 from groundstation.identification.torque import AXES, mostly_saturated
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ def identify_body(
     """c0, c1, c2, thrust_per_mass and the effects fitted along, from flights.
 
     before: the motor, with its covariance where it was identified, and effects that act already:
-    what this fit knows of them is fitted again. held: what no fit sees (none: the last third).
+    what this fit knows of them is fitted again. held: what no fit sees (none: ``division``).
     measured: recorded rotor speeds instead of the motor model. by: a grouping (``groups``) of the
     rows, held-out ones too, whose groups are fitted beside it; empty: none.
     """
@@ -96,10 +97,10 @@ def identify_body(
     progress(0.0, "simulating the motors")
     stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
     if held:
-        fit_on = stretches
+        fit_on, apart = stretches, ""
         validate_on, _ = _stretches(held, before, vehicle, supplied, measured, selection)
     else:
-        fit_on, validate_on = split(stretches)
+        fit_on, validate_on, apart = divided(stretches, vehicle.configuration)
     progress(0.2, "looking at the excitation")
     judged = body_excitation(fit_on, vehicle, names, tie_roll_pitch)
     progress(0.3, "fitting the body")
@@ -131,6 +132,7 @@ def identify_body(
         "rotor_speed": "measured" if measured else "modelled",
         "samples": rows,
         "selection": str(selection),
+        "held_out": apart,
         "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
         "fitted_along": {

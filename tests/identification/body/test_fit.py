@@ -15,8 +15,9 @@ from groundstation.identification.body.validation import (
     prediction_errors,
     validate_body,
 )
+from groundstation.identification.division import divided
 from groundstation.identification.runs import runs_of
-from groundstation.identification.stretches import split, stretches_of
+from groundstation.identification.stretches import stretches_of
 
 VEHICLE = BUILT_IN["crazyflie1"]
 TRUE = np.array([*VEHICLE.body_constants, VEHICLE.thrust_per_mass])
@@ -163,7 +164,7 @@ def test_several_recordings_fit_together(reduced):
 
 
 def test_held_out_rates_are_predicted_as_well_as_by_the_true_constants(reduced):
-    fit_on, held = split(stretches_of(reduced, THESIS_MOTOR))
+    fit_on, held, _ = divided(stretches_of(reduced, THESIS_MOTOR), "plus")
     fit = fit_body(fit_on, VEHICLE)
     true = dict(zip(NAMES[:3], TRUE, strict=False))
     true = replace(fit, free=replace(fit.free, point={**fit.point, **true}))
@@ -184,15 +185,6 @@ def test_a_wrong_constant_predicts_worse_at_the_longer_horizon(reduced):
     worse = prediction_errors(stretches, fit, {"c0": 1.5 * fit.body.c0}, horizon_s=0.05)
     assert worse[0] > 1.5 * right[0]
     np.testing.assert_allclose(worse[1:], right[1:], rtol=1e-3)
-
-
-def test_split_keeps_every_row_once(reduced):
-    stretches = stretches_of(reduced, THESIS_MOTOR)
-    fit, held = split(stretches)
-    rows = sum(len(s) for s in stretches)
-    assert sum(len(s) for s in (*fit, *held)) == rows
-    assert sum(len(s) for s in held) == pytest.approx(rows / 3, abs=1)
-    assert fit[-1].last == held[0].first
 
 
 def test_a_gap_splits_a_flight_and_the_fit_stays_good():

@@ -1,0 +1,83 @@
+"""Held-out rows leave every axis to the fit, and have it themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from groundstation.dynamics.vehicle import MotorConstants
+from groundstation.identification.division import HELD, IN_PIECES, best_way, cut, divided
+from groundstation.identification.runs import CHANNELS, Run
+from groundstation.identification.stretches import stretches_of
+
+MOTOR = MotorConstants(1.33, 0.0052, 8e-5)
+PERIOD_S, SECONDS = 0.01, 90.0
+
+
+def flown_in_turn(name="steps"):
+    """A recording of a craft that is steered about roll, then about pitch, then about yaw."""
+    rows = round(SECONDS / PERIOD_S)
+    time = PERIOD_S * np.arange(rows)
+    steered = 0.02 * np.random.default_rng(0).normal(size=(4, rows))
+    for axis in range(3):
+        steered[axis, (time // 30.0).astype(int) != axis] = 0.0
+    roll, pitch, yaw, thrust = steered
+    duty = 0.6 + np.column_stack(
+        [thrust - pitch - yaw, thrust - roll + yaw, thrust + pitch - yaw, thrust + roll + yaw]
+    )
+    columns = {channel: np.zeros((rows, 3)) for channel in CHANNELS}
+    columns |= {"duty": duty, "rotor_rev_s": np.full((rows, 4), np.nan)}
+    columns |= {"supply_v": np.full(rows, 3.9), "debug_s": np.zeros(rows)}
+    return Run(name, 0.0, PERIOD_S, **columns)
+
+
+def moved(run, stretches):
+    """Energy of roll, pitch and yaw in the duties of stretches."""
+    squares = np.vstack([one.run.duty[one.rows] for one in stretches])
+    squares = squares**2 @ np.array([[0, -1, 0, 1], [-1, 0, 1, 0], [-1, 1, -1, 1]]).T
+    return (squares**2).sum(axis=0)
+
+
+def test_axes_flown_one_after_the_other_are_all_fitted_and_all_held_out():
+    run = flown_in_turn()
+    fit_on, held, way = divided(stretches_of([run], MOTOR), "plus")
+    assert way == IN_PIECES
+    fitted, judged = moved(run, fit_on), moved(run, held)
+    np.testing.assert_allclose(fitted / (fitted + judged), 2 / 3, atol=0.1)
+
+
+def test_measured_rotor_speeds_tell_it_where_no_duty_is_recorded():
+    run = flown_in_turn()
+    run = replace(run, duty=np.full_like(run.duty, np.nan), rotor_rev_s=300.0 * run.duty)
+    assert divided(stretches_of([run], MOTOR, measured=True), "plus")[2] == IN_PIECES
+
+
+def test_pieces_too_short_to_say_anything_are_not_cut():
+    stretches = stretches_of([flown_in_turn()], MOTOR)
+    assert divided(stretches, "plus", least_s=10.1)[2] != IN_PIECES
+
+
+def test_of_several_recordings_the_last_is_held_out_as_a_whole():
+    steady = np.random.default_rng(2).normal(size=(9000, 4))
+    runs = [replace(flown_in_turn(str(i)), duty=0.6 + 0.02 * steady) for i in range(3)]
+    fit_on, held, _ = divided(stretches_of(runs, MOTOR), "plus")
+    assert [one.run.name for one in fit_on] == ["0", "1"]
+    assert [one.run.name for one in held] == ["2"]
+
+
+@given(st.sampled_from(list(HELD)), st.lists(st.integers(1, 500), min_size=1, max_size=6))
+def test_every_row_is_fitted_or_held_out_once(way, lengths):
+    held_rows = 0
+    for length, (fitted, held) in zip(lengths, cut(way, lengths), strict=True):
+        covered = sorted((*fitted, *held))
+        assert [a for a, _ in covered] + [length] == [0] + [b for _, b in covered]
+        assert all(b > a for a, b in covered)
+        held_rows += sum(b - a for a, b in held)
+    assert held_rows == pytest.approx(sum(lengths) / 3, abs=3)
+
+
+def test_the_last_third_is_held_out_where_every_axis_is_flown_all_the_time():
+    steady = np.random.default_rng(1).normal(size=(3000, 4))
+    assert best_way([steady, steady], 1) == "last third"
