@@ -144,6 +144,8 @@ def sample(p: Record, s: Record, time_ns: int) -> None:
         s.ring_gyro[slot, i] = register(rate * GYRO_COUNTS)
         s.ring_accel[slot, i] = register(sensed * ACCEL_COUNTS)
     if p.ideal_attitude != 0:
+        if p.filtered != 0:
+            w, a, b, c = _estimated(p, s, w, a, b, c)
         _sample_attitude(p, s, slot, w, a, b, c)
     s.sampled_ns[slot] = time_ns
     s.ring_ready_ns[slot] = time_ns + p.pipeline_ns
@@ -162,6 +164,18 @@ def _low_pass(coefficients: Any, memory: Any, channel: int, value: float) -> flo
     memory[channel, 1] = memory[channel, 0]
     memory[channel, 0] = inside
     return float(out)
+
+
+@inner
+def _estimated(p: Record, s: Record, w: float, a: float, b: float, c: float) -> Any:
+    """The attitude of an estimator without fault: it turns by the gyro behind the firmware's
+    filter, so it is as late as that. (w, a, b, c) is the true one."""
+    w = _low_pass(p.gyro_filter, s.filter, 6, w)
+    a = _low_pass(p.gyro_filter, s.filter, 7, a)
+    b = _low_pass(p.gyro_filter, s.filter, 8, b)
+    c = _low_pass(p.gyro_filter, s.filter, 9, c)
+    scale = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
+    return w * scale, a * scale, b * scale, c * scale
 
 
 @inner

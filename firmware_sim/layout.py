@@ -248,7 +248,7 @@ STATE = np.dtype(
         ("ring_gyro", "i8", (SENSOR_RING, 3)),
         ("ring_accel", "i8", (SENSOR_RING, 3)),
         ("ring_angles", "f8", (SENSOR_RING, 3)),
-        ("filter", "f8", (6, 2)),  # memory of the filters
+        ("filter", "f8", (10, 2)),  # memory of the filters: gyro, accelerometer, quaternion
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),

@@ -18,7 +18,7 @@ from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.kernels import craft_step, normalise
 from groundstation.dynamics.motor_kernels import armature
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
-from groundstation.dynamics.sensing import begin, follow, sense
+from groundstation.dynamics.sensing import begin, estimated, follow, sense
 
 DEGREES = 180.0 / math.pi
 PWM_FULL = 4096.0
@@ -295,8 +295,10 @@ def cascade_run(
             before = after
         reading = sense(p, before, z[0], z[1])
         felt = smoothed(felt, reading.accelerometer, period)
-        for i in range(4):
-            now[i] = y[6 + i]
+        q = (y[6], y[7], y[8], y[9])
+        if turns == 0:
+            q = estimated(craft, q, z[0])
+        now[0], now[1], now[2], now[3] = q
         for axis in range(3):
             heard = reading.gyro[axis] - sensor.zero[axis]
             now[4 + axis] = heard if turns == 0 else y[RATE + axis]

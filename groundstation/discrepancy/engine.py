@@ -34,11 +34,7 @@ from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.flight import Flight, prepare
-from groundstation.identification.likelihood.on_board import (
-    ON_BOARD,
-    filter_prior,
-    in_plane_hz,
-)
+from groundstation.identification.likelihood.on_board import ON_BOARD, in_plane_hz
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
@@ -189,7 +185,6 @@ def find_effects(
     known += theirs
     there = {v.effect for v in known}
     vehicle = model_vehicle(model)
-    problem.prior += filter_prior(known, start)
     corner = in_plane_hz(vehicle, fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there, *ON_BOARD}

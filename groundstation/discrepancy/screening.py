@@ -152,7 +152,7 @@ def settle(problem: Problem) -> Screening:
     torque behind a lag looks like the rotors' acceleration. So the body's constants and
     what is far from linear move to what all effects together say, until they stay.
     """
-    point = dict(problem.start)
+    point = problem.start | problem.near
     for _ in range(SETTLINGS):
         seen = screen(problem, point)
         change = _within_reason(seen, problem.frame.unknowns)

@@ -101,11 +101,14 @@ class Search:
         candidates: Sequence[Variant],
         progress: Progress,
     ) -> None:
-        """known: effects of the model, fitted along and never dropped."""
+        """known: effects of the model, fitted along and never dropped. What the firmware does on
+        board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
         self.candidates = list(candidates)
-        free = [variant for variant in known if not variant.definition.renames]
+        fixed = [one for one in known if one.definition.renames or one.definition.on_board]
+        free = [variant for variant in known if variant not in fixed]
+        self.fixed = {key: problem.start[key] for one in fixed for key in one.keys}
         self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
         self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]
@@ -518,13 +521,13 @@ class Search:
         keys = (*self.base_keys, *(key for variant in fitted for key in variant.keys))
         start = self.problem.start
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
-        point |= {key: start.get(key, absent(key)) for key in held}
+        point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
         return self.problem.fit(point, [key for key in keys if key not in held])
 
     def point_with(self, accepted: Sequence[Accepted]) -> Point:
         """The final constants, with only some of the effects."""
         keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
-        return {key: number for key, number in self.now.point.items() if key in keys}
+        return {k: number for k, number in self.now.point.items() if k in keys} | self.fixed
 
     def _names(self, *more: str) -> frozenset[str]:
         return _names(self.accepted) | {*more}

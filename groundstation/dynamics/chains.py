@@ -29,7 +29,13 @@ from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS, Body, Craft, Mo
 from groundstation.dynamics.registry import COMPILED, at_stage
 from groundstation.errors import BadInputError
 
-for function in (laws.to_inertial, laws.to_body, laws.rotor_wrench, laws.butterworth_slopes):
+for function in (
+    laws.to_inertial,
+    laws.to_body,
+    laws.rotor_wrench,
+    laws.butterworth_slopes,
+    laws.butterworth_behind,
+):
     register_jitable(function)  # laws may call them
 GIVEN: dict[str, Any] = {
     "supply": Supply,

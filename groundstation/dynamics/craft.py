@@ -68,6 +68,13 @@ Acting = tuple[Effect, dict[str, float]]
 """An effect and the values of all its parameters."""
 
 
+def first_state(name: str) -> int:
+    """Where the states of a listed effect begin among those of its stage."""
+    listed = at_stage(EFFECTS[name].stage)
+    before = listed[: [effect.name for effect in listed].index(name)]
+    return sum(len(effect.states) for effect in before)
+
+
 def craft_of_vehicle(
     vehicle: Vehicle, effects: Mapping[str, Mapping[str, float]] | None = None
 ) -> Crafts:

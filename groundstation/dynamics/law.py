@@ -141,6 +141,18 @@ def butterworth_slopes(given: Any, state: Any, corner_hz: float) -> Any:
     )
 
 
+def butterworth_behind(state: Any, corner_hz: float) -> Any:
+    """How far the integrals of three signals behind that low-pass are behind the signals' own:
+    with w'' = (2 pi f)^2 (u - w) - sqrt(2) 2 pi f w', what is missing of u is in w and w'."""
+    pace = 2.0 * math.pi * corner_hz
+    late, later = math.sqrt(2.0) / pace, 1.0 / (pace * pace)
+    return (
+        late * state[0] + later * state[3],
+        late * state[1] + later * state[4],
+        late * state[2] + later * state[5],
+    )
+
+
 def rotor_wrench(craft: Any, rotor: Any) -> tuple[float, float, float, float]:
     """Thrust (3.13) and torques (3.21 with lever; yaw by drag only) of equal rotors, N and N m.
 

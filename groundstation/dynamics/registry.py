@@ -35,6 +35,8 @@ EFFECTS: Mapping[str, Effect] = _listed()
 """The listed effects by name, in alphabetical order."""
 DELAY = "dead_time.delay_s"
 """The key under which fits and searches estimate how late every measurement is, s."""
+SPIN_UP = "rotor_acceleration_torque.rotor_inertia_kg_m2"
+"""The same of what accelerating rotors turn the craft with."""
 COMPILED: tuple[Stage, ...] = ("supply", "motor", "rotor", "body", "sensor")
 """Stages whose laws act within the equations of motion; the others are evaluated once."""
 

@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.dynamics import quaternion
 from groundstation.dynamics.chains import chain, own_chain, state_access
 from groundstation.dynamics.compiled import called, inner, kernel, spliced
-from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES
+from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES, first_state
 from groundstation.dynamics.integrator import runge_kutta
-from groundstation.dynamics.law import FAR_M, Body, Reading
+from groundstation.dynamics.law import FAR_M, Body, Reading, butterworth_behind
 from groundstation.dynamics.rigid_body import SENSOR, physics
 
 sensor_chain, own_sensor = chain("sensor"), own_chain("sensor")
 read_states, write_states = state_access("sensor")
 OWN_SENSOR = LISTED_STATES["sensor"]
+GYRO_FILTER = first_state("gyro_filter")
 STEP = 0.25
 """Longest step of the integrator over the fastest time constant of the sensors."""
 SETTLE_S, SETTLE_STEP_S = 2.0, 0.002
@@ -35,6 +37,18 @@ def sense(p: Any, body: Any, z: Any, dz: Any) -> Any:
                 p.own[SENSOR], p.own_values, p.craft, body, reading, z, dz, OWN_SENSOR
             )
     return reading
+
+
+@inner
+def estimated(craft: Any, q: Any, z: Any) -> Any:
+    """The attitude q as an estimator on board has it, which turns by what the gyro shows: behind
+    the firmware's filter (``sensors_bmi088_bmp3xx.c`` gives the estimator filtered rates)."""
+    if craft.gyro_filter[0] == 0.0:
+        return q
+    i = GYRO_FILTER
+    state = (z[i], z[i + 1], z[i + 2], z[i + 3], z[i + 4], z[i + 5])
+    x, y, w = butterworth_behind(state, craft.gyro_filter[1])
+    return quaternion.normalised(quaternion.product(q, (1.0, -0.5 * x, -0.5 * y, -0.5 * w)))
 
 
 @inner

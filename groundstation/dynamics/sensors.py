@@ -1,8 +1,9 @@
 """What lies between the craft and its telemetry beside the laws of its sensors: delay, mounting
 and attitude filter.
 
-Reported angles are the sensor's true attitude or, where an effect gives the attitude filter gains,
-those of the firmware's filter (``attitude_filter.py``). Everything is late by the delay.
+Reported angles are the sensor's true attitude, less what the firmware's gyro filter keeps back
+(``sensing.estimated``), or, where an effect gives the attitude filter gains, those of the
+firmware's filter (``attitude_filter.py``). Everything is late by the delay.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from groundstation.dynamics.kernels import four, normalise
 from groundstation.dynamics.law import FAR_M, Body, Reading
 from groundstation.dynamics.motor_kernels import armature_of
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
-from groundstation.dynamics.sensing import begin, follow, sense
+from groundstation.dynamics.sensing import begin, estimated, follow, sense
 from groundstation.dynamics.sensors import FILTER
 
 NO_BODY = Body(
@@ -226,7 +226,7 @@ def coast(
                 if fresh[row]:
                     held[0], held[1], held[2], held[3] = f[0], f[1], f[2], f[3]
             elif fresh[row]:
-                q = (y[6], y[7], y[8], y[9])
+                q = estimated(craft, (y[6], y[7], y[8], y[9]), z[0])
                 if sensor.rotated != 0:
                     q = quaternion.product(q, mount)
                 held[0], held[1], held[2], held[3] = q
@@ -382,7 +382,8 @@ def observe(
                 if leans:
                     f[0], f[1], f[2], f[3] = q
                 else:
-                    expected = quaternion.product((y[6], y[7], y[8], y[9]), mount)
+                    q_seen = estimated(craft, (y[6], y[7], y[8], y[9]), z[0])
+                    expected = quaternion.product(q_seen, mount)
                 turn = quaternion.product(quaternion.conjugate(expected), q)
                 scale = 2.0 if turn[0] >= 0.0 else -2.0
                 off = _turned(m, (scale * turn[1], scale * turn[2], scale * turn[3]))

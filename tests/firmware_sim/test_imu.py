@@ -101,6 +101,31 @@ def test_a_total_delay_of_the_thesis_s_eight_samples_can_be_set(turning):
     assert delay == pytest.approx(0.016, abs=1.1e-3)  # the wait for the loop is 0..2 ms
 
 
+def delay_of(truth, actual, seen):
+    """By the best shift, s."""
+    shifts, window = np.arange(0.0, 0.03, 0.0001), slice(2500, len(truth) - 100)
+    past = truth["time_s"][window]
+    errors = [
+        np.square(np.interp(past - shift, truth["time_s"], actual) - seen[window]).sum()
+        for shift in shifts
+    ]
+    return shifts[int(np.argmin(errors))]
+
+
+def test_todays_estimator_is_as_late_as_the_filtered_gyro_that_it_turns_by(turning):
+    craft, rows = flown(
+        20.0, truth=True, program=turning, craft="crazyflie21", plant="reduced", **QUIET
+    )
+    truth = craft.truth()[: len(rows["gyro"])]
+    w, x, y, z = truth["quaternion"].T
+    roll = np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    gyro = delay_of(truth, truth["rate_rad_s"][:, 0], np.radians(rows["gyro"][:, 0] / 16.384))
+    angle = delay_of(truth, roll, np.radians(rows["angles"][:, 0] / 100.0))
+    assert gyro == pytest.approx(math.sqrt(2.0) / (2.0 * math.pi * 80.0), abs=0.6e-3)
+    # angles are new on every second row: half a row later on average
+    assert angle == pytest.approx(gyro + 1e-3, abs=0.3e-3)
+
+
 def test_the_faithful_sensor_is_about_3_3_ms_old_on_average():
     delays = []
     for seed in range(20):

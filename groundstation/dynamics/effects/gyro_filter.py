@@ -7,7 +7,16 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.effect import DOUBLETS, GYRO, ROTORS, STEADY, TILTING, YAWING, Confusion
+from groundstation.dynamics.effect import (
+    DOUBLETS,
+    GYRO,
+    ROTORS,
+    STEADY,
+    THRUST_STEPS,
+    TILTING,
+    YAWING,
+    Confusion,
+)
 from groundstation.dynamics.law import Reading, butterworth_slopes
 from groundstation.dynamics.on_board_filter import on_board_filter
 
@@ -28,5 +37,5 @@ EFFECT = on_board_filter(
     longest_s=0.01,
     excited_by=DOUBLETS,
     regimes=TILTING | YAWING | ROTORS | STEADY,
-    confused_with=(Confusion("dead_time", f"{DOUBLETS}: a delay moves the attitude as well"),),
+    confused_with=(Confusion("dead_time", f"{THRUST_STEPS}: a delay moves the force as well"),),
 )

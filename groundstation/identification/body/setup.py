@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.effect import GYRO
 from groundstation.dynamics.model import Model, vehicle_model
-from groundstation.dynamics.registry import DELAY, EFFECTS
+from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
 from groundstation.dynamics.unknowns import Key, variants
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean_motor
 from groundstation.errors import BadInputError
@@ -45,7 +45,6 @@ FITTED = tuple(
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""
-SPIN_UP = "rotor_acceleration_torque.rotor_inertia_kg_m2"
 SLOW_MOMENTS = ("slow_moment.roll", "slow_moment.pitch")
 LEAK_S = 3.0
 """Velocity from tilt alone is known over shorter times than this."""

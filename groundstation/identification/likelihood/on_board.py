@@ -10,11 +10,8 @@ from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.parameters import Point, Variant
-from groundstation.identification.likelihood.problem import Prior
 
 ON_BOARD = {name: effect for name, effect in EFFECTS.items() if effect.on_board}
-DOUBT = 0.01
 SHOWS_S = 1.0 / 240.0
 """Rows further apart hold mostly what the slowest of them (30 Hz) has let pass, and not its lag."""
 
@@ -22,13 +19,13 @@ SHOWS_S = 1.0 / 240.0
 def filters_of(vehicle: Vehicle, flights: Sequence[Flight]) -> dict[str, float]:
     """Corner in Hz of each on-board filter that these flights show, by its effect's name.
 
-    None where rotor speeds were recorded: their sensor lags by as much, what is fast in them is
-    mostly noise, and behind the filters it would say how late everything is. On real flights a
-    search then lost what it had named (payload: gap 4.5, with the filters 8.4).
+    Where rotor speeds were recorded not the accelerometer's: what is fast in them is mostly noise,
+    and along z, behind the filter, it would say how late everything is. On real flights a search
+    then lost what it had named (payload: gap 4.5, with both filters 8.4).
     """
-    if not _fast(flights) or _speeds_recorded(flights):
+    if not _fast(flights):
         return {}
-    felt = all(flight.has_accelerometer for flight in flights)
+    felt = all(flight.has_accelerometer for flight in flights) and not _speeds_recorded(flights)
     return {
         name: corner
         for name, effect in ON_BOARD.items()
@@ -53,17 +50,6 @@ def _fast(flights: Sequence[Flight]) -> bool:
 
 def _speeds_recorded(flights: Sequence[Flight]) -> bool:
     return any(np.isfinite(flight.run.rotor_rev_s).any() for flight in flights)
-
-
-def filter_prior(known: Sequence[Variant], start: Point) -> list[Prior]:
-    """What is known before a search of the filters among a model's effects: the firmware's
-    numbers, but for what a filter in steps of 1 ms differs from a smooth one."""
-    keys = [key for one in known if one.effect in ON_BOARD for key in one.keys]
-    return [
-        ((key,), {key: start[key]}, np.array([[(DOUBT * start[key]) ** -2]]))
-        for key in keys
-        if start[key] != 0.0
-    ]
 
 
 def filter_terms(corners: dict[str, float]) -> list[EffectTerm]:

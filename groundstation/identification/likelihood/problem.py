@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.unknowns import Key
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.estimate import bounded_step, inverse
@@ -128,8 +129,7 @@ class Problem:
             for key, one in effects
             if not (one.effect.renames or one.effect.on_board or key in tried)
         ]
-        known = [key for key, one in effects if one.effect.on_board and key in start]
-        self.every_key = (*self.base_keys, *told, *known)
+        self.every_key = (*self.base_keys, *told)
         lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}
         unknowns = self.frame.unknowns.values()
@@ -138,6 +138,9 @@ class Problem:
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
+        near = _fitted_along(model) if measured else {}
+        self.near: Point = {key: number for key, number in near.items() if key not in start}
+        """Where columns are evaluated first: what the body's fit saw beside its constants."""
         self.trim = _trim(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
@@ -467,6 +470,16 @@ def _sensor_lag(model: Model) -> float:
     account = model.fit.get("motor", {}).get("estimates") or {}
     known = dict(zip(account.get("names", ()), account.get("values", ()), strict=False))
     return float(np.clip(known.get("sensor_lag_s", 0.0), *LAG_BOUNDS_S))
+
+
+def _fitted_along(model: Model) -> Point:
+    """How late the rotors' answer is and what they take to speed up, as the body's fit found it.
+
+    They and the lag of the rotors' sensor multiply each other: from nothing each of them alone
+    leads astray.
+    """
+    along = model.fit.get("body", {}).get("fitted_along") or {}
+    return {key: along[key]["value"] for key in (DELAY, SPIN_UP, SENSOR_LAG) if key in along}
 
 
 def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:

@@ -79,7 +79,8 @@ class Sensors:
     """The sensor effects that act at a point, in their order.
 
     gain, offset: shown = gain u + offset when steady, (6, 6) and (6,). lag: (6, 6) s, shown falls
-    behind gain u by lag du/dt on a ramp. undo: inverse of gain. turn: (3, 3), sensor to body axes.
+    behind gain u by lag du/dt on a ramp; unfelt: the part of lag that reported angles do not share.
+    undo: inverse of gain. turn: (3, 3), sensor to body axes.
     """
 
     def __init__(
@@ -93,10 +94,14 @@ class Sensors:
         self.effects, self.craft = effects, craft
         self.gyro_filter_hz, self.accelerometer_filter_hz = filter_hz
         self.gain, self.lag, self.offset = np.eye(6), np.zeros((6, 6)), np.zeros(6)
+        self.unfelt: Array = np.zeros((6, 6))
         self.linear = [_near_rest(one, craft) for one in effects]
-        for one in self.linear:
+        for acts, one in zip(effects, self.linear, strict=True):
             gain, lag = one.steady
             self.lag = gain @ self.lag + lag @ self.gain
+            # What the firmware filters goes to its attitude estimator as well.
+            own = np.zeros((6, 6)) if acts.effect.on_board else lag
+            self.unfelt = gain @ self.unfelt + own @ self.gain
             self.offset = gain @ self.offset + one.offset
             self.gain = gain @ self.gain
         self.undo: Array = np.linalg.inv(self.gain).astype(np.float64)
@@ -125,8 +130,8 @@ class Sensors:
         """
         undo = self.undo[RATES, RATES]
         found = (gyro - self.offset[RATES]) @ (self.turn.T @ undo).T
-        if lagging and self.lag.any():
-            found += lagging * slope @ (self.turn.T @ undo @ self.lag[RATES, RATES] @ undo).T
+        if lagging and self.unfelt.any():
+            found += lagging * slope @ (self.turn.T @ undo @ self.unfelt[RATES, RATES] @ undo).T
         return np.asarray(found)
 
     def shown(self, given: Passing, moving: Moving) -> list[Passing]:
@@ -187,7 +192,9 @@ class Sensors:
     def alike(self, other: Sensors) -> bool:
         """Whether reported angles turn alike behind the two."""
         one, two = (
-            np.column_stack([x.turn.T @ x.undo[RATES, RATES], x.gyro_lag, x.offset[RATES]])
+            np.column_stack(
+                [x.turn.T @ x.undo[RATES, RATES], x.unfelt[RATES, RATES], x.offset[RATES]]
+            )
             for x in (self, other)
         )
         return np.allclose(one, two, rtol=0.0, atol=SAME)
