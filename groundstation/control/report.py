@@ -232,7 +232,8 @@ def flight_figure(flown: Flown) -> Figure:
         panel.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.2, linewidth=0)
         panel.plot(time, one.response, color=MEASURED, label=f"measured, {one.edges} steps")
         if one.predicted_response is not None:
-            panel.plot(time, one.predicted_response, color=IMPROVED, label="predicted")
+            # dashed: the better the prediction, the less of what was measured would be seen
+            panel.plot(time, one.predicted_response, "--", color=IMPROVED, label="predicted")
         panel.set_title(one.axis)
         panel.set_xlabel("s")
         panel.legend(loc="lower right")
