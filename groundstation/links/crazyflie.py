@@ -156,21 +156,13 @@ class CrazyflieLink(CommandLink):
     def _send_setpoint(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
     ) -> None:
-        self._connected()
-        assert self._sender is not None
-        self._connection.commanded = True
         # cflib turns pitch round by itself, from nose down to the firmware's nose up
-        commander = self._connection.craft.commander
-        self.superseded += self._sender.send(
-            lambda: commander.send_setpoint(roll_deg, pitch_deg, -yaw_dps, thrust)
-        )
+        commander = self._connected().commander
+        self._steer(lambda: commander.send_setpoint(roll_deg, pitch_deg, -yaw_dps, thrust))
 
     def _send_height(
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
     ) -> None:
-        self._connected()
-        assert self._sender is not None
-        self._connection.commanded = True
         # cflib turns nothing round here: the firmware's pitch is nose up
         kind, turn = (
             (Z_DISTANCE, yaw_dps)
@@ -178,9 +170,14 @@ class CrazyflieLink(CommandLink):
             else (LEGACY_Z_DISTANCE, -yaw_dps)
         )
         data = struct.pack("<Bffff", kind, roll_deg, -pitch_deg, turn, height_m)
-        self.superseded += self._sender.send(
-            lambda: self._connection.send(*AT_HEIGHT, data), unlocks=False
-        )
+        self._steer(lambda: self._connection.send(*AT_HEIGHT, data), unlocks=False)
+
+    def _steer(self, send: Callable[[], None], unlocks: bool = True) -> None:
+        """Send a setpoint, on a connection that is from now on that of a craft under command."""
+        self._connected()
+        assert self._sender is not None
+        self._connection.commanded = True
+        self.superseded += self._sender.send(send, unlocks=unlocks)
 
     async def _write_parameter(self, name: str, value: float) -> float:
         craft = self._connected()
