@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -85,7 +86,7 @@ class HeldOut:
         """The gap of another model, and the channels on which it is worse than the given one."""
         after = self.of(model)
         gaps = tuple((after.rms / self.before.noise_floor).tolist())
-        return Predicted(after.beside(self.before), _worse(self.before, after), gaps)
+        return Predicted(after.beside(self.before), worse_channels(self.before, after), gaps)
 
 
 def _numbers(model: Model) -> bytes:
@@ -119,13 +120,15 @@ def prove(findings: Findings, train: Comparison, held: HeldOut) -> tuple[Finding
     return replace(findings, effects=tuple(effects), verdict=verdict), proof
 
 
-def _worse(before: Comparison, after: Comparison) -> dict[int, float]:
-    """Channels that are predicted worse: number -> by how many standard errors."""
+def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
+    """Channels that are predicted worse: number -> by how many standard errors; without end where
+    the other model predicts no number at all."""
     growth = after.rms > (1.0 + WORSE_SHARE) * before.rms
+    lost = np.isfinite(before.rms) & ~np.isfinite(after.rms)
     blocks = np.concatenate(
         [_block_sums(one, other) for one, other in zip(before.errors, after.errors, strict=True)]
     )
-    found = {}
+    found = dict.fromkeys(np.flatnonzero(lost).tolist(), math.inf)
     for channel in np.flatnonzero(growth).tolist():
         sums = blocks[np.isfinite(blocks[:, channel]), channel]
         if len(sums) < LEAST_BLOCKS:

@@ -100,6 +100,8 @@ def drives(craft: Any, speed: Any, period: float, out: Any) -> None:
     size = 17 + craft.body_states
     y, dy = np.zeros(size), np.zeros(size)
     y[6] = 1.0
+    for i in range(craft.body_states):
+        y[17 + i] = craft.body_initial[i]
     for k in range(len(speed)):
         row = min(k // 2, len(speed) // 2 - 1)
         y[2] = FAR_M

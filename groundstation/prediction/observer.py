@@ -21,6 +21,7 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.dynamics.sensors import resting_sensors, sensors_of_model
 from groundstation.dynamics.simulation import with_states
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STATES
+from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
 
@@ -135,7 +136,10 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
 
 
 def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains:
-    """The settled gains for a model, whose rows are ``period_s`` apart (cached)."""
+    """The settled gains for a model, whose rows are ``period_s`` apart (cached).
+
+    Raises BadInputError for a model that predicts no number.
+    """
     craft, sensor = craft_of_model(model), sensors_of_model(model)
     return _settled(craft.tobytes() + sensor.tobytes(), period_s, noise or Noise())
 
@@ -192,6 +196,11 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
         a[6:9] = 0.0
         a[:, 6:9] = 0.0
         seen[:, 6:9] = 0.0
+    if not (np.isfinite(a).all() and np.isfinite(seen).all()):
+        raise BadInputError(
+            "the model predicts no number for a hover: an effect of it divides by zero, or grows"
+            " without end; look at your own effects first"
+        )
     # ``seen`` is of the error before the row; the observer needs it of the one after.
     after = np.zeros((ERRORS, ERRORS))
     after[:6] = np.linalg.lstsq(a.T, seen.T, rcond=1e-12)[0].T

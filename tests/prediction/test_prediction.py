@@ -82,6 +82,15 @@ def test_with_the_true_effect_in_the_model_only_noise_is_left(name):
     assert within.max() < 1.1
 
 
+def test_a_slung_load_is_predicted_from_the_ground_on():
+    """But for the take-off, where the stand-in's line is slack and the law's is not."""
+    load = {"percent": 7.0, "length_m": 0.3, "damping_per_s": 0.4, "below_m": 0.01}
+    run, _ = flown(40.0, 3, effects={"slung_load": load})
+    without, within = over_noise(BASE, run), over_noise(affected("slung_load", load), run)
+    assert without[:, CHANNELS.index("gyro x")].max() > 1.5
+    assert within.max() < 1.2
+
+
 def test_two_effects_at_once_are_both_accounted_for():
     names = ("dead_time", "velocity_moment")
     run, _ = flown(30.0, 4, effects={name: MEDIUM[name] for name in names})
