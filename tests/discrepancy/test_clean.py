@@ -17,8 +17,9 @@ NOISES = {"nominal": (1.0, 1.0), "rough": (6.0, 2.0)}
 
 
 def sought(variant):
-    """Whether it is a candidate: neither another name of a constant nor a firmware's own filter."""
-    return variant not in RENAMES and not variant.definition.on_board
+    """Whether it is a candidate: not another name of a constant, a firmware's own filter, or of a
+    shape that is looked for at the end (``test_tried_shapes``)."""
+    return variant not in RENAMES and not variant.definition.on_board and not variant.tried
 
 
 def screened(seed, torque_noise, sensor_noise):

@@ -5,6 +5,7 @@ import pytest
 from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.setup import FITTED
 from groundstation.identification.motor.supply import undo_supply
@@ -34,6 +35,11 @@ HIDDEN = {
 def flown(seed, seconds=30.0, **settings):
     samples, _ = recorded(seconds, plant="reduced", seed=seed, gains=CARRYING_GAINS, **settings)
     return stretches_of(runs_of(samples, f"flight {seed}"), THESIS_MOTOR)
+
+
+def test_an_effect_whose_shape_has_to_be_looked_for_is_left_to_the_search():
+    with pytest.raises(BadInputError, match="length_m has to be looked for"):
+        fit_body(flown(5), VEHICLE, ("slung_load",))
 
 
 def test_every_effect_that_is_fitted_is_tested_here():

@@ -38,10 +38,15 @@ CONSTANTS = ("c0", "c1", "c2")
 SUPPLY_EFFECTS = (LAG, SAG)
 """Undone before the fit, from the report itself (``motor/supply.py``): they change what drives the
 motors, and a flight's rates alone cannot tell them from other constants."""
+SOUGHT = {name: [key.name for key in one.parameters if key.tried] for name, one in EFFECTS.items()}
+"""Shapes that have to be tried over their whole range, which the search does."""
 FITTED = tuple(
     name
     for name, one in EFFECTS.items()
-    if one.stage != "supply" and not one.on_board and set(one.channels) & {*GYRO}
+    if one.stage != "supply"
+    and not one.on_board
+    and set(one.channels) & {*GYRO}
+    and not SOUGHT[name]
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""
@@ -226,6 +231,11 @@ def require_known(names: Sequence[str]) -> None:
     for name in names:
         if name in FIT_WITH:
             continue
+        if SOUGHT.get(name):
+            raise BadInputError(
+                f"--with {name}: its {', '.join(SOUGHT[name])} has to be looked for, which"
+                " 'groundstation discrepancy' does"
+            )
         if name in EFFECTS:
             raise BadInputError(
                 f"--with {name}: it shows in {', '.join(EFFECTS[name].channels)}, and the body"
