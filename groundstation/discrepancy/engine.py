@@ -1,4 +1,4 @@
-"""Find what a model is missing: ``find_discrepancy`` is the entry, ``Search`` the procedure."""
+"""Find what a model is missing: ``find_discrepancy`` is the entry."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from groundstation.discrepancy.findings import (
     Findings,
     FoundEffect,
     NotShown,
+    Predicted,
     Verdict,
 )
-from groundstation.discrepancy.prediction_gate import Predicted
 from groundstation.discrepancy.proof import HeldOut, Proof, prove
 from groundstation.discrepancy.screening import Scored
-from groundstation.discrepancy.search import Accepted, Outcome, Search
+from groundstation.discrepancy.search import Outcome, search_effects
+from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
@@ -189,7 +190,7 @@ def find_effects(
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there, *ON_BOARD}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v not in RENAMES]
-    search = Search(problem, held, known, candidates, report)
+    search = SearchState(problem, held, known, candidates, report)
     if judged is not None:
         given = tuple(key for variant in known for key in variant.keys)
         tried = [*candidates, *(one for one in RENAMES if one not in known)]
@@ -199,7 +200,7 @@ def find_effects(
             return judged.judge(model_of(point, {}, keys, model, every_own))
 
         search.judge = judge
-    outcome = search.run()
+    outcome = search_effects(search)
     warnings = _require_told(outcome, problem)
     return _findings(outcome, problem, held, model, known, lost, warnings)
 

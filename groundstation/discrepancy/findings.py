@@ -202,3 +202,17 @@ class Findings:
     channels: dict[str, ChannelResidual]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
+    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent."""
+
+    gap: float
+    worse: dict[int, float]
+    gaps: tuple[float, ...] = ()
+
+    @property
+    def badness(self) -> tuple[float, float]:
+        return sum(self.worse.values()), self.gap

@@ -8,18 +8,13 @@ with which all channels together are, is taken back.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.base_constants import TOUCHES, Group
-from groundstation.discrepancy.findings import Reason, Refusal
-from groundstation.identification.likelihood.parameters import Point
+from groundstation.discrepancy.findings import Predicted, Reason, Refusal
+from groundstation.discrepancy.search_state import Accepted, Judge, SearchState
 from groundstation.identification.likelihood.problem import Fit
-
-if TYPE_CHECKING:
-    from groundstation.discrepancy.search import Accepted, Search
 
 RAISES, LOWERS = 0.005, 0.01
 """Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
@@ -30,24 +25,7 @@ goes with it in every channel that it touches, and these are left at so many tim
 then something else is wrong in them, of which it has taken the little that it can imitate."""
 
 
-@dataclass(frozen=True, slots=True)
-class Predicted:
-    """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
-    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent."""
-
-    gap: float
-    worse: dict[int, float]
-    gaps: tuple[float, ...] = ()
-
-    @property
-    def badness(self) -> tuple[float, float]:
-        return sum(self.worse.values()), self.gap
-
-
-Judge = Callable[[Point], Predicted]
-
-
-def answer_to_predictions(search: Search, judge: Judge) -> bool:
+def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
     """Take back, one by one, what predictions speak against; whether anything was.
 
     Where a channel is predicted worse than by the given model, something leaves each time: at the
@@ -76,7 +54,7 @@ def answer_to_predictions(search: Search, judge: Judge) -> bool:
         search.now, now, changed = fit, left, True
 
 
-def drop_idle(search: Search, judge: Judge) -> bool:
+def drop_idle(search: SearchState, judge: Judge) -> bool:
     """Take back, one by one, faults of sensors that explain next to nothing of channels of which
     much is left; whether any was.
 
@@ -129,7 +107,7 @@ def _refusal(now: Predicted, left: Predicted) -> Refusal:
     return Refusal(Reason.PREDICTS_WORSE, words)
 
 
-def _touching(search: Search, worse: Iterable[int]) -> Sequence[Accepted | Group]:
+def _touching(search: SearchState, worse: Iterable[int]) -> Sequence[Accepted | Group]:
     """Effects and changed constants that touch these channels, or else all."""
     bad = set(worse)
     effects = [one for one in search.accepted if bad.intersection(one.evidence.channels)]
@@ -139,7 +117,7 @@ def _touching(search: Search, worse: Iterable[int]) -> Sequence[Accepted | Group
     return [*effects, *moved] or [*search.accepted, *changed]
 
 
-def _raising(search: Search, judge: Judge) -> Sequence[Accepted]:
+def _raising(search: SearchState, judge: Judge) -> Sequence[Accepted]:
     """Effects whose step, in their order and at their final sizes, raises the gap."""
     found = []
     before = judge(search.point_with([])).gap

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.findings import Findings, Verdict
-from groundstation.discrepancy.prediction_gate import Predicted
+from groundstation.discrepancy.findings import Findings, Predicted, Verdict
 from groundstation.dynamics.model import Model
 from groundstation.identification.recordings import filled
 

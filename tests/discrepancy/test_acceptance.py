@@ -7,7 +7,8 @@ from groundstation.discrepancy.acceptance import GATES, Stage, Trial, refusal
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
-from groundstation.discrepancy.search import Accepted, Search
+from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.settlement import confirm
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.likelihood.parameters import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
@@ -136,7 +137,7 @@ def test_a_size_that_the_last_fit_left_has_to_be_one_that_a_craft_can_have(effec
     assert said(Stage.SETTLED, effect, fit=fit(**point)) is reason
 
 
-class LastFits(Search):
+class LastFits(SearchState):
     """The end of a search: the sizes that a fit leaves, by the names that are in it."""
 
     def __init__(self, left):
@@ -156,11 +157,11 @@ def test_an_impossible_size_leaves_in_the_end_and_the_others_are_fitted_again():
     search = LastFits(
         {tuple(DROPS): both, ("rate_damping",): {"rate_damping__damping_n_m_s": 1e-5}}
     )
-    assert search.settle()
+    assert confirm(search)
     assert [one.variant.effect for one in search.accepted] == ["rate_damping"]
     assert search.now.point == {"rate_damping.damping_n_m_s": 1e-5}
     assert search.refused["supply_sag"].reason is Reason.IMPLAUSIBLE
-    assert not search.settle()
+    assert not confirm(search)
 
 
 def test_every_gate_has_a_reason_of_its_own():

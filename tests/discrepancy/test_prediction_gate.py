@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from groundstation.comparison.channels import CHANNELS
-from groundstation.discrepancy.findings import Reason
-from groundstation.discrepancy.prediction_gate import Predicted, answer_to_predictions, drop_idle
+from groundstation.discrepancy.findings import Predicted, Reason
+from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
 
 
 @dataclass

@@ -1,0 +1,226 @@
+"""Forward: what joins the model. Candidates are screened, the best few fitted jointly, and the
+first that passes the gates joins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from groundstation.discrepancy.acceptance import SHARE, Stage, Trial, plausible, refusal
+from groundstation.discrepancy.evidence import gather
+from groundstation.discrepancy.findings import Reason
+from groundstation.discrepancy.screening import (
+    PENALTY,
+    Scored,
+    Screening,
+    removal_cost,
+    screen,
+    sizes_at,
+    started,
+    tried,
+    without,
+)
+from groundstation.discrepancy.search_state import ROUGHLY, Accepted, SearchState
+from groundstation.identification.likelihood.parameters import Point, Variant, absent
+from groundstation.identification.likelihood.problem import Fit
+
+SURE = 100.0
+"""Drop of -2 log L beside every other effect from which one is taken without a contest: 10
+standard errors, where no rival can be within reach."""
+FITTED, MORE_FITTED = 4, 2
+"""Joint fits in a turn, at most, and beside them effects easily confused with the best one."""
+TURNS = 3
+"""How often the next best are tried where the best were refused."""
+RIVAL = 12.0
+"""An effect that explains so little less, in -2 log L, is an alternative: odds of one in 400."""
+
+
+def join_what_is_sure(search: SearchState, plain: Screening) -> None:
+    """Join what is beyond doubt beside every other effect, all at once.
+
+    One by one, the first to join would have to stand for those that are still missing.
+    Evidence is gathered by taking the weakest away again and again; the order is the reverse.
+    """
+    best: dict[str, Scored] = {}
+    for one in search.first.beside_all(search.candidates):
+        margin = one.drop - PENALTY * (len(one.variant.sizes) - 1)
+        known = margin > SURE and bool(np.isfinite(one.errors).all())
+        rival = best.get(one.variant.effect)
+        first = known and (rival is None or one.drop > rival.drop)
+        if first and plausible(one.variant, _placed(plain, one)):
+            best[one.variant.effect] = one
+    sure = list(best.values())
+    point = dict(plain.point)
+    for one in sure:
+        point = started(point, one)
+    keys = (*search.base_keys, *(key for one in sure for key in one.variant.keys))
+    if not sure:
+        search.now = Fit(point, keys, np.inf, np.zeros((len(keys),) * 2))
+        return
+    search.progress("fitting what is beyond doubt", 0.2)
+    after = search.now = search.problem.fit(point, keys)
+    out: list[Variant] = []
+    while sure:
+        weakest = sure.pop(int(np.argmin([_removal(after, one.variant) for one in sure])))
+        variant = weakest.variant
+        search.progress(f"weighing {variant.effect}", -1.0)
+        rest = tuple(key for key in after.keys if key not in variant.keys)
+        before = search.problem.fit(without(after.point, variant), rest, settled=ROUGHLY)
+        after = search.nested(after, before, variant)
+        evidence = gather(search.problem, search.validation, before, after, variant)
+        why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
+        if why is None:
+            search.accepted.insert(0, Accepted(variant, evidence, []))
+            search.held_out[variant.label] = evidence.held_out
+        else:
+            search.refused[variant.label] = why
+            out.append(variant)
+        after = before
+    if out:
+        search.refit_without(*out)
+    search.tried.add(search.names())
+
+
+def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
+    """Fit the best of these candidates and join the first that passes.
+
+    Where all of the best are refused, the next ones get their turn: what is wrong with the
+    strongest need not be wrong with an effect on other channels.
+    """
+    scores = search.last.scores(search.now.keys, able)
+    before: Fit | None = None
+    for _ in range(TURNS):
+        shortlist = _shortlist(search, scores)
+        if not shortlist:
+            return False
+        before = before or search.problem.fit(search.now.point, search.now.keys, steps=1)
+        trials = _fitted(search, shortlist, before)
+        for trial in trials:
+            label = trial.variant.label
+            why = refusal(Stage.FITTED, trial)
+            if why is not None:
+                search.refused.setdefault(label, why)
+                continue
+            assert trial.fit is not None
+            trial.evidence = gather(
+                search.problem, search.validation, before, trial.fit, trial.variant
+            )
+            trial.tried = search.names(label) in search.tried
+            search.held_out[label] = trial.evidence.held_out
+            why = refusal(Stage.WEIGHED, trial)
+            if why is None:
+                _join(search, trial, trials)
+                return True
+            search.refused[label] = why
+        scores = [one for one in scores if one not in shortlist]
+    return False
+
+
+def join_tried(search: SearchState) -> bool:
+    """Join an effect with a shape of which several values are tried, once nothing else joins.
+
+    It has columns only where one of the values promises something, and where it is refused
+    after all everything is as it was: a column without a meaning takes a share of the noise.
+    """
+    promising: list[Variant] = []
+    for one, shape in best_tried(search, search.now.point, search.now.keys):
+        why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+        if why is None:
+            promising.append(one.variant)
+            search.shapes |= shape
+        else:
+            search.refused.setdefault(one.variant.label, why)
+    if not promising:
+        return False
+    problem, last = search.problem, search.last
+    noise, own, reference = dict(problem.noise), dict(problem.shapes), problem.reference
+    keys = (*search.now.keys, *(key for one in promising for key in one.keys))
+    search.last = screen(problem, {**search.now.point, **search.shapes}, keys)
+    if join_best(search, promising):
+        return True
+    problem.noise, problem.shapes, problem.reference = noise, own, reference
+    search.last = last
+    return False
+
+
+def best_tried(
+    search: SearchState, point: Point, keys: Sequence[str]
+) -> list[tuple[Scored, Point]]:
+    """Of each effect with a shape that is tried, the best value that is possible."""
+
+    def worth(one: tuple[Scored, Point]) -> tuple[bool, float]:
+        scored = one[0]
+        return refusal(Stage.SCREENED, Trial(scored.variant, scored=scored)) is None, scored.drop
+
+    return [max(some, key=worth) for some in tried(search.problem, point, keys, search.able())]
+
+
+def _shortlist(search: SearchState, scores: Sequence[Scored]) -> list[Scored]:
+    """The best few that pass the screening, and what the best one is easily confused with."""
+    able = []
+    for one in scores:
+        why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
+        if why is None:
+            able.append(one)
+        elif why.reason is Reason.WEAK:
+            search.refused.setdefault(one.variant.label, why)
+        else:
+            search.refused[one.variant.label] = why
+    if not able:
+        return []
+    close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
+    rivals = {c.other for one in close[:1] for c in one.variant.definition.confused_with}
+    more = [one for one in able if one.variant.effect in rivals and one not in close]
+    return close + more[:MORE_FITTED]
+
+
+def _fitted(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> list[Trial]:
+    """Joint fits of candidates, the best one first."""
+    trials = []
+    for one in shortlist:
+        search.progress(f"fitting {one.variant.effect}", -1.0)
+        keys = (*search.now.keys, *one.variant.keys)
+        start = started(search.now.point, one, search.shapes)
+        fit = search.problem.fit(start, keys, settled=ROUGHLY)
+        fit = search.nested(fit, before, one.variant)
+        gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
+        trials.append(Trial(one.variant, fit, gain))
+    trials.sort(key=lambda trial: trial.gain, reverse=True)
+    # What cannot be there explains nothing, and sets no bar for others.
+    able = [(t.gain, t.variant.effect) for t in trials if t.fit and _possible(t)]
+    for trial in trials:
+        trial.best = able[0] if able else (0.0, "")
+    return trials
+
+
+def _join(search: SearchState, trial: Trial, others: Sequence[Trial]) -> None:
+    assert trial.fit is not None
+    assert trial.evidence is not None
+    variant = trial.variant
+    rivals = [
+        (other.variant.effect, trial.gain - other.gain)
+        for other in others
+        if other.variant.effect != variant.effect
+        and other.gain > trial.gain - RIVAL
+        and _possible(other)
+    ]
+    search.accepted.append(Accepted(variant, trial.evidence, rivals))
+    search.refused.pop(variant.label, None)
+    search.tried.add(search.names())
+    search.now = trial.fit
+
+
+def _possible(trial: Trial) -> bool:
+    return trial.fit is not None and plausible(trial.variant, trial.fit.point)
+
+
+def _placed(plain: Screening, one: Scored) -> dict[str, float]:
+    """The given model with an effect at its screened size."""
+    values = dict(zip(one.variant.sizes, one.values.tolist(), strict=True))
+    return {**plain.point, **{key: absent(key) + size for key, size in values.items()}}
+
+
+def _removal(fit: Fit, variant: Variant) -> float:
+    own = [fit.keys.index(key) for key in variant.sizes]
+    return removal_cost(sizes_at(variant, fit.point), fit.covariance[np.ix_(own, own)])

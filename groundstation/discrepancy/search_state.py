@@ -1,0 +1,135 @@
+"""What a search has come to: the effects that joined, those that did not and why, the joint fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from groundstation.discrepancy.base_constants import groups
+from groundstation.discrepancy.evidence import Evidence
+from groundstation.discrepancy.findings import Predicted, Refusal
+from groundstation.discrepancy.screening import Screening, without
+from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
+from groundstation.identification.likelihood.problem import Fit, Problem
+
+Progress = Callable[[str, float], None]
+
+ROUGHLY = 0.5
+"""Drop of -2 log L at which a joint fit of a candidate ends."""
+
+
+@dataclass(slots=True)
+class Accepted:
+    """An effect that joined: rivals are (name, how much less it explains)."""
+
+    variant: Variant
+    evidence: Evidence
+    rivals: list[tuple[str, float]]
+
+
+Judge = Callable[[Point], Predicted]
+
+
+class SearchState:
+    """One search: what has joined so far, and why others have not."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        validation: Sequence[Flight],
+        known: Sequence[Variant],
+        candidates: Sequence[Variant],
+        progress: Progress,
+    ) -> None:
+        """known: effects of the model, fitted along and never dropped. What the firmware does on
+        board is not fitted: its numbers are known, and beside what is missing they would bend."""
+        self.problem, self.validation, self.progress = problem, validation, progress
+        self.judge: Judge | None = None
+        self.candidates = list(candidates)
+        fixed = [one for one in known if one.definition.renames or one.definition.on_board]
+        free = [variant for variant in known if variant not in fixed]
+        self.fixed = {key: problem.start[key] for one in fixed for key in one.keys}
+        self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
+        self.groups = groups(problem.start, [variant.keys for variant in free])
+        self.renames = [variant for variant in RENAMES if variant not in known]
+        self.trim = problem.trim
+        self.trims: dict[frozenset[str], tuple[float, float, float]] = {}
+        """Of flights beside the effects of these names; beside others, as far as ``trim``."""
+        self.held: set[str] = set()
+        self.errors: dict[str, float] = {}
+        self.accepted: list[Accepted] = []
+        self.refused: dict[str, Refusal] = {}
+        self.held_out: dict[str, float] = {}
+        self.tried: set[frozenset[str]] = set()
+        self.banned: set[str] = set()
+        self.beside: list[Variant] = []
+        """Fitted along, not named: too small to be believed, but left out they bend the others."""
+        self.shapes: Point = {}
+        """Of effects with a shape that is tried: its best value."""
+        self.first: Screening
+        self.last: Screening
+        self.now: Fit
+
+    def able(self) -> list[Variant]:
+        """The candidates that may still join."""
+        joined = {one.variant.effect for one in self.accepted}
+        return [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
+
+    def names(self, *more: str) -> frozenset[str]:
+        """Labels of what has joined, and ``more``."""
+        return names_of(self.accepted) | {*more}
+
+    def nested(self, fit: Fit, before: Fit, variant: Variant) -> Fit:
+        """A fit with a variant, from where it is absent if that is better than where the fit with
+        its screened size ended."""
+        if fit.cost <= before.cost:
+            return fit
+        point = before.point | {k: self.shapes.get(k, absent(k)) for k in variant.keys}
+        return self.problem.fit(point, fit.keys, settled=ROUGHLY)
+
+    def drop(self, one: Accepted, why: Refusal) -> None:
+        """Take an effect out, and fit the others without it."""
+        self.accepted.remove(one)
+        self.refused[one.variant.label] = why
+        self.refit_without(one.variant)
+
+    def refit_without(self, *variants: Variant) -> None:
+        """Fit again without effects that are no longer accepted."""
+        point = self.now.point
+        for variant in variants:
+            point = without(point, variant)
+        joined = (key for one in self.accepted for key in one.variant.keys)
+        self.now = self.problem.fit(point, (*self.base_keys, *joined))
+
+    def refit(self, accepted: Sequence[Accepted], held: set[str]) -> Fit:
+        """The joint fit of some effects, with the constants ``held`` as they were given."""
+        # Without what explains a trim, none is too large: a constant would make room for it.
+        self.problem.trim = self.trims.get(names_of(accepted), self.trim)
+        fitted = (*(one.variant for one in accepted), *self.beside)
+        keys = (*self.base_keys, *(key for variant in fitted for key in variant.keys))
+        start = self.problem.start
+        point = {key: self.now.point[key] for key in keys if key in self.now.point}
+        point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
+        return self.problem.fit(point, [key for key in keys if key not in held])
+
+    def point_with(self, accepted: Sequence[Accepted]) -> Point:
+        """The final constants, with only some of the effects."""
+        keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
+        return {k: number for k, number in self.now.point.items() if k in keys} | self.fixed
+
+    def named_point(self, point: Point) -> Point:
+        """A point without what is fitted along, but not named."""
+        for variant in self.beside:
+            point = without(point, variant)
+        return point
+
+    def judged(self, point: Point) -> Predicted:
+        """Predictions of held-out rows with what is named at a point."""
+        assert self.judge is not None
+        return self.judge(self.named_point(point))
+
+
+def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:
+    """Labels of effects, by which a set of them is known."""
+    return frozenset(one.variant.label for one in accepted)

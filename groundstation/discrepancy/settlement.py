@@ -1,0 +1,111 @@
+"""The end of a search: which changed constants stay, which change has a name, and whether what was
+found predicts held-out rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from groundstation.discrepancy.acceptance import Stage, Trial, refusal
+from groundstation.discrepancy.base_constants import not_improved, unconfirmed
+from groundstation.discrepancy.evidence import gather
+from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
+from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.problem import Fit
+
+TRIM_ROUNDS = 6
+"""How often the trims of flights and what explains them settle on each other."""
+
+
+def settle_trim(search: SearchState) -> None:
+    """Learn how far the trims of flights differ beside what was found, and fit with that."""
+    for _ in range(TRIM_ROUNDS):
+        search.problem.learn_trim(search.now.point)
+        search.now = search.problem.fit(search.now.point, search.now.keys)
+    search.trims = {search.names(): search.problem.trim}
+
+
+def hold_base(search: SearchState) -> None:
+    """Give back the base constants that these data do not improve; standard errors are those
+    of the fit in which everything was free."""
+    search.errors = search.now.stderr()
+    search.held, point = not_improved(search.problem, search.now, search.groups, search.validation)
+    if search.held:
+        search.now = replace(search.now, point=point)
+        search.now = search.refit(search.accepted, search.held)
+    while group := unconfirmed(search.problem, search.now):
+        search.held.update(group)
+        search.now = search.refit(search.accepted, search.held)
+
+
+def name_base_changes(search: SearchState) -> None:
+    """A base constant that moved so far that the change has a name becomes that effect.
+
+    Where an effect of supply, motors or rotors or one that is easily taken for it is in the
+    model, the constant may have moved to make room for that: then the change has to be the
+    same without it.
+    """
+    for variant in search.renames:
+        assert variant.definition.renames is not None
+        key, (own,) = variant.definition.renames.constant, variant.sizes
+        if key in search.held or key not in search.now.keys:
+            continue
+        held = search.held | {key}
+        before, after = _renamed(search, search.accepted, held, own)
+        evidence = gather(search.problem, search.validation, before, after, variant)
+        trial = Trial(variant, after, evidence=evidence)
+        if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
+            continue
+        apart = [one for one in search.accepted if not _shares(one.variant, variant)]
+        if len(apart) < len(search.accepted):
+            _, alone = _renamed(search, apart, held, own)
+            if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
+                continue
+        search.now, search.held = after, held
+        search.accepted.insert(0, Accepted(variant, evidence, []))
+        search.errors[own] = after.stderr()[own]
+        search.held_out[variant.label] = evidence.held_out
+
+
+def confirm(search: SearchState) -> bool:
+    """Ask predictions, and the sizes that are left at the very end; whether anything left."""
+    changed, leaves = False, True
+    while leaves:
+        if search.judge is not None:
+            changed |= answer_to_predictions(search, search.judged)
+            changed |= drop_idle(search, search.judged)
+        leaves = drop_implausible(search)
+        changed |= leaves
+    return changed
+
+
+def drop_implausible(search: SearchState) -> bool:
+    """Take back, the weakest first, what the last fits left with a size that cannot be; whether
+    anything was."""
+    changed = False
+    while True:
+        asked = ((one, Trial(one.variant, search.now)) for one in search.accepted)
+        out = [(one, why) for one, trial in asked if (why := refusal(Stage.SETTLED, trial))]
+        if not out:
+            return changed
+        one, why = min(out, key=lambda each: each[0].evidence.drop)
+        search.accepted.remove(one)
+        search.refused[one.variant.label] = why
+        search.now = search.refit(search.accepted, search.held)
+        changed = True
+
+
+def _renamed(
+    search: SearchState, accepted: Sequence[Accepted], held: set[str], own: str
+) -> tuple[Fit, Fit]:
+    """Fits with the constants ``held`` as given, without and with the size ``own``."""
+    before = search.refit(accepted, held)
+    return before, search.problem.fit(before.point, (*before.keys, own))
+
+
+def _shares(variant: Variant, other: Variant) -> bool:
+    """Whether a variant can take a share of what a change of a base constant (``other``) does."""
+    one = variant.definition
+    rivals = {confusion.other for confusion in other.definition.confused_with}
+    return one.name in rivals or one.stage in ("supply", "motor", "rotor")
