@@ -21,7 +21,8 @@ from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.arx.data import ArxData, arx_data
 from groundstation.identification.arx.fit import ArxSearch, search_arx
 from groundstation.identification.body.fit import fit_body
-from groundstation.identification.runs import Run, hold_out, runs_of
+from groundstation.identification.division import hold_out
+from groundstation.identification.runs import Run, runs_of
 from groundstation.identification.stretches import stretches_of
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch

@@ -61,8 +61,6 @@ SELECT = typer.Option(
     " saturated, auto, battery=LOW:HIGH (V).",
 )
 
-USUALLY_HELD = "last third"
-
 
 def add_commands(app: typer.Typer) -> None:
     fit = Commands(
@@ -281,7 +279,7 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     given = [_fingerprint(path) for path in files.validate]
     documented = found.documented(
         recordings=[_fingerprint(path) for path in files.recordings],
-        held_out=given or found.account.get("held_out", USUALLY_HELD),
+        held_out=given or found.account["held_out"],
     )
     account = documented.fit[found.account["what"]]
     whole = msgspec.structs.replace(documented, created_by=f"groundstation {__version__}")
@@ -333,8 +331,10 @@ def _fingerprint(path: Path) -> dict[str, str]:
 
 
 def _print_account(account: dict[str, Any], output: Path) -> None:
+    from groundstation.identification.division import LAST
+
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
-    if isinstance(account["held_out"], str) and account["held_out"] != USUALLY_HELD:
+    if isinstance(account["held_out"], str) and account["held_out"] != LAST:
         show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
     estimates = account.get("estimates")
     if estimates:

@@ -15,9 +15,9 @@ from groundstation.demo.outcome import Distance, channels, flight, flights_apart
 from groundstation.discrepancy.report_figures import label
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.dynamics.model import load_model
+from groundstation.identification.division import hold_out
 from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.fit import bench_run, simulate_run
-from groundstation.identification.runs import hold_out
 from groundstation.recording.open_recording import open_recording
 from groundstation.report.figure import figure
 from groundstation.report.theme import BAD, FAINT, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES

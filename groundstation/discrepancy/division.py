@@ -53,7 +53,8 @@ def divide(
 
 def _flown(run: Run, configuration: str) -> Array:
     """What moves the craft (n, 4), in the air; its mean elsewhere."""
-    moved, flying = excitation(run, configuration), turning(without_gaps(run))
+    whole = without_gaps(run)
+    moved, flying = excitation(whole, configuration), turning(whole)
     if flying.any():
         moved[~flying] = moved[flying].mean(axis=0)
     return moved

@@ -34,6 +34,7 @@ from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s
+from groundstation.identification.division import hold_out
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import ON_BOARD, in_plane_hz
 from groundstation.identification.likelihood.parameters import (
@@ -51,7 +52,7 @@ from groundstation.identification.likelihood.parameters import (
     point_of,
 )
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
-from groundstation.identification.runs import Run, hold_out
+from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -67,6 +67,16 @@ def cut(way: str, lengths: Sequence[int]) -> list[tuple[list[Span], list[Span]]]
     return found
 
 
+def hold_out(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """(to fit on, to validate on): the last third of all rows, cutting a run where needed."""
+    fit_on: list[Run] = []
+    held_out: list[Run] = []
+    for run, (fitted, held) in zip(runs, cut(LAST, [len(run) for run in runs]), strict=True):
+        fit_on += [run[a:b] for a, b in fitted]
+        held_out += [run[a:b] for a, b in held]
+    return fit_on, held_out
+
+
 def divided(
     stretches: Sequence[Stretch], configuration: str, least_s: float = LEAST_S
 ) -> tuple[list[Stretch], list[Stretch], str]:

@@ -6,7 +6,7 @@ as motion. A run may be cut further: by hand, or into what is fitted and what is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -137,21 +137,3 @@ def uninterrupted(
 
 def _uneven(steps: Array, usual_s: float) -> Mask:
     return np.asarray(np.abs(steps - usual_s) > STEP_TOLERANCE * usual_s)
-
-
-def hold_out(runs: Sequence[Run], share: float = 1 / 3) -> tuple[list[Run], list[Run]]:
-    """(to fit on, to validate on): the last ``share`` of all rows, cutting a run where needed."""
-    rows = sum(len(run) for run in runs)
-    left = round(rows * (1 - share))
-    fit: list[Run] = []
-    held: list[Run] = []
-    for run in runs:
-        if left >= len(run):
-            fit.append(run)
-        elif left <= 0:
-            held.append(run)
-        else:
-            fit.append(run[:left])
-            held.append(run[left:])
-        left -= len(run)
-    return fit, held

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundstation.dynamics.vehicle import MotorConstants
-from groundstation.identification.division import HELD, IN_PIECES, best_way, cut, divided
+from groundstation.identification.division import HELD, IN_PIECES, best_way, cut, divided, hold_out
 from groundstation.identification.runs import CHANNELS, Run
 from groundstation.identification.stretches import stretches_of
 
@@ -81,3 +81,11 @@ def test_every_row_is_fitted_or_held_out_once(way, lengths):
 def test_the_last_third_is_held_out_where_every_axis_is_flown_all_the_time():
     steady = np.random.default_rng(1).normal(size=(3000, 4))
     assert best_way([steady, steady], 1) == "last third"
+
+
+def test_the_last_third_of_several_runs_cuts_one_of_them():
+    flown = flown_in_turn()
+    fit, held = hold_out([flown[:900], flown[1500:2100]])
+    assert [len(run) for run in fit] == [900, 100]
+    assert [len(run) for run in held] == [500]
+    assert held[0].start_s == pytest.approx(flown.start_s + 1600 * flown.period_s)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import turning_parts
-from groundstation.identification.runs import hold_out, runs_of
+from groundstation.identification.runs import runs_of
 from groundstation.telemetry.samples import empty_samples
 
 
@@ -82,14 +82,6 @@ def test_a_recording_of_crumbs_is_refused_with_its_longest_stretch():
     ticks = np.concatenate([even(100, start=k * 1_000_000) for k in range(5)])
     with pytest.raises(BadInputError, match=r"0\.20 s"):
         runs_of(samples_at(ticks))
-
-
-def test_the_last_third_is_held_out_across_runs():
-    ticks = np.concatenate([even(900), even(600, start=10_000_000)])
-    fit, held = hold_out(runs_of(samples_at(ticks)))
-    assert [len(run) for run in fit] == [900, 100]
-    assert [len(run) for run in held] == [500]
-    assert held[0].start_s == pytest.approx(10.2)
 
 
 def test_flying_stretches_leave_the_ground_out():

@@ -246,7 +246,7 @@ class _Evaluation:
         residual: Columns = {}
         measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
         self._put(RATES, residual, measured - self.gyro_model)
-        self._put(FORCES, residual, self.force - self._as_read(self.force_model))
+        self._put(FORCES, residual, self.force - self._as_read(FORCES, self.force_model))
         lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
         rows = flight.attitude
         if rows is not None:
@@ -287,9 +287,10 @@ class _Evaluation:
         }
         return STANDARD_GRAVITY - mean, slopes
 
-    def _as_read(self, force: Array) -> Array:
-        """Modelled forces (n, 3) as the recording's rows have them."""
-        return mean_between(force) if self.flight.force_between else force
+    def _as_read(self, part: slice, values: Array) -> Array:
+        """Modelled rates or forces (n, 3) as the recording's rows have them."""
+        between = part == FORCES and self.flight.force_between
+        return mean_between(values) if between else values
 
     def _put(self, part: slice, out: Columns, values: Array, step: float = math.inf) -> None:
         """Store rows (n, 3) of the gyro's (RATES) or the accelerometer's channels (FORCES), but
@@ -375,7 +376,7 @@ class _Evaluation:
             change = tuple((a - b) / step for a, b in pairs)
             if any(np.ndim(rows) or rows for rows in change):
                 rows = self.sensors.answer(stacked(change, count), part, self.moving)
-                self._put(part, out, rows if part == RATES else self._as_read(rows), step)
+                self._put(part, out, self._as_read(part, rows), step)
 
     def _bodies(self, moved: Moved | None = None, **other: Any) -> Bodies:
         return self._body(True, moved, **other), self._body(False, moved, **other)
@@ -400,7 +401,7 @@ class _Evaluation:
         moving, passing = self._sensed(*self._bodies(inputs=inputs))
         angular, force = self.sensors.in_body(passing[-1], moving)
         self._put(RATES, out, (angular - self.gyro_model) / step, step)
-        self._put(FORCES, out, self._as_read(force - self.force_model) / step, step)
+        self._put(FORCES, out, self._as_read(FORCES, force - self.force_model) / step, step)
 
     def _delay_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         """By the slope: rotors a row earlier, rates as they are."""
@@ -447,7 +448,7 @@ class _Evaluation:
                 change = stacked(rows, len(self.gyro))
                 after = behind + (there is not None)
                 rows_of = self.sensors.answer(change, part, self.moving, after)
-                self._put(part, out, rows_of if part == RATES else self._as_read(rows_of), step)
+                self._put(part, out, self._as_read(part, rows_of), step)
         ends = [self._sensors(moved) for moved in (high, low)]
         if self.flight.attitude is not None and not ends[0].alike(ends[1]):
             turning = [self._turning(sensors, self.lean) for sensors in ends]

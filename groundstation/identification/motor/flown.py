@@ -47,12 +47,15 @@ SWAP_MARGIN = 0.2
 def identify_rotors(
     fit_on: Sequence[Run],
     validate_on: Sequence[Run],
+    apart: str,
     before: Model,
     effects: Sequence[str],
     selection: str,
     progress: Progress,
 ) -> Identified:
     """a0, a1, a2 of each rotor, from its recorded speed and its duty times battery voltage.
+
+    apart: which rows ``validate_on`` are in words, of those that were given to fit.
 
     Raises BadInputError where no sensor works, where rotors are swapped, and where the data do
     not tell the time constant.
@@ -80,6 +83,7 @@ def identify_rotors(
         "method": "prediction error of each rotor, free noise spectrum",
         "samples": rows,
         "selection": selection,
+        "held_out": apart,
         "estimates": fit.estimates.as_dict(),
         "rotors": _rotors(fit),
         "findings": _findings(fit),

@@ -13,6 +13,7 @@ from groundstation.dynamics.model import Model, with_motor
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import turning_parts
+from groundstation.identification.division import LAST, hold_out
 from groundstation.identification.excitation import motor_excitation
 from groundstation.identification.fit_record import (
     Evidence,
@@ -42,7 +43,7 @@ from groundstation.identification.motor.supply import (
     supply_terms,
 )
 from groundstation.identification.preparation import bench_preparation
-from groundstation.identification.runs import Run, hold_out
+from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.spans import spans
 
@@ -74,9 +75,11 @@ def identify_motor(
     unknown = sorted(set(effects) - set(KNOWN))
     if unknown:
         raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
-    fit_on, validate_on = _parts(
-        _turning(runs, selection), _turning(held, selection) if held else []
-    )
+    fit_on, apart = _turning(runs, selection), ""
+    if held:
+        validate_on = _turning(held, selection)
+    else:
+        (fit_on, validate_on), apart = hold_out(fit_on), LAST
     measured = any(np.isfinite(run.rotor_rev_s).any() for run in fit_on)
     pointless = [name for name in effects if name in (LAG, SAG)]
     if pointless and measured:
@@ -88,7 +91,7 @@ def identify_motor(
         from groundstation.identification.motor.flown import identify_rotors
 
         names = fitted_effects(effects, before, tuple(EFFECTS))
-        return identify_rotors(fit_on, validate_on, before, names, str(selection), progress)
+        return identify_rotors(fit_on, validate_on, apart, before, names, str(selection), progress)
     names = fitted_effects(effects, before, KNOWN)
     supplied = [name for name in names if name in (LAG, SAG)]
     progress(0.1, "looking at the excitation")
@@ -116,6 +119,7 @@ def identify_motor(
         "method": "prediction error" + (", supply modelled" if supplied else ""),
         "samples": sum(len(run) for run in fit_on),
         "selection": str(selection),
+        "held_out": apart,
         "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
         "rejected_readings": fit.rejected,
@@ -140,10 +144,6 @@ def identify_motor(
     prepared = bench_preparation(fit_on, motor)
     evidence = Evidence({"motor": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
-
-
-def _parts(runs: list[Run], held: list[Run]) -> tuple[list[Run], list[Run]]:
-    return (runs, held) if held else hold_out(runs)
 
 
 def _turning(runs: Sequence[Run], selection: Selection) -> list[Run]:

@@ -23,7 +23,8 @@ from groundstation.identification.arx.fit import (
 from groundstation.identification.arx.kernel import steps_ahead
 from groundstation.identification.arx.residual_tests import cross_correlation_test, whiteness_test
 from groundstation.identification.arx.workflow import identify_arx
-from groundstation.identification.runs import hold_out, runs_of
+from groundstation.identification.division import hold_out
+from groundstation.identification.runs import runs_of
 
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])
 TRUE = ArxAxis(2, 1, 3, (-1.95, 0.9503), (2e-7,), 0.002)
