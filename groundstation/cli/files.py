@@ -154,9 +154,9 @@ def _open(path: Path, columns: str | None) -> Recording:
 
 def _warn_of_zeros(recording: Recording) -> None:
     """The packet has a place for every channel, and no value that means 'not known'."""
-    from groundstation.recording.channels import CHANNELS
+    from groundstation.recording.channels import CHANNELS, UNUSUAL
 
-    carried = [channel for channel in CHANNELS if channel.field != "rotor_rev_s"]
+    carried = [channel for channel in CHANNELS if channel.field not in UNUSUAL]
     missing = [channel.name for channel in carried if not channel.is_in(recording.samples)]
     if missing:
         show(

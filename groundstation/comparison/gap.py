@@ -89,7 +89,8 @@ def ahead_errors(
     rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
     # The model flies on every input; what was not measured afresh must not look measured.
     shown = np.where(fresh[:, None], run.attitude, np.nan)
-    driven = replace(run, duty=whole.duty, supply_v=whole.supply_v, attitude=shown)
+    inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
+    driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
     ahead = predict_ahead(model, driven, counts, stride=1)
     if turning == "arx":

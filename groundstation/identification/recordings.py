@@ -67,6 +67,7 @@ def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
         attitude=grid(_unwrapped(samples.attitude.astype(np.float64))),
         rotor_rev_s=grid(samples.rotor_rev_s),
         debug_s=grid(samples.debug * samples.tick_s),
+        duty_step=grid(samples.duty_step),
         recording_start_s=recording_start_s,
     )
 

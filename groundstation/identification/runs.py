@@ -30,7 +30,8 @@ class Run:
     duty: (n, 4), 0..1, acted from the row before to this one. supply_v: (n,) as reported.
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad.
     rotor_rev_s: (n, 4) measured speeds. debug_s: (n,) half a rotor revolution on the motor bench,
-    in seconds. start_s: device time of the first row; recording_start_s: of the recording's. A
+    in seconds. duty_step: (n, 4), where ``duty`` is the mean of two settings, the second less the
+    first. start_s: device time of the first row; recording_start_s: of the recording's. A
     channel that is not there is NaN.
     """
 
@@ -44,6 +45,7 @@ class Run:
     attitude: Array
     rotor_rev_s: Array
     debug_s: Array
+    duty_step: Array
     recording_start_s: float = 0.0
 
     def __len__(self) -> int:
@@ -62,6 +64,12 @@ class Run:
         """Device time, (n,)."""
         return np.asarray(self.start_s + self.period_s * np.arange(len(self)), np.float64)
 
+    @property
+    def settings(self) -> Array:
+        """What the motors were set to, (n, 4), or (2 n, 4) for half a period each where rows tell
+        two settings."""
+        return both_settings(self.duty, self.duty_step)
+
     def __getitem__(self, rows: slice) -> Run:
         """Some consecutive rows as a run of its own."""
         first, last, step = rows.indices(len(self))
@@ -69,6 +77,15 @@ class Run:
             raise ValueError(f"run {self.name}: a part needs consecutive rows, not {rows}")
         parts = {name: getattr(self, name)[first:last] for name in CHANNELS}
         return replace(self, start_s=self.start_s + first * self.period_s, **parts)
+
+
+def both_settings(duty: Array, step: Array) -> Array:
+    """Settings (2 n, 4) from their means (n, 4) and the second less the first (n, 4); the means
+    alone where no step is known."""
+    if not np.isfinite(step).any():
+        return duty
+    half = 0.5 * np.nan_to_num(step)
+    return np.stack([duty - half, duty + half], axis=1).reshape(-1, duty.shape[1])
 
 
 SCALARS = ("name", "start_s", "period_s", "recording_start_s")
@@ -93,6 +110,7 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
             "attitude": np.unwrap(part.attitude.astype(np.float64), axis=0),
             "rotor_rev_s": part.rotor_rev_s,
             "debug_s": part.debug * part.tick_s,
+            "duty_step": part.duty_step,
         }
         period = float((time[-1] - time[0]) / (len(part) - 1))
         parts = {key: np.asarray(values, np.float64) for key, values in columns.items()}

@@ -65,7 +65,9 @@ def rotor_squares(
         # Mean of a square that moves linearly in speed over the period.
         before = np.vstack([speed[:1], speed[:-1]])
         return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
-    voltage = armature_mv(run.duty, run.supply_v)
+    settings = run.settings
+    each = len(settings) // len(run)
+    voltage = armature_mv(settings, np.repeat(run.supply_v, each))
     if not np.isfinite(voltage).all():
         raise BadInputError(
             f"{run.name}: PWM or battery voltage is missing in some rows; the motors need both"
@@ -78,8 +80,10 @@ def rotor_squares(
     driving = np.where(voltage > 0.0, np.maximum(voltage - dead_mv, 0.0), 0.0)
     start = steady_rev_s(motor, driving[0])
     effects = {"motor_braking_asymmetry": {"factor": braking}} if braking != 1.0 else None
-    speed, square = simulate_motor(motor, driving[1:], run.period_s, start, effects=effects)
-    return RotorSquares(np.vstack([start**2, square]), speed**2)
+    period_s = run.period_s / each
+    speed, square = simulate_motor(motor, driving[each:], period_s, start, effects=effects)
+    mean = square.reshape(-1, each, square.shape[1]).mean(axis=1)
+    return RotorSquares(np.vstack([start**2, mean]), speed[::each] ** 2)
 
 
 def _smoothed(run: Run) -> Array:

@@ -5,7 +5,9 @@ what was lost shows only as a missing step. The blocks of one period are started
 other, so their stamps may differ by a constant part of it: a row has the stamps of the first
 block, and the others are read there, on the line between their neighbours where they are not from
 the same moment. The motors are set 500 times a second: where rows are slower and a second block has
-their commands as well, a row holds the mean of both settings that acted before it.
+their commands as well, a row holds the mean of both settings that acted before it, and their
+difference: today's attitude is new in every second of them, so they alternate with what its
+derivative makes of that, and motors that brake otherwise than they speed up answer to it.
 """
 
 from __future__ import annotations
@@ -31,6 +33,8 @@ BACKWARDS_MS = 100
 """Blocks share one queue, so their stamps run forward: one so far back is a restart's."""
 MOTORS, FULL = 4, 65535.0
 """Commands of 16 bits in a block."""
+SETTING_MS = 2
+"""How long the motors keep a command."""
 _WRAPPING = ("stateEstimate.roll", "stateEstimate.yaw")
 
 LogPacket = tuple[int, int, tuple[float, ...], int]
@@ -229,15 +233,20 @@ class LogRows:
         samples, _ = samples_from_columns(columns, ticks, TICK_S, "deg/s")
         samples.host_time_ns[:] = [host_ns for _, host_ns, *_ in rows]
         samples.segment[:] = [segment for _, _, segment, _ in rows]
-        self._as_they_acted(samples)
+        follows = self._as_they_acted(samples)
         if again.size:
-            mean = 0.5 * (samples.duty + again / FULL)
-            samples.duty[:] = np.where(np.isfinite(mean), mean, samples.duty)
+            step = again / FULL - samples.duty
+            both = np.isfinite(step)
+            samples.duty[both] += 0.5 * step[both]
+            if self.period_ms == 2 * SETTING_MS:
+                both &= follows[:, None]
+                samples.duty_step[both] = step[both]
         return samples
 
-    def _as_they_acted(self, samples: SampleBatch) -> None:
+    def _as_they_acted(self, samples: SampleBatch) -> NDArray[np.bool_]:
         """A block holds what the motors were set to after its gyro was read; a row has what acted
-        before: the row before's. The first row, and one behind a loss, keeps its own."""
+        before: the row before's. The first row, and one behind a loss, keeps its own: the rest
+        (n,) is returned."""
         columns: tuple[NDArray[Any], ...] = (samples.ticks, samples.segment, samples.duty.copy())
         last = self._set if self._set is not None else tuple(one[:1] for one in columns)
         self._set = tuple(column[-1:] for column in columns)
@@ -248,6 +257,7 @@ class LogRows:
         follows = (segment == samples.segment) & (step > 0)
         follows &= step * TICK_S < 1.5e-3 * self.period_ms
         samples.duty[follows] = duty[follows]
+        return np.asarray(follows)
 
 
 def decompressed(codes: NDArray[np.uint32]) -> NDArray[np.float64]:

@@ -52,9 +52,10 @@ _motors_step = runge_kutta(_motors_slope)
 
 
 @spliced
-def _armature_at(craft: Any, duty: Any, supply: Any, row: int, period: float, n: Any) -> Any:
-    at = min(max(row, 0), len(duty) - 1)
-    driven = (duty[at, 0], duty[at, 1], duty[at, 2], duty[at, 3])
+def _armature_at(craft: Any, duty: Any, supply: Any, setting: int, period: float, n: Any) -> Any:
+    here = min(max(setting, 0), len(duty) - 1)
+    at = here // (len(duty) // len(supply))
+    driven = (duty[here, 0], duty[here, 1], duty[here, 2], duty[here, 3])
     speed = (n[0], n[1], n[2], n[3])
     return armature_of(craft, driven, supply[at], supply[max(at - 1, 0)], period, speed)
 
@@ -65,26 +66,28 @@ def spin(
 ) -> None:
     """Rotor speeds (2 n - 1, 4) at every row less ``delay``, and half-way to the next.
 
-    duty: (n, 4), supply: (n,) mV as reported; row i acts from t_(i-1) to t_i. start: (4,) at the
-    first point.
+    duty: (n, 4), supply: (n,) mV as reported; row i acts from t_(i-1) to t_i. A duty of (2 n, 4)
+    has two settings a row, each for half a period. start: (4,) at the first point.
     """
     p = physics(craft)
-    rows = len(duty)
+    rows = len(supply)
+    each = len(duty) // rows
     n, dn, base, total = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     for i in range(4):
         n[i] = start[i]
         speed[0, i] = start[i]
     offset = delay / period
-    row = math.floor(-offset) + 1
-    volts = _armature_at(craft, duty, supply, row, period, n)
+    # Settings count from the one that ends at the first row, which is number each - 1.
+    ended = math.floor(-offset * each) + 1
+    volts = _armature_at(craft, duty, supply, ended + each - 1, period, n)
     for point in range(1, 2 * rows - 1):
         at = 0.5 * (point - 1) - offset
         left = 0.5
         while left > 1e-9:
-            step = min(row - at, left)
+            step = min(ended / each - at, left)
             if step < 1e-9:
-                row += 1
-                volts = _armature_at(craft, duty, supply, row, period, n)
+                ended += 1
+                volts = _armature_at(craft, duty, supply, ended + each - 1, period, n)
                 continue
             _motors_step((p, volts), step * period, 4, n, dn, base, total)
             at += step

@@ -48,6 +48,8 @@ class Flown(Protocol):
     @property
     def duty(self) -> Array: ...
     @property
+    def settings(self) -> Array: ...
+    @property
     def supply_v(self) -> Array: ...
     @property
     def gyro(self) -> Array: ...
@@ -209,9 +211,9 @@ def drive_run(model: Model, run: Flown) -> Drive:
         raise BadInputError("a run of one row cannot be flown; give at least two")
     craft, sensor = craft_of_model(model), sensors_of_model(model)
     supply = np.ascontiguousarray(1000.0 * run.supply_v, np.float64)
-    duty = np.ascontiguousarray(run.duty, np.float64)
-    start = settled_rev_s(craft, duty[0], float(supply[0]))
-    speed = np.empty((2 * len(duty) - 1, 4))
+    duty = np.ascontiguousarray(run.settings, np.float64)
+    start = settled_rev_s(craft, run.duty[0], float(supply[0]))
+    speed = np.empty((2 * len(supply) - 1, 4))
     spin(craft[0], duty, supply, run.period_s, float(sensor[0]["delay"]), start, speed)
     push = np.empty((len(speed), 5))
     drives(craft[0], speed, run.period_s, push)

@@ -58,6 +58,11 @@ class MadeRun:
     states: Array
     reference: Array
 
+    @property
+    def settings(self) -> Array:
+        """The duty: rows are as fast as the motors are set."""
+        return self.duty
+
 
 def fly_reference(
     model: Model, reference: Reference, supply_v: float = 3.7, turning: Turning = "body"

@@ -56,8 +56,12 @@ def _channels() -> tuple[Channel, ...]:
         ),
         *(Channel(a, "deg", "deg", "attitude", i, degree) for i, a in enumerate(angles)),
         *(Channel(f"rotor_{m + 1}", "rpm", "rpm", "rotor_rev_s", m, 60.0) for m in motors),
+        *(Channel(f"duty_step_{m + 1}", "1", "", "duty_step", m, 1.0) for m in motors),
     )
 
 
 CHANNELS = _channels()
-"""Battery, duties, gyro, accelerometer, attitude (pitch nose down positive), rotors."""
+"""Battery, duties, gyro, accelerometer, attitude (pitch nose down positive), rotors, and what slow
+rows know of two settings."""
+UNUSUAL = ("rotor_rev_s", "duty_step")
+"""Fields that most sources do not have and nobody misses."""

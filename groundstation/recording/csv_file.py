@@ -183,6 +183,7 @@ def _from_counts(
         attitude=attitude,
         rotor_rev_s=np.full((len(ticks), 4), np.nan, np.float32),
         debug=debug,
+        duty_step=np.full((len(ticks), 4), np.nan, np.float32),
     )
 
 

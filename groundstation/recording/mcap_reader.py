@@ -20,6 +20,7 @@ from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     ENTRY_TOPICS,
     EVENTS_TOPIC,
+    MAY_BE_EMPTY,
     RAW_DEFINITION,
     RAW_TOPIC,
     SAMPLE_FIELDS,
@@ -203,7 +204,7 @@ class _Topics:
         assert schema is not None
         definition = Definition.parse(schema.data.decode())
         for field in ours.fields:
-            if field not in definition.fields:
+            if field not in definition.fields and field.name not in MAY_BE_EMPTY:
                 raise ValueError(f"has no {field.name} of type {field.dtype}; not ours to read")
         return definition
 
@@ -229,14 +230,18 @@ class _SampleColumns:
         plan = [
             (places[name], width * self._types[name].itemsize, self._columns[column])
             for column, (name, width) in SAMPLE_FIELDS.items()
+            if name in places
         ]
-        tick, ticks, rotors = places["tick_s"], places["ticks"], places["rotor_rev_s"]
+        none_of = [(self._columns[n], SAMPLE_FIELDS[n][1]) for n in MAY_BE_EMPTY if n not in places]
+        tick, ticks = places["tick_s"], places["ticks"]
+        empty = [(places[n], SAMPLE_FIELDS[n][1]) for n in MAY_BE_EMPTY if n in places]
 
         def add(payload: memoryview) -> None:
             parts = definition.slices(payload)
             rows = len(parts[ticks]) // 8
-            if not len(parts[rotors]):
-                parts[rotors] = memoryview(_NAN * (4 * rows))
+            for place, width in empty:
+                if not len(parts[place]):
+                    parts[place] = memoryview(_NAN * (width * rows))
             for place, row_bytes, _ in plan:
                 if len(parts[place]) != rows * row_bytes:
                     raise ValueError(
@@ -245,6 +250,8 @@ class _SampleColumns:
             parts[ticks] = self._rescaled(parts[ticks], parts[tick])
             for place, _, column in plan:
                 column += parts[place]
+            for column, width in none_of:
+                column += _NAN * (width * rows)
 
         return add
 

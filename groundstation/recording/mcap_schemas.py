@@ -62,6 +62,7 @@ float32[] accelerometer_m_s2  # [n * 3] specific force along x, y, z
 float32[] attitude_rad        # [n * 3] roll, pitch (nose down positive), yaw
 float32[] rotor_rev_s         # [n * 4] measured rotor speeds, or empty
 uint8[] copies                # [n] agreeing copies of the packet
+float32[] duty_step           # [n * 4] second less first setting in a row's duty, or empty
 """)
 
 SAMPLE_FIELDS: dict[str, tuple[str, int]] = {
@@ -76,8 +77,11 @@ SAMPLE_FIELDS: dict[str, tuple[str, int]] = {
     "attitude": ("attitude_rad", 3),
     "rotor_rev_s": ("rotor_rev_s", 4),
     "debug": ("debug", 1),
+    "duty_step": ("duty_step", 4),
 }
 """Column of a ``SampleBatch`` -> field of the definition and numbers per row."""
+MAY_BE_EMPTY = ("rotor_rev_s", "duty_step")
+"""Columns, named as their fields, that few sources have; older recordings know them not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +172,7 @@ def encode_samples(batch: SampleBatch) -> bytes:
         field: getattr(batch, column) for column, (field, _) in SAMPLE_FIELDS.items()
     }
     values["tick_s"] = batch.tick_s
-    if np.isnan(batch.rotor_rev_s).all():
-        values["rotor_rev_s"] = ()
+    values |= {name: () for name in MAY_BE_EMPTY if np.isnan(getattr(batch, name)).all()}
     return SAMPLES_DEFINITION.encode(values)
 
 

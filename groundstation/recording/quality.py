@@ -86,7 +86,11 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         },
         "battery": _battery(samples),
         "ranges": _ranges(samples),
-        "missing": [channel.name for channel in CHANNELS if not channel.is_in(samples)],
+        "missing": [
+            channel.name
+            for channel in CHANNELS
+            if channel.field != "duty_step" and not channel.is_in(samples)
+        ],
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
         "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),

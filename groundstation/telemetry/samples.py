@@ -62,6 +62,8 @@ class SampleBatch:
     battery_v: (n,) float32.
     duty: (n, 4) float32, 0..1, the PWM that acted over the 2 ms before the gyro sample; where
         rows are slower, the mean of two such settings if the source has both.
+    duty_step: (n, 4) float32, the second of these two settings less the first; NaN where ``duty``
+        is no such mean.
     gyro: (n, 3) float32, rad/s.
     accelerometer: (n, 3) float32, specific force in m/s^2.
     attitude: (n, 3) float32, roll pitch yaw in rad.
@@ -80,6 +82,7 @@ class SampleBatch:
     attitude: NDArray[np.float32]
     rotor_rev_s: NDArray[np.float32]
     debug: NDArray[np.uint32]
+    duty_step: NDArray[np.float32]
     tick_s: float = TICK_S
 
     def __len__(self) -> int:
@@ -142,6 +145,7 @@ _PARTS: dict[str, Sequence[str]] = {
     "accelerometer": "xyz",
     "attitude": ("roll", "pitch", "yaw"),
     "rotor_rev_s": "1234",
+    "duty_step": "1234",
 }
 _PHYSICAL = ("battery_v", *_PARTS)
 _INTEGER_TYPES: dict[str, type[np.generic]] = {
@@ -189,6 +193,7 @@ def samples_from_packets(
         attitude=attitude,
         rotor_rev_s=np.full((len(records), 4), np.nan, np.float32),
         debug=records["debug"].astype(np.uint32),
+        duty_step=np.full((len(records), 4), np.nan, np.float32),
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import LONGEST_GAP_S, filled
-from groundstation.identification.runs import FASTEST_HZ
+from groundstation.identification.runs import FASTEST_HZ, both_settings
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
 
@@ -21,7 +21,9 @@ SLOWEST_HZ = 200.0
 """Slower telemetry has too few rows in half a second to be judged."""
 RHYTHM_ROWS = 50
 """Samples from which the period is told."""
-WIDTH = 14
+WIDTH = 18
+INPUTS = (0, 1, 2, 3, 4, 14, 15, 16, 17)
+"""Columns that are known between their neighbours: duty, supply and the step of the duty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,7 @@ class Piece:
     """Consecutive rows (``prediction.prediction.Flown``). Inputs of lost rows are on the line
     between their neighbours; what a lost row would have measured is NaN.
 
-    duty: (n, 4), supply_v: (n,), gyro, accelerometer, attitude: (n, 3), SI.
+    duty, duty_step: (n, 4), supply_v: (n,), gyro, accelerometer, attitude: (n, 3), SI.
     """
 
     period_s: float
@@ -38,6 +40,12 @@ class Piece:
     gyro: Array
     accelerometer: Array
     attitude: Array
+    duty_step: Array
+
+    @property
+    def settings(self) -> Array:
+        """As of ``identification.runs.Run``."""
+        return both_settings(self.duty, self.duty_step)
 
     def since(self, row: int) -> Piece:
         """The same from a row on."""
@@ -48,6 +56,7 @@ class Piece:
             self.gyro[row:],
             self.accelerometer[row:],
             self.attitude[row:],
+            self.duty_step[row:],
         )
 
 
@@ -80,12 +89,13 @@ class Rows:
                 samples.gyro,
                 samples.accelerometer,
                 samples.attitude,
+                samples.duty_step,
             ]
         )
         # With the row before, so that what is lost first lies between two neighbours.
         start = max(len(self._table) - 1, 0)
         self._table = np.concatenate([self._table, new])
-        self._table[start:, :5] = filled(self._table[start:, :5])
+        self._table[start:, INPUTS] = filled(self._table[start:, INPUTS])
         self._time_s = np.concatenate([self._time_s, np.interp(np.arange(rows), place, time_s)])
         hosts = np.interp(np.arange(rows), place, samples.host_time_ns - samples.host_time_ns[0])
         self._host_ns = np.concatenate(
@@ -110,6 +120,7 @@ class Rows:
             np.ascontiguousarray(part[:, 5:8]),
             np.ascontiguousarray(part[:, 8:11]),
             np.ascontiguousarray(part[:, 11:14]),
+            np.ascontiguousarray(part[:, 14:18]),
         )
 
     def time_s(self, first: int, last: int) -> Array:

@@ -93,6 +93,7 @@ GROUPS: tuple[Group, ...] = (
     ),
     Group("/telemetry/battery", "battery_v", 1.0, ("battery",), ((255, 202, 40),)),
     Group("/telemetry/rotors", "rotor_rev_s", 60.0, ("M1", "M2", "M3", "M4"), MOTORS),
+    Group("/telemetry/motor_steps", "duty_step", 100.0, ("M1", "M2", "M3", "M4"), MOTORS),
 )
 """Shown in degrees, deg/s, g, % duty, V and rpm."""
 

@@ -25,6 +25,7 @@ def flown(yaw_s=(0.0, SECONDS), seed=0):
     columns = {name: np.zeros((rows, 3)) for name in CHANNELS}
     columns |= {"duty": duty, "rotor_rev_s": np.full((rows, 4), np.nan)}
     columns |= {"supply_v": np.full(rows, 3.9), "debug_s": np.zeros(rows)}
+    columns["duty_step"] = np.full((rows, 4), np.nan)
     return [Run("flight", 0.0, PERIOD_S, **columns)]
 
 

@@ -412,6 +412,7 @@ def test_every_regime_that_is_expected_is_one_that_reports_have():
         attitude=np.zeros((3000, 3)),
         rotor_rev_s=np.full((3000, 4), np.nan),
         debug_s=np.zeros(3000),
+        duty_step=np.full((3000, 4), np.nan),
     )
     assert set().union(*REGIMES.values()) <= set(regimes_of(flight, motion_of(flight, THESIS)))
     assert set(REGIMES) == set(LISTED)

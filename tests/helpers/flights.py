@@ -87,6 +87,7 @@ def sample_batches(draw, max_rows=40, tick_s=None):
         columns[name] = draw(hnp.arrays(like.dtype, like.shape, elements=elements))
     if draw(st.booleans()):
         columns["rotor_rev_s"] = np.full((rows, 4), np.nan, np.float32)
+        columns["duty_step"] = np.full((rows, 4), np.nan, np.float32)
     return SampleBatch(**columns, tick_s=batch.tick_s)
 
 

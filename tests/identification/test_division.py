@@ -30,6 +30,7 @@ def flown_in_turn(name="steps"):
     columns = {channel: np.zeros((rows, 3)) for channel in CHANNELS}
     columns |= {"duty": duty, "rotor_rev_s": np.full((rows, 4), np.nan)}
     columns |= {"supply_v": np.full(rows, 3.9), "debug_s": np.zeros(rows)}
+    columns["duty_step"] = np.full((rows, 4), np.nan)
     return Run(name, 0.0, PERIOD_S, **columns)
 
 

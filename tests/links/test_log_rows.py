@@ -156,7 +156,21 @@ def test_a_slow_row_holds_the_mean_of_both_settings_that_acted_before_it():
     acted = samples.duty[:, 2] * 65535 / 100.0
     whole = ~np.isin(read_at, [4, 204])  # the setting before these rows was not heard
     assert acted[whole] == pytest.approx(read_at[whole] - 3)  # of those 4 and 2 ms ago
+    assert samples.duty_step[whole] == pytest.approx(200.0 / 65535, rel=1e-4)
+    assert np.isnan(samples.duty_step[~whole]).all()
     assert samples.accelerometer[:, 2] == pytest.approx(9.80665 * read_at, rel=1e-6)
+
+
+def test_a_row_of_more_than_two_settings_does_not_tell_one_from_the_other():
+    rows = LogRows(TWICE, 10)
+
+    def block(t):
+        return (0.0, 0.0, 0.0, *4 * (100.0 * t,))
+
+    first, second = packets(range(0, 400, 10), 0, block), packets(range(5, 400, 10), 1, block)
+    samples = rows.add(in_order(first, second))
+    assert np.isfinite(samples.duty).all()
+    assert np.isnan(samples.duty_step).all()
 
 
 def test_a_second_block_of_the_same_moment_tells_nothing_more_of_the_motors():
@@ -169,3 +183,4 @@ def test_a_second_block_of_the_same_moment_tells_nothing_more_of_the_motors():
     samples = rows.add(in_order(packets(times, 0, both), packets(times, 1, both)))
     acted = samples.duty[1:, 0] * 65535 / 100.0
     assert acted == pytest.approx(np.rint(samples.time_s[1:] * 1000) - 4)
+    assert np.isnan(samples.duty_step).all()

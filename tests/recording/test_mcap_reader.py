@@ -20,7 +20,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.cdr import Definition
 from groundstation.recording.mcap_reader import read_mcap
+from groundstation.recording.mcap_schemas import SAMPLE_FIELDS, SAMPLES_DEFINITION
 from groundstation.recording.recording_file import RecordingFile, write_mcap
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -414,6 +416,21 @@ def test_a_definition_that_lacks_a_field_is_refused(path):
         writer.finish()
     with pytest.raises(RecordingError, match="/telemetry/samples: has no tick_s"):
         read_mcap(path)
+
+
+def test_a_recording_from_before_a_row_had_two_settings_is_read(path):
+    samples = flight(0, 50)[1]
+    text, _, _ = SAMPLES_DEFINITION.text.partition("float32[] duty_step")
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start()
+        schema = writer.register_schema("groundstation_msgs/msg/Samples", "ros2msg", text.encode())
+        channel = writer.register_channel("/telemetry/samples", "cdr", schema)
+        values = {field: getattr(samples, name) for name, (field, _) in SAMPLE_FIELDS.items()}
+        message = {**values, "tick_s": samples.tick_s}
+        writer.add_message(channel, 1, Definition.parse(text).encode(message), 1)
+        writer.finish()
+    assert_same_samples(read_mcap(path).samples, samples)
 
 
 def test_messages_that_do_not_decode_are_counted_not_guessed(path):

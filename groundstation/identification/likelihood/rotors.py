@@ -69,14 +69,17 @@ def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
 def _run(flight: Flight, record: np.void, supply: Array, start: Array) -> Rotors:
     from groundstation.dynamics.motor_kernels import run_motors
 
-    duty, period = flight.run.duty, flight.run.period_s
-    end, square = np.empty_like(duty), np.empty_like(duty)
-    square[0] = start**2
-    voltage = np.ascontiguousarray(duty[1:] * supply[1:, None])
-    run_motors(record, voltage, supply[1:], period, SUBSTEPS, start, end, square[1:])
+    run, settings = flight.run, flight.run.settings
+    each = len(settings) // len(run)
+    behind = np.repeat(supply[1:], each)
+    voltage = np.ascontiguousarray(settings[each:] * behind[:, None])
+    speed, square = np.empty((len(voltage) + 1, 4)), np.empty_like(voltage)
+    run_motors(record, voltage, behind, run.period_s / each, SUBSTEPS, start, speed, square)
+    end, mean = speed[::each].copy(), square.reshape(-1, each, 4).mean(axis=1)
+    mean = np.vstack([start**2, mean])
     np.clip(np.nan_to_num(end, copy=False), 0.0, FASTEST_REV_S, out=end)
-    np.clip(np.nan_to_num(square, copy=False), 0.0, FASTEST_REV_S**2, out=square)
-    return Rotors(end, square)
+    np.clip(np.nan_to_num(mean, copy=False), 0.0, FASTEST_REV_S**2, out=mean)
+    return Rotors(end, mean)
 
 
 def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import msgspec
 import numpy as np
 import pytest
 
-from groundstation.dynamics.model import vehicle_model, with_motor
+from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model, with_motor
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.frame import Frame
@@ -13,8 +16,10 @@ from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import rotor_squares
+from groundstation.prediction.prediction import drive_run
 
 ROWS = 2500
+SAME = ("supply_v", "gyro", "accelerometer", "attitude", "rotor_rev_s", "debug_s")
 FOUR = tuple(MotorConstants(1.2 + 0.1 * i, 9.0 + i, 0.004 * i) for i in range(4))
 VEHICLE = BUILT_IN["crazyflie21"]
 
@@ -34,6 +39,7 @@ def run():
         attitude=missing,
         rotor_rev_s=np.full((ROWS, 4), np.nan),
         debug_s=np.zeros(ROWS),
+        duty_step=np.full((ROWS, 4), np.nan),
     )
 
 
@@ -56,3 +62,34 @@ def test_each_rotor_turns_by_its_own_motor_in_the_fit_as_in_the_search(run, key)
     np.testing.assert_allclose(search, fit, rtol=1e-8)
     alike = spin_rotors(flight, point, Frame(VEHICLE)).square[late].mean(axis=0)
     assert np.ptp(alike) < 0.1 * apart
+
+
+def test_slow_rows_that_tell_two_settings_turn_rotors_as_fast_rows_do(run):
+    """Settings that alternate, as an attitude that is new in every second of them makes them: a
+    motor that brakes otherwise than it speeds up answers to more than their mean."""
+    alternating = 0.05 * (-1.0) ** np.arange(ROWS)[:, None] * [1, -1, 1, -1]
+    fast = replace(run, duty=run.duty + alternating)
+    first, second = fast.duty[:-1:2], fast.duty[1::2]
+    every_second = {name: getattr(run, name)[1::2] for name in SAME}
+    mean, step = 0.5 * (first + second), second - first
+    told = replace(run, period_s=0.004, duty=mean, duty_step=step, **every_second)
+    untold = replace(told, duty_step=np.full_like(step, np.nan))
+    model = with_motor(vehicle_model(VEHICLE), mean_motor(FOUR))
+    braked = EffectTerm("motor_braking_asymmetry", {"factor": Estimate(0.6)})
+    model = msgspec.structs.replace(model, effects=(braked,))
+    late = slice(ROWS // 4, None)
+
+    def fitted(one):
+        return rotor_squares(one, model.motor, braking=0.6).end
+
+    def searched(one):
+        (flight,) = prepare([one])
+        return spin_rotors(flight, point_of(model), Frame(VEHICLE)).end ** 2
+
+    def predicted(one):
+        return drive_run(model, one).rotor_rev_s ** 2
+
+    for behind in (fitted, searched, predicted):
+        true = behind(fast)[1::2][late]
+        np.testing.assert_allclose(behind(told)[late], true, rtol=1e-6)
+        assert np.abs(behind(untold)[late] / true - 1.0).min() > 0.01
