@@ -12,7 +12,7 @@ import numpy as np
 from groundstation.control.plant import RATES
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.arx import SLOPE_ROWS
-from groundstation.dynamics.attitude_filter import fuse, smoothed
+from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, fuse, smoothed
 from groundstation.dynamics.compiled import kernel, spliced
 from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.kernels import craft_step, normalise
@@ -283,6 +283,7 @@ def cascade_run(
     before = body_slope(p, n, still, STILL, y, work[0], ALL)
     begin(craft, before, z[0])
     felt, volts = before.force, still
+    smoothing = SMOOTHING if f.today == 0 else UNSMOOTHED
     kept = rows if turns != 0 else 0
     inputs, outputs = np.zeros((kept, 3)), np.zeros((kept, 3))
     for k in range(rows):
@@ -294,7 +295,7 @@ def cascade_run(
             follow(craft, before, after, period, z)
             before = after
         reading = sense(p, before, z[0], z[1])
-        felt = smoothed(felt, reading.accelerometer, period)
+        felt = smoothed(felt, reading.accelerometer, period, smoothing)
         q = (y[6], y[7], y[8], y[9])
         if turns == 0:
             q = estimated(craft, q, z[0])

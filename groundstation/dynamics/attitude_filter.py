@@ -1,6 +1,9 @@
 """The on-board attitude filter: Mahony, Hamel and Pflimlin, 2008, as the Crazyflie firmware has it.
 
-A filter is ten numbers: quaternion 0-3, smoothed accelerometer 4-6, integral of the error 7-9.
+A filter is ten numbers: quaternion 0-3, accelerometer as the filter has it 4-6, integral of the
+error 7-9. Release 2014.01.0 smooths the accelerometer for the filter alone (``imu_acc_lpf.factor``
+32 of 256); today's complementary estimator takes what its sensors' own low-pass leaves
+(``estimator_complementary.c``).
 """
 
 from __future__ import annotations
@@ -12,15 +15,17 @@ from groundstation.dynamics import quaternion
 from groundstation.dynamics.compiled import inner
 
 SMOOTHING, SMOOTHING_S = 0.125, 0.002
-"""The firmware's accelerometer filter: share of each new sample, at this period."""
+"""The accelerometer filter of 2014's firmware: share of each new sample, at this period."""
+UNSMOOTHED = 1.0
+"""Such a share of today's."""
 
 
 @inner
-def smoothed(before: Any, accelerometer: Any, period: float) -> Any:
-    """The firmware's smoothed accelerometer one sample later."""
-    share = SMOOTHING
+def smoothed(before: Any, accelerometer: Any, period: float, share: float) -> Any:
+    """The accelerometer as the filter has it, one sample later. share: ``SMOOTHING`` or
+    ``UNSMOOTHED``."""
     if period != SMOOTHING_S:
-        share = 1.0 - (1.0 - SMOOTHING) ** (period / SMOOTHING_S)
+        share = 1.0 - (1.0 - share) ** (period / SMOOTHING_S)
     return (
         before[0] + share * (accelerometer[0] - before[0]),
         before[1] + share * (accelerometer[1] - before[1]),

@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED
 from groundstation.dynamics.craft import acting, craft_of_model
-from groundstation.dynamics.model import Model
+from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.rotations import attitude_of_matrix, quaternion_of_attitude
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ SENSORS = np.dtype(
     [
         ("delay", "f8"),  # s
         ("gains", "f8", (2,)),  # of the attitude filter, 1/s and 1/s^2; 0: angles are the truth
+        ("smoothing", "f8"),  # of the accelerometer before that filter (attitude_filter.smoothed)
         ("mounting", "f8", (3, 3)),  # body <- sensor: undoes what the sensors' laws turn
         ("mount", "f8", (4,)),  # the same as a quaternion, of the reported angles
         ("rotated", "i8"),
@@ -56,6 +58,8 @@ def sensors_of_model(model: Model) -> NDArray[np.void]:
     for effect, values in acting(model):
         if effect.stage == "attitude":
             sensor["gains"] += effect.law(tuple(values.values()))
+    today = model_vehicle(model).firmware == "2.x"
+    sensor["smoothing"] = UNSMOOTHED if today else SMOOTHING
     sensor["mounting"] = np.eye(3)
     craft = craft_of_model(model)
     if craft[0]["acts_sensor"]:

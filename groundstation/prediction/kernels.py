@@ -176,7 +176,7 @@ def _advance(
 def _lean(f: Any, sensor: Any, gyro: Any, felt: Any, h: float, fresh: bool, since: float) -> None:
     """The attitude filter f one row later; it turns on fresh rows. The firmware takes off the bias
     that it found at rest."""
-    kept = smoothed((f[4], f[5], f[6]), felt, h)
+    kept = smoothed((f[4], f[5], f[6]), felt, h, sensor.smoothing)
     f[4], f[5], f[6] = kept
     if fresh:
         rate = (gyro[0] - sensor.zero[0], gyro[1] - sensor.zero[1], gyro[2] - sensor.zero[2])

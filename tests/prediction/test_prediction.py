@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from affected_flights import BASE, MEDIUM, affected, flown
 
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
 from groundstation.prediction.observer import Noise, gains_of
@@ -89,6 +90,19 @@ def test_a_slung_load_is_predicted_from_the_ground_on():
     without, within = over_noise(BASE, run), over_noise(affected("slung_load", load), run)
     assert without[:, CHANNELS.index("gyro x")].max() > 1.5
     assert within.max() < 1.2
+
+
+def test_the_attitude_filter_of_2014_smooths_the_accelerometer_and_todays_does_not(clean):
+    """Release 2014.01.0 takes an eighth of each sample; today's estimator what its sensors give."""
+    felt = clean.accelerometer
+    lean = affected("attitude_filter_lean")
+    profile = msgspec.structs.replace(BUILT_IN["crazyflie1"], firmware="2.x")
+    today = msgspec.structs.replace(lean, vehicle_profile=profile)
+    old, new = (observe_run(model, clean).filters[:, 4:7] for model in (lean, today))
+    aloft = slice(5000, 15000)
+    change, expected = old[1:] - old[:-1], 0.125 * (felt[1:] - old[:-1])
+    np.testing.assert_allclose(change[aloft], expected[aloft], atol=1e-9)
+    np.testing.assert_allclose(new[aloft], felt[aloft], atol=1e-9)
 
 
 def test_two_effects_at_once_are_both_accounted_for():
