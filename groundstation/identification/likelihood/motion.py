@@ -54,6 +54,16 @@ class Inputs:
             _rows((end - before) / period_s),
         )
 
+    @classmethod
+    def of_halves(cls, halves: Rotors, delay_s: float, period_s: float) -> tuple[Inputs, Inputs]:
+        """Of the first and the second half of each row's period."""
+        both = cls.of(halves, delay_s, 0.5 * period_s)
+        fields = (both.mean, both.last, both.rotor, both.slope)
+        first, second = (
+            cls(*(_rows(np.column_stack(rows)[half::2]) for rows in fields)) for half in (0, 1)
+        )
+        return first, second
+
     def one_before(self) -> Inputs:
         """A row later."""
         return Inputs(*map(one_before, (self.mean, self.last, self.rotor, self.slope)))

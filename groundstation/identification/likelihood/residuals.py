@@ -38,7 +38,7 @@ from groundstation.identification.likelihood.parameters import (
     TIMING,
     value,
 )
-from groundstation.identification.likelihood.rotors import spin_rotors
+from groundstation.identification.likelihood.rotors import Rotors, spin_rotors
 from groundstation.identification.likelihood.sensing import (
     FORCES,
     RATES,
@@ -125,7 +125,11 @@ class _Evaluation:
         self.gyro, self.force = self.sensors.true(run.gyro, run.accelerometer)
         self.motion = Motion(flight, self.force, self.sensors.turn, leaning=self.lean > 0.0)
         self.delay = sum(one.law() for one in self.effects("delay"))
-        self.inputs = self._inputs(point)
+        rotors = self._rotors(point)
+        self.inputs = Inputs.of(rotors, self.delay, self.period)
+        self.halves: tuple[Inputs, ...] = ()
+        if rotors.halves is not None:
+            self.halves = Inputs.of_halves(rotors.halves, self.delay, self.period)
         self.equal = [
             self.motion.thrust(self.craft, self.inputs, mean=mean) for mean in (False, True)
         ]
@@ -143,8 +147,10 @@ class _Evaluation:
         self.angular_peak = float(np.abs(self.gyro_model).max())
 
     def _inputs(self, point: Mapping[str, float]) -> Inputs:
-        rotors = spin_rotors(self.flight, point, self.frame)
-        return Inputs.of(rotors, self.delay, self.period)
+        return Inputs.of(self._rotors(point), self.delay, self.period)
+
+    def _rotors(self, point: Mapping[str, float]) -> Rotors:
+        return spin_rotors(self.flight, point, self.frame)
 
     def effects(self, stage: Stage, moved: Moved | None = None) -> tuple[Acting, ...]:
         """The effects of a stage; moved: others in the place of some."""
@@ -181,8 +187,19 @@ class _Evaluation:
         """The model where the effects are as they are: ``middle`` over the period before each
         row, ``row`` at the row, and what the sensors make of the two."""
         self.middle, self.row = self._bodies()
+        self.within = self._within()
         self.moving, self.passing = self._sensed(self.middle, self.row)
         self.gyro_model, self.force_model = self.sensors.in_body(self.passing[-1], self.moving)
+
+    def _within(self) -> Array | None:
+        """How angular acceleration (n, 3) differs between the halves of each row's period: the
+        filter behind the gyro sees when a torque acted."""
+        if not self.halves:
+            return None
+        first, second = (
+            stacked(self._body(True, inputs=half).angular, len(self.gyro)) for half in self.halves
+        )
+        return second - first
 
     def _turn(self) -> None:
         """The same where only the rates are others, and the model does not depend on them."""
@@ -190,7 +207,8 @@ class _Evaluation:
         self.moving, self.passing = self._sensed(self.middle, self.row)
 
     def _sensed(self, middle: BodyRows, row: BodyRows) -> tuple[Moving, list[Passing]]:
-        moving = Moving(self.motion.at_rows(row), self.period, max(self.flight.first - 1, 0))
+        first = max(self.flight.first - 1, 0)
+        moving = Moving(self.motion.at_rows(row), self.period, first, self.within)
         given = Passing(row.rate, middle.angular, row.force)
         return moving, self.sensors.shown(given, moving)
 

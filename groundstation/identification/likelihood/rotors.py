@@ -31,10 +31,12 @@ KNOT_S = 10.0
 
 @dataclass(slots=True)
 class Rotors:
-    """end: (n, 4) rev/s at the rows. square: (n, 4) mean square over the period before."""
+    """end: (n, 4) rev/s at the rows. square: (n, 4) mean square over the period before. halves: the
+    same (2 n, 4) of half periods, where rows tell two settings."""
 
     end: Array
     square: Array
+    halves: Rotors | None = None
 
 
 def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rotors:
@@ -75,11 +77,14 @@ def _run(flight: Flight, record: np.void, supply: Array, start: Array) -> Rotors
     voltage = np.ascontiguousarray(settings[each:] * behind[:, None])
     speed, square = np.empty((len(voltage) + 1, 4)), np.empty_like(voltage)
     run_motors(record, voltage, behind, run.period_s / each, SUBSTEPS, start, speed, square)
-    end, mean = speed[::each].copy(), square.reshape(-1, each, 4).mean(axis=1)
-    mean = np.vstack([start**2, mean])
+    before = np.tile(start, (each, 1))
+    end, mean = np.vstack([before[1:], speed]), np.vstack([before**2, square])
     np.clip(np.nan_to_num(end, copy=False), 0.0, FASTEST_REV_S, out=end)
     np.clip(np.nan_to_num(mean, copy=False), 0.0, FASTEST_REV_S**2, out=mean)
-    return Rotors(end, mean)
+    if each == 1:
+        return Rotors(end, mean)
+    rows = mean.reshape(-1, each, 4).mean(axis=1)
+    return Rotors(end[each - 1 :: each].copy(), rows, Rotors(end, mean))
 
 
 def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float:

@@ -48,11 +48,16 @@ class Passing:
 
 @dataclass
 class Moving:
-    """A craft as its sensors have it, at each row; the sensors are settled at row ``first``."""
+    """A craft as its sensors have it, at each row; the sensors are settled at row ``first``.
+
+    within: (n, 3) rad/s^2, by how much the mean angular acceleration of the second half of the
+    period before a row is more than that of the first; None: it is held over the period.
+    """
 
     now: BodyRows
     period_s: float
     first: int
+    within: Array | None = None
 
     @cached_property
     def before(self) -> BodyRows:
@@ -146,7 +151,8 @@ class Sensors:
         count, period = len(moving), moving.period_s
         angular, force = stacked(shown.angular, count), stacked(shown.force, count)
         if self.gyro_filter_hz:
-            angular = _filtered_on_board(angular, self.gyro_filter_hz, period, mean=True)
+            within = moving.within
+            angular = _filtered_on_board(angular, self.gyro_filter_hz, period, True, within)
         if self.accelerometer_filter_hz:
             force = self._force_filtered(force, period)
         if not self.effects:
@@ -168,7 +174,7 @@ class Sensors:
         behind: how many of the sensors they have passed already.
         """
         if part == RATES and self.gyro_filter_hz:
-            values = _filtered_on_board(values, self.gyro_filter_hz, moving.period_s, mean=True)
+            values = _filtered_on_board(values, self.gyro_filter_hz, moving.period_s, True)
         elif part == FORCES and self.accelerometer_filter_hz:
             values = self._force_filtered(values, moving.period_s)
         matrix = np.eye(3)
@@ -186,7 +192,7 @@ class Sensors:
         Not along z: what is fast there is less thrust than the noise of modelled and measured rotor
         speeds, and behind the filter it would say how late everything is.
         """
-        plane = _filtered_on_board(force[:, :2], self.accelerometer_filter_hz, period_s, mean=False)
+        plane = _filtered_on_board(force[:, :2], self.accelerometer_filter_hz, period_s, False)
         return np.column_stack([plane, force[:, 2]])
 
     def alike(self, other: Sensors) -> bool:
@@ -278,11 +284,20 @@ def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
     angular, force = stacked(given.angular, count), stacked(given.force, count)
     rate = stacked(given.rate, count) @ gain[RATES, RATES].T - angular @ lag[RATES, RATES].T
     if near.c[RATES].any():
-        angular = _filtered(near, RATES, angular, moving)
+        angular = _filtered_rates(near, angular, moving)
     if near.c[FORCES].any():
         force = _filtered(near, FORCES, force, moving)
     rows = (np.ascontiguousarray(part.T) for part in (rate, angular, force))
     return Passing(*(tuple(part) for part in rows))
+
+
+def _filtered_rates(near: Linear, angular: Array, moving: Moving) -> Array:
+    """Slopes of rates (n, 3) behind a sensor, which sees those within a row as well."""
+    if moving.within is None:
+        return _filtered(near, RATES, angular, moving)
+    halves = np.stack([angular - 0.5 * moving.within, angular + 0.5 * moving.within], axis=1)
+    finer = replace(moving, period_s=0.5 * moving.period_s, first=2 * moving.first)
+    return _filtered(near, RATES, halves.reshape(-1, 3), finer).reshape(-1, 2, 3).mean(axis=1)
 
 
 def _filtered(near: Linear, part: slice, values: Array, moving: Moving) -> Array:
@@ -326,15 +341,22 @@ def _discrete(near: Linear, rates: bool, h: float) -> Array:
     return np.block([[keep, ramp, held - ramp], [c @ keep, c @ ramp + d, c @ (held - ramp)]])
 
 
-def _filtered_on_board(values: Array, corner_hz: float, period_s: float, mean: bool) -> Array:
+def _filtered_on_board(
+    values: Array, corner_hz: float, period_s: float, mean: bool, within: Array | None = None
+) -> Array:
     """Rows (n, m) behind the firmware's Butterworth filter, which runs at 1 kHz: means over the
-    periods before them (mean), or values at the rows with straight lines between."""
+    periods before them (mean), or values at the rows with straight lines between.
+
+    within: (n, m), how much more than the first half of a period the second has."""
     from scipy.signal import butter, lfilter, lfilter_zi
 
     steps = max(round(FIRMWARE_HZ * period_s), 1)
     b, a = butter(2, corner_hz, fs=steps / period_s)
     start = lfilter_zi(b, a)[:, None] * values[:1]
     given = np.repeat(values, steps, axis=0)
+    if within is not None:
+        later = np.sign(np.arange(steps) - 0.5 * (steps - 1))
+        given += 0.5 * np.tile(later, len(values))[:, None] * np.repeat(within, steps, axis=0)
     if not mean:
         back = np.tile(np.arange(steps - 1, -1, -1) / steps, len(values))[:, None]
         given -= back * np.repeat(np.diff(values, axis=0, prepend=values[:1]), steps, axis=0)

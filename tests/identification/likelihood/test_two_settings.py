@@ -1,0 +1,66 @@
+"""Rows half as fast as the motors are set, which tell both settings: when a torque acted within a
+row shows behind the filter of the gyro."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from stand_in_flights import CARRYING_GAINS, recorded
+
+from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.frame import Frame
+from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.residuals import evaluate
+from groundstation.identification.recordings import flights_of
+
+PROGRAMME = Path(__file__).parents[3] / "bench" / "sealed" / "programme.toml"
+VEHICLE = BUILT_IN["crazyflie21"]
+INERTIA = "rotor_acceleration_torque.rotor_inertia_kg_m2"
+YAW, INERTIA_KG_M2 = 2, 1e-7
+MODEL = msgspec.structs.replace(
+    vehicle_model(VEHICLE),
+    effects=(
+        EffectTerm("gyro_filter", {"corner_hz": Estimate(80.0)}),
+        EffectTerm("rotor_acceleration_torque", {"rotor_inertia_kg_m2": Estimate(INERTIA_KG_M2)}),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def slow():
+    """Every second row of a noiseless flight that turns about every axis."""
+    gains = {**CARRYING_GAINS, "pid_rate.roll_kp": 125.0, "pid_rate.pitch_kp": 125.0}
+    samples, _ = recorded(
+        40.0,
+        seed=3,
+        craft="crazyflie21",
+        plant="reduced",
+        torque_noise=0.0,
+        sensor_noise=0.0,
+        program=str(PROGRAMME),
+        gains=gains,
+        effects={"rotor_acceleration_torque": {"rotor_inertia_kg_m2": INERTIA_KG_M2}},
+    )
+    first, second = samples.duty[1:-1:2], samples.duty[2::2]
+    both = {"duty": 0.5 * (first + second), "duty_step": second - first}
+    return replace(samples[2::2], **both)
+
+
+def inertia_off(samples):
+    """By what share these rows would move the rotors' inertia away from the true one."""
+    (flight,) = prepare(flights_of(samples, "flight"))
+    series = evaluate(flight, Frame(VEHICLE), point_of(MODEL), (INERTIA, "c2"))
+    columns = np.column_stack([series.columns[key][YAW] for key in (INERTIA, "c2")])
+    change = np.linalg.lstsq(columns, series.residual[YAW], rcond=None)[0]
+    return abs(change[0]) / INERTIA_KG_M2
+
+
+def test_the_rotors_inertia_is_right_where_rows_tell_both_settings(slow):
+    untold = replace(slow, duty_step=np.full_like(slow.duty_step, np.nan))
+    assert np.abs(slow.duty_step).mean() > 0.01  # they alternate
+    assert inertia_off(slow) < 0.005
+    assert inertia_off(untold) > 0.007
