@@ -20,7 +20,7 @@ EFFECT = Effect(
     name="motor_braking_asymmetry",
     stage="motor",
     law=law,
-    order=1,  # of the slope that the voltage at the motor gives
+    order=2,  # of the slope that the current leaves
     parameters=(
         Parameter(
             "factor",

@@ -22,7 +22,7 @@ from groundstation.identification.fit_record import (
     with_effects,
 )
 from groundstation.identification.motor.figures import motor_pictures
-from groundstation.identification.motor.problem import MotorRun
+from groundstation.identification.motor.problem import COASTING, MotorRun
 from groundstation.identification.motor.rotor_speed import rotor_readings
 from groundstation.identification.motor.rotors import (
     RotorFit,
@@ -42,6 +42,11 @@ SWAP_S = 0.1
 """Over which changes of speed are compared between rotors: about a motor's time constant."""
 SWAP_MARGIN = 0.2
 """By how much more a reading must go with another rotor's PWM than with its own."""
+CLEARLY_BELOW, LEAST_BELOW = 0.8, 0.01
+"""Voltage over what holds the speed below which a motor may coast, and the least share of rows with
+so little: a1/a0 n bounds the back EMF from above, so nearer to it a motor may still be driven."""
+TOLD = 3.0
+"""Standard errors from which coasting is told from none."""
 
 
 def identify_rotors(
@@ -64,14 +69,9 @@ def identify_rotors(
     held, held_out = rotor_runs(validate_on)
     _require_in_order(flights, before.motor)
     progress(0.2, "fitting the motors")
-    fit = fit_rotors(flights, before.motor, effects)
+    fit, coasting = _with_coasting(flights, held, before.motor, effects)
     progress(0.8, "judging them on held-out data")
-    judged = [
-        (run, fit.motors[rotor])
-        for four in held
-        for rotor, run in enumerate(four)
-        if run is not None and fit.told[rotor] and len(run.rev_s) * run.period_s > LEAST_S
-    ]
+    judged = _judged(held, fit)
     rows = sum(len(run) for run in fit_on)
     drawn = [
         (run, simulate_rotor(run, motor, fit.lag_s, fit.effects, tuple(fit.values.values())))
@@ -86,7 +86,7 @@ def identify_rotors(
         "held_out": apart,
         "estimates": fit.estimates.as_dict(),
         "rotors": _rotors(fit),
-        "findings": _findings(fit),
+        "findings": [*_findings(fit), coasting],
         "validation": [
             {"recording": run.name, "rotor_fit_percent": percent, "rotor_rms_rev_s": error}
             for run, motor in judged
@@ -102,6 +102,60 @@ def identify_rotors(
         effects=with_effects(before, effect_terms(fit.estimates, unit_of)),
     )
     return Identified(model, account, Evidence({"motor": fit.estimates}, traces, residuals))
+
+
+def _with_coasting(
+    flights: Sequence[Four], held: Sequence[Four], motor: MotorConstants, effects: Sequence[str]
+) -> tuple[RotorFit, str]:
+    """The fit, with ``motor_coasting`` where the flights tell it and held-out speeds are predicted
+    no worse by it; and what is known of it, in words."""
+    without = fit_rotors(flights, motor, [name for name in effects if name != COASTING])
+    below = _share_below(flights, without)
+    if below < LEAST_BELOW:
+        return without, (
+            f"{COASTING}: not identified, because only {100 * below:.2g} % of the voltages are"
+            f" below {CLEARLY_BELOW:g} of what holds the speed: the motors never had to brake hard"
+        )
+    fit = fit_rotors(flights, motor, list(dict.fromkeys([*effects, COASTING])))
+    place = fit.estimates.names.index(f"{COASTING}.share")
+    share, error = (
+        100.0 * float(one[place]) for one in (fit.estimates.values, fit.estimates.stderr)
+    )
+    said = f"{COASTING}: {share:.0f} +- {error:.0f} % of a braking current does not flow"
+    if COASTING in effects:
+        return fit, said
+    if share <= TOLD * error:
+        return without, f"{said}: none is told"
+    if _squares(held, fit) > _squares(held, without):
+        return without, f"{said}, but held-out speeds are predicted worse with it: left out"
+    return fit, said
+
+
+def _squares(held: Sequence[Four], fit: RotorFit) -> float:
+    """Sum of squared errors of held-out speeds."""
+    judged = _judged(held, fit)
+    return sum(len(run.rev_s) * validate_rotor(run, own, fit)[1] ** 2 for run, own in judged)
+
+
+def _share_below(flights: Sequence[Four], fit: RotorFit) -> float:
+    """Share of the rows whose voltage is clearly below what holds the mean speed."""
+    below = [
+        run.voltage_mv < CLEARLY_BELOW * np.exp(fit.shape[rotor, 0])
+        for four in flights
+        for rotor, run in enumerate(four)
+        if run is not None
+    ]
+    return float(np.concatenate(below).mean())
+
+
+def _judged(held: Sequence[Four], fit: RotorFit) -> list[tuple[MotorRun, MotorConstants]]:
+    """What is held out and long enough, with the motor of its rotor."""
+    return [
+        (run, fit.motors[rotor])
+        for four in held
+        for rotor, run in enumerate(four)
+        if run is not None and fit.told[rotor] and len(run.rev_s) * run.period_s > LEAST_S
+    ]
 
 
 def rotor_runs(runs: Sequence[Run]) -> tuple[list[Four], list[str]]:

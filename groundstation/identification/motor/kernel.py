@@ -50,40 +50,46 @@ def motor_sensitivities(
 def flawed_sensitivities(
     constants: Any, voltage: Any, period: float, start: float, speed: Any, sensitivity: Any
 ) -> None:
-    """The same with motor_dead_voltage and motor_braking_asymmetry.
+    """The same with motor_dead_voltage, motor_coasting and motor_braking_asymmetry.
 
-    constants: a0, a1, a2, dead voltage (mV), factor. sensitivity (k, 6): two more columns, by
-    the voltage and by the factor.
+    constants: a0, a1, a2, dead voltage (mV), share, factor. sensitivity (k, 7): three more
+    columns, by these.
     """
-    a0, a1, a2, dead, factor = constants[0], constants[1], constants[2], constants[3], constants[4]
+    a0, a1, a2 = constants[0], constants[1], constants[2]
+    dead, share, factor = constants[3], constants[4], constants[5]
     n = start
-    s = np.zeros(6)
+    s = np.zeros(7)
     s[3] = 1.0
     speed[0] = n
     sensitivity[0] = s
     m, slope, gain, g, f = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
+    flows, push = np.zeros(4), np.zeros(4)
     h = period
     for k in range(1, len(voltage)):
         u = max(voltage[k] - dead, 0.0) if voltage[k] > 0.0 else 0.0
         for i in range(4):
             reach = 0.0 if i == 0 else (h if i == 3 else 0.5 * h)
             m[i] = n + reach * slope[i - 1] if i else n
-            free = a0 * u - (a1 + a2 * m[i]) * m[i]
+            push[i] = a0 * u - a1 * m[i]
+            flows[i] = 1.0 - share if push[i] < 0.0 else 1.0
+            free = flows[i] * push[i] - a2 * m[i] * m[i]
             gain[i] = factor if free < 0.0 else 1.0
             slope[i] = gain[i] * free
-            g[i] = gain[i] * (a1 + 2.0 * a2 * m[i])
-        for j in range(6):
+            g[i] = gain[i] * (flows[i] * a1 + 2.0 * a2 * m[i])
+        for j in range(7):
             for i in range(4):
                 if j == 0:
-                    f[i] = gain[i] * u
+                    f[i] = gain[i] * flows[i] * u
                 elif j == 1:
-                    f[i] = -gain[i] * m[i]
+                    f[i] = -gain[i] * flows[i] * m[i]
                 elif j == 2:
                     f[i] = -gain[i] * m[i] * m[i]
                 elif j == 3:
                     f[i] = 0.0
                 elif j == 4:
-                    f[i] = -gain[i] * a0 if u > 0.0 else 0.0
+                    f[i] = -gain[i] * flows[i] * a0 if u > 0.0 else 0.0
+                elif j == 5:
+                    f[i] = -gain[i] * min(push[i], 0.0)
                 else:
                     f[i] = slope[i] / factor if slope[i] < 0.0 else 0.0
             s[j] = _step(s[j], h, g[0], g[1], g[2], g[3], f[0], f[1], f[2], f[3])

@@ -15,8 +15,10 @@ Array = NDArray[np.float64]
 DELAY, SHARED = 3, 4
 """Places among the parameters: the common delay, and what comes after a0, a1, a2 and it: the
 effects', then each run's initial speed."""
+COASTING = "motor_coasting"
 EFFECTS = {
-    name: LISTED[name].sizes[0] for name in ("motor_dead_voltage", "motor_braking_asymmetry")
+    name: LISTED[name].sizes[0]
+    for name in ("motor_dead_voltage", COASTING, "motor_braking_asymmetry")
 }
 """Effects that can be fitted along and their parameter, in the order of the kernel's arguments."""
 ABSENT = {name: one.absent for name, one in EFFECTS.items()}
@@ -55,7 +57,7 @@ class MotorProblem:
         self.runs, self.effects = runs, tuple(effects)
         self.starts = SHARED + len(self.effects)
         self.size = self.starts + len(runs)
-        columns = 6 if self.effects else 4
+        columns = 4 + len(EFFECTS) if self.effects else 4
         self._room = [
             (np.empty(len(run.rev_s)), np.empty((len(run.rev_s), columns))) for run in runs
         ]

@@ -28,7 +28,13 @@ from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import bounded_step, inverse
 from groundstation.identification.likelihood.spectra import Spectrum, fourier, whiten_by_own
-from groundstation.identification.motor.problem import EFFECTS, SHARED, MotorProblem, MotorRun
+from groundstation.identification.motor.problem import (
+    COASTING,
+    EFFECTS,
+    SHARED,
+    MotorProblem,
+    MotorRun,
+)
 
 Array = NDArray[np.float64]
 
@@ -44,6 +50,10 @@ band; a motor's corner lies at 2 Hz and above. Faster ones are vibration that th
 into the PWM, and a sensor that averages and holds is no first-order lag there: with them, T of one
 craft differed by a third between calm and fast flights."""
 START_T_S, START_LAG_S = 0.06, 0.003
+START = {COASTING: 0.5}
+"""Where an effect's size begins that has a minimum of its own where it is absent."""
+LINEAR_S = 0.05
+"""The least s that a motor has: its back EMF, (1 - s) U, is then as high as can be."""
 TIME_CONSTANTS_S = (0.002, 2.0)
 """From faster than a row to slower than anything that keeps a craft in the air."""
 LONGEST_LAG_S = 0.03
@@ -64,8 +74,8 @@ T, S, OWN = 0, 1, 2
 class Piece:
     """A rotor in one piece (by number) of a flight (by name).
 
-    measured: (n,) without gaps. holding: its own ln U, which makes the mean speed right. settled:
-    its first row that counts.
+    measured: (n,) without gaps. begun: ln U by its means. holding: its own ln U, which makes the
+    mean speed right. settled: its first row that counts.
     """
 
     rotor: int
@@ -73,8 +83,9 @@ class Piece:
     piece: int
     run: MotorRun
     measured: Array
-    holding: float
+    begun: float
     settled: int
+    holding: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +101,12 @@ class Holding:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A piece's normal equations. off: what ln U should move by; follows: (k,) by how much less
-    for each unit of the others' steps."""
+    """A piece's normal equations. value: its -2 log L. off: what ln U should move by; follows: (k,)
+    by how much less for each unit of the others' steps."""
 
     normal: Array
     gradient: Array
+    value: float
     off: float
     follows: Array
 
@@ -141,7 +153,31 @@ class RotorProblem:
         return self.shared + OWN * self.rotors.index(rotor)
 
     def minimise(self) -> tuple[Array, Array]:
-        """Gauss-Newton with spectra from the last step's errors; (theta, normal)."""
+        """The likeliest (theta, normal) from each of the starts."""
+        found = [self._descend(share) for share in self._starts()]
+        if len(found) == 1:
+            return found[0]
+        unlikely = []
+        for theta, _normal in found:
+            self.settle(theta)
+            unlikely.append(self.unlikelihood(theta))
+        theta, normal = found[int(np.argmin(unlikely))]
+        self.settle(theta)
+        return theta, normal
+
+    def unlikelihood(self, theta: Array) -> float:
+        """-2 log L in the band, given each piece's U, and what was known of s before."""
+        parts = [self._linear(theta, one) for one in self.pieces]
+        off = theta[[self.own(rotor) + S for rotor in self.rotors]] - self.expected[S + 1]
+        return float(sum(one.value for one in parts) + np.mean(off**2) / PRIOR_S**2)
+
+    def _starts(self) -> list[float]:
+        """Where s begins: with a threshold, which s moves, there are several minima."""
+        expected = float(self.expected[S + 1])
+        return [expected, LINEAR_S] if COASTING in self.effects else [expected]
+
+    def _descend(self, share: float) -> tuple[Array, Array]:
+        """Gauss-Newton from a share s, with spectra from the last step's errors."""
         theta = np.zeros(self.size)
         theta[0] = START_LAG_S
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
@@ -149,13 +185,15 @@ class RotorProblem:
         low[0], high[0], most[0] = 1e-5, LONGEST_LAG_S, 0.002
         for place, effect in enumerate(self.effects, start=1):
             size = EFFECTS[effect]
-            theta[place], most[place] = size.absent, size.stride
+            theta[place], most[place] = START.get(effect, size.absent), size.stride
             low[place], high[place] = max(size.bounds[0], 0.0), size.bounds[1]
         for rotor in self.rotors:
             place = self.own(rotor)
-            theta[place : place + OWN] = np.log(START_T_S), self.expected[S + 1]
+            theta[place : place + OWN] = np.log(START_T_S), share
             low[place + T], high[place + T] = np.log(TIME_CONSTANTS_S)
             low[place + S], high[place + S] = 0.0, MOST_S
+        for one in self.pieces:
+            one.holding = one.begun
         normal = np.eye(self.size)
         for _ in range(STEPS):
             parts = [self._linear(theta, one) for one in self.pieces]
@@ -220,8 +258,13 @@ class RotorProblem:
         whole = Spectrum(0, 0, hz, weight, spectra[0], spectra[1:], np.arange(len(stack) - 1))
         noise = whiten_by_own([whole], [spectra[0]], [np.zeros(len(hz))])[0]
         inside = (hz >= BAND_HZ[0]) & (hz <= BAND_HZ[1])
-        scaled = spectra[1:] * np.where(inside, weight / noise.at(hz), 0.0)
-        return Linear(scaled @ spectra[1:].T, scaled @ spectra[0], float(follows[0]), follows[1:])
+        power = noise.at(hz)
+        counts = np.where(inside, weight / power, 0.0)
+        scaled = spectra[1:] * counts
+        value = float(weight[inside] @ np.log(power[inside]) + counts @ spectra[0] ** 2)
+        return Linear(
+            scaled @ spectra[1:].T, scaled @ spectra[0], value, float(follows[0]), follows[1:]
+        )
 
     def chain(self, shape: Array) -> Array:
         """Derivatives (3, 3) of a0, a1, a2 by ln U, ln T, s."""

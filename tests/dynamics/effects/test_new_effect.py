@@ -140,4 +140,5 @@ def test_a_listed_one_of_the_delay_or_the_motors_changes_no_other_fit(tmp_path):
         (tmp_path / f"{name}.py").write_text(text.replace("    states=", "    # "))
     code = OF_OTHER_STAGES.format(folder=str(tmp_path))
     said = run_program([sys.executable, "-c", code], check=True).stdout.split()
-    assert said == ["dead_time.delay_s", "motor_dead_voltage", "motor_braking_asymmetry"]
+    names = ("motor_dead_voltage", "motor_coasting", "motor_braking_asymmetry")
+    assert said == ["dead_time.delay_s", *names]

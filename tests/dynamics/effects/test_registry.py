@@ -42,6 +42,7 @@ SIZES = {
     "rotor_mismatch": ("excess", -0.1, 0.1),
     "motor_dead_voltage": ("voltage_mv", 100, 350),
     "motor_braking_asymmetry": ("factor", 0.4, 0.9),
+    "motor_coasting": ("share", 0.2, 1.0),
     "supply_sag": ("resistance_ohm", 0.05, 0.35),
     "battery_reading_lag": ("time_constant_s", 0.15, 0.6),
     "gyro_bias": ("x_dps", -3, 3),

@@ -188,14 +188,22 @@ def test_effects_of_the_motor_that_are_not_there_come_out_as_absent(stiff):
     assert abs(found[1] - 1) < 4 * error[1]
 
 
-@pytest.mark.parametrize("effects", [(), ("motor_dead_voltage", "motor_braking_asymmetry")])
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"motor_dead_voltage": 150.0, "motor_braking_asymmetry": 0.8},
+        {"motor_dead_voltage": 150.0, "motor_coasting": 0.7, "motor_braking_asymmetry": 0.8},
+    ],
+    ids=["no effect", "two", "three"],
+)
 def test_the_slopes_of_the_problem_are_those_of_its_simulation(effects):
     from groundstation.identification.motor.problem import MotorProblem
 
     run = made_run(MotorConstants(0.9, 7.0, 0.006), seconds=2.0)
-    problem = MotorProblem([run], effects)
+    problem = MotorProblem([run], tuple(effects))
     theta = problem.theta([0.86, 6.8, 0.0061])
-    theta[4 : problem.starts] = [150.0, 0.8][: len(effects)]
+    theta[4 : problem.starts] = list(effects.values())
     slopes = problem.simulate(theta, 0)[1].copy()
     for column, place in enumerate(problem.places(0)[:-1]):
         step = np.zeros(len(theta))

@@ -28,18 +28,28 @@ SLOW_S = 0.07
 FOUR = tuple(constants_of(np.array([np.log(mv), np.log(SLOW_S), 0.2]), SPEED) for mv in HOLDING_MV)
 
 
-def flight(name, seed, motors=FOUR, seconds=10.0, motion=0.03, band_s=0.2):
-    """A flight whose motors drift, with sensors that lag, hold one row in five and are noisy."""
+def flight(name, seed, motors=FOUR, seconds=10.0, motion=0.03, band_s=0.2, chatter=0.0, share=0.0):
+    """A flight whose motors drift, with sensors that lag, hold one row in five and are noisy.
+
+    chatter: by how much every second and fifth row's duty swings, more and less within a second.
+    share: of a braking current that does not flow.
+    """
     generator = np.random.default_rng(seed)
     rows = round(seconds / 0.002)
     # Commands as a controller gives them: little below 1 / (2 pi band_s), by default 0.8 Hz.
     command = np.cumsum(generator.normal(0, 1.0, (rows, 4)), axis=0)
     command -= lagged(command, band_s, 0.002)
     duty = 0.7 + motion * command / command.std()
+    row = np.arange(rows)
+    swing = chatter * (1.0 + 0.5 * np.sin(2.0 * np.pi * 0.002 * row * 0.9 + seed))
+    kick = np.where(row % 5 == 0, -0.8, 0.2) + np.where(row % 2 == 0, 0.2, -0.2)
+    duty += swing[:, None] * kick[:, None] * [1, -1, 1, -1]
     supply = 3.6 - 0.02 * np.arange(rows) * 0.002 / 10
     walk = np.cumsum(generator.normal(0, 1.0, (rows, 4)), axis=0)
     loss = 1.0 + 0.01 * (0.3 * walk / np.abs(walk).max() + generator.normal())
-    true, _ = simulate_motor(motors, (armature_mv(duty, supply) * loss)[1:], 0.002)
+    volts = (armature_mv(duty, supply) * loss)[1:]
+    effects = {"motor_coasting": {"share": share}}
+    true, _ = simulate_motor(motors, volts, 0.002, effects=effects)
     shown = lagged(true, LAG_S, 0.002) + generator.normal(0, 0.3, (rows, 4))
     held = generator.random((rows, 4)) < 0.2
     for row in range(1, rows):
@@ -139,6 +149,42 @@ def test_glitches_of_a_sensor_do_not_count(flights):
     clean = fit_rotors(rotor_runs(flights)[0], VEHICLE.motor)
     noisy = fit_rotors(rotor_runs([with_sensors(one, glitch) for one in flights])[0], VEHICLE.motor)
     assert np.abs((noisy.shape - clean.shape) / clean.stderr).max() < 1.5
+
+
+COASTING = "motor_coasting.share"
+
+
+def test_motors_that_coast_are_found_with_their_constants():
+    flights = [flight(f"flight{seed}", seed, chatter=0.35, share=0.7) for seed in range(4)]
+    found = identify_motor(flights, [], BEFORE, VEHICLE)
+    estimates = found.account["estimates"]
+    place = estimates["names"].index(COASTING)
+    assert abs(estimates["values"][place] - 0.7) < 4 * estimates["stderr"][place]
+    assert estimates["stderr"][place] < 0.1
+    held = [one["rotor_rms_rev_s"] for one in found.account["validation"]]
+    assert max(held) < 0.03 * SPEED
+    np.testing.assert_allclose(
+        [one.a0 for one in found.model.motors], [one.a0 for one in FOUR], rtol=0.06
+    )
+    (term,) = found.model.effects
+    assert term.name == "motor_coasting"
+    again = identify_motor(flights, [], found.model, VEHICLE)
+    assert again.account["estimates"]["values"] == pytest.approx(estimates["values"], rel=1e-3)
+    calm = identify_motor([flight("calm", 9)], [], found.model, VEHICLE)
+    assert calm.model.effects == found.model.effects
+
+
+@pytest.mark.parametrize(
+    ("chatter", "said"),
+    [(0.0, "not identified, because only 0 % of the voltages"), (0.35, "none is told")],
+    ids=["never below the back EMF", "braked"],
+)
+def test_motors_that_do_not_coast_are_told_so(chatter, said):
+    flights = [flight(f"flight{seed}", seed, chatter=chatter) for seed in range(3)]
+    found = identify_motor(flights, [], BEFORE, VEHICLE)
+    assert said in found.account["findings"][-1]
+    assert COASTING not in found.account["estimates"]["names"]
+    assert found.model.effects == ()
 
 
 def test_swapped_sensors_are_told_as_that(flights):
