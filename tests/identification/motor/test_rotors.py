@@ -55,7 +55,8 @@ def flight(name, seed, motors=FOUR, seconds=10.0, motion=0.03, band_s=0.2, chatt
     for row in range(1, rows):
         shown[row, held[row]] = shown[row - 1, held[row]]
     empty = np.full((rows, 3), np.nan)
-    return Run(name, 0.0, 0.002, duty, supply, empty, empty, empty, shown, np.zeros(rows))
+    one = np.full((rows, 4), np.nan)
+    return Run(name, 0.0, 0.002, duty, supply, empty, empty, empty, shown, np.zeros(rows), one)
 
 
 @pytest.fixture(scope="module")
