@@ -110,6 +110,7 @@ PARAMETERS = np.dtype(
         ("gravity_y", "f8"),
         ("dead_mv", "f8"),
         ("braking", "f8"),  # 1: brakes as it accelerates
+        ("coasting", "f8"),
         ("plane_drag", "f8"),
         ("flapping", "f8"),
         ("inflow", "f8"),

@@ -21,6 +21,7 @@ from firmware_sim.effects.cracked_arm import cracked_arm
 from firmware_sim.effects.ground_effect import ground_factor
 from firmware_sim.effects.inertia_coupling import coupling_torque
 from firmware_sim.effects.motor_braking_asymmetry import braked
+from firmware_sim.effects.motor_coasting import driven
 from firmware_sim.effects.motor_dead_voltage import armature_mv
 from firmware_sim.effects.own import lawful_body, lawful_motor, lawful_rotors
 from firmware_sim.effects.quadratic_rate_damping import quadratic_damping
@@ -257,7 +258,7 @@ def rotor_acceleration(p: Record, rotor: int, armature: float, speed: float) -> 
     if armature < p.start_mv and speed < 1.0:
         return -20.0 * speed
     a0, a1, a2 = p.a0[rotor], p.a1[rotor], p.a2[rotor]
-    return braked(p, a0 * armature - a1 * speed - a2 * speed * speed)
+    return braked(p, driven(p, a0 * armature - a1 * speed) - a2 * speed * speed)
 
 
 @inner

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_sim.effects.catalogue import EFFECTS
 
-LATER = ("slung_load",)
+LATER = ("slung_load", "motor_coasting")
 """Listed since results were kept: last, and in no mixture, so old cases stay what they were."""
 MIXED = tuple(
     name
@@ -12,7 +12,7 @@ MIXED = tuple(
     if effect.listed and name not in ("mass_change", *LATER)
 )
 LISTED = (*MIXED, *LATER)
-"""The 24 names of the design; a changed mass is told by what becomes of the base constants."""
+"""The names of the design; a changed mass is told by what becomes of the base constants."""
 OUTSIDE = ("cracked_arm", "bent_propeller", "side_gust")
 ROTOR_TORQUES = ("rotor_gyroscopic_torque", "rotor_acceleration_torque")
 ALWAYS_FAITHFUL = (
@@ -43,6 +43,7 @@ CHANNELS: dict[str, tuple[str, ...]] = {
     "rotor_mismatch": ("gyro", "roll", "pitch", "yaw"),
     "motor_dead_voltage": ("gyro", "accelerometer z", "roll", "pitch", "yaw"),
     "motor_braking_asymmetry": ("gyro", "accelerometer z", "roll", "pitch", "yaw"),
+    "motor_coasting": ("gyro", "accelerometer z", "roll", "pitch", "yaw"),
     "supply_sag": ("gyro", "accelerometer z", "roll", "pitch", "yaw"),
     "battery_reading_lag": ("gyro", "accelerometer z", "roll", "pitch", "yaw"),
     "gyro_bias": ("roll", "pitch", "yaw", "gyro"),
@@ -80,6 +81,7 @@ REGIMES: dict[str, set[str]] = {
     "rotor_mismatch": _STEADY | _THRUST,
     "motor_dead_voltage": {*_STEADY, *_THRUST, *_ROTORS, "saturation", "low battery"},
     "motor_braking_asymmetry": {*_ROTORS, *_TILTING, "after yaw commands", "low thrust"},
+    "motor_coasting": {*_ROTORS, *_TILTING, "after yaw commands", "low thrust"},
     "supply_sag": {*_STEADY, *_THRUST, *_ROTORS, "saturation", "low battery"},
     "battery_reading_lag": _THRUST | _ROTORS,
     "gyro_bias": _STEADY,

@@ -42,7 +42,9 @@ class Signals:
         self.per_mass = p["thrust"] / p["mass"]
         armature = self.duty * self.supply_mv[:, None]
         self.slope = p["a0"] * np.maximum(armature - p["dead_mv"], 0.0)
-        self.slope = self.slope - p["a1"] * self.speed - p["a2"] * self.speed**2
+        self.slope = self.slope - p["a1"] * self.speed
+        self.slope = self.slope - p["coasting"] * np.minimum(self.slope, 0.0)
+        self.slope = self.slope - p["a2"] * self.speed**2
         self.slope = np.where(self.slope < 0, p["braking"] * self.slope, self.slope)
         self.decay = float(np.mean(p["a1"] + 2 * p["a2"] * self.speed[self.flying]))
 
@@ -144,6 +146,9 @@ def effect_signals(h: Signals, name: str, values: dict[str, float]) -> dict[str,
         factor = values["factor"]
         raw = np.minimum(h.slope, 0.0) / factor
         return {"factor": h.through_motors((factor - 1.0) * raw)}
+    if name == "motor_coasting":
+        push = p["a0"] * h.duty * h.supply_mv[:, None] - p["a1"] * h.speed
+        return {"share": h.through_motors(-values["share"] * np.minimum(push, 0.0))}
     if name == "supply_sag":
         loss = 1000.0 * values["resistance_ohm"] * _bound_current(h)
         return {"resistance_ohm": h.through_motors(-p["a0"] * h.duty * loss[:, None])}

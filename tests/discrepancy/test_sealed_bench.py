@@ -63,6 +63,7 @@ RANGES = {
     "ground_effect": (0.03, 0.15),
     "attitude_filter_lean": (1.0, 1.0),
     "slung_load": (2.0, 12.0),
+    "motor_coasting": (0.3, 1.0),
 }
 """The acceptance list, typed by hand."""
 

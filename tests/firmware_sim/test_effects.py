@@ -29,6 +29,7 @@ LISTED = {
     "rotor_mismatch",
     "motor_dead_voltage",
     "motor_braking_asymmetry",
+    "motor_coasting",
     "supply_sag",
     "battery_reading_lag",
     "gyro_bias",
@@ -207,6 +208,15 @@ def test_motors_that_slow_down_do_so_more_slowly():
     _, _, slope, _ = change({"motor_braking_asymmetry": {"factor": 0.6}})
     assert before[2] < 0 < before[0]
     assert slope[13:17] == pytest.approx(np.where(before < 0, -0.4 * before, 0.0))
+
+
+def test_motors_that_coast_fall_by_their_load_and_what_still_brakes():
+    p0, s0 = moving_plant({})
+    before = slopes(p0, s0)[13:17]
+    p, y, slope, _ = change({"motor_coasting": {"share": 0.75}})
+    braking = np.minimum(before + p["a2"] * y[13:17] ** 2, 0.0)
+    assert braking.min() < 0 == braking.max()
+    assert slope[13:17] == pytest.approx(-0.75 * braking)
 
 
 def test_ground_effect_fades_with_height():

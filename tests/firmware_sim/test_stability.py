@@ -88,6 +88,7 @@ LARGEST: list[tuple[str, dict[str, float]]] = [
     ("rotor_mismatch", {"rotor": 1, "excess": -0.1}),
     ("motor_dead_voltage", {"voltage_mv": 350.0}),
     ("motor_braking_asymmetry", {"factor": 0.4}),
+    ("motor_coasting", {"share": 1.0}),
     ("supply_sag", {"resistance_ohm": 0.35}),
     ("battery_reading_lag", {"time_constant_s": 0.6}),
     ("gyro_bias", {"x_dps": 3.0, "y_dps": -3.0, "z_dps": 3.0}),
