@@ -32,9 +32,11 @@ test-usb: $(VENV)/.ready-dev
 	$(BIN)/pytest tests/usb_vm -s -v -o faulthandler_timeout=0 $(ARGS)
 
 # Recordings that may not be committed: a folder with usd_card/, imrc/, imrc_brushed/, imrc_payload/
-# and nanobench/.
+# and nanobench/, or some of them. What its flights must show, a line each, then the tests.
 check-local: $(VENV)/.ready-dev
-	GROUNDSTATION_LOCAL_DATA=$(GROUNDSTATION_LOCAL_DATA) $(BIN)/pytest tests/local $(ARGS)
+	@$(BIN)/python -m bench.real $(GROUNDSTATION_LOCAL_DATA) accept; accepted=$$?; \
+	GROUNDSTATION_LOCAL_DATA=$(GROUNDSTATION_LOCAL_DATA) $(BIN)/pytest tests/local $(ARGS) \
+	&& exit $$accepted
 
 # Fits and findings on real flights beside estimates made apart: `make bench-real ARGS="fit agreement"`.
 bench-real: $(VENV)/.ready-dev

@@ -14,13 +14,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.real import nanobench, program, slow, swing
+from bench.real import acceptance, nanobench, program, slow, swing
 from bench.real.reference import Flight, explained, read_flight, reference_gain
 from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
 PARTS = ("fit", "agreement", "find", "tasks", "slow", "swing")
+ACCEPT = "accept"
+"""Pass or fail, a line each, instead of tables; not among what runs by default."""
 AXES = {"roll": "c0", "pitch": "c1", "yaw": "c2"}
 Case = dict[str, Any]
 
@@ -28,19 +30,22 @@ Case = dict[str, Any]
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.real", description=__doc__)
     parser.add_argument("data", type=Path, help="folder with the sets")
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}, or {ACCEPT}"
+    )
     parser.add_argument("--only", help="one set: brushless, brushed, nanobench or payload")
     parser.add_argument("--results", type=Path, default=Path("build/bench-real"))
     chosen = parser.parse_args()
     parts = chosen.parts or list(PARTS)
-    if wrong := [part for part in parts if part not in PARTS]:
-        parser.error(f"{', '.join(wrong)} not known; there are {', '.join(PARTS)}")
+    known = (*PARTS, ACCEPT)
+    if wrong := [part for part in parts if part not in known]:
+        parser.error(f"{', '.join(wrong)} not known; there are {', '.join(known)}")
     chosen.results.mkdir(parents=True, exist_ok=True)
     bench = Bench(chosen.data.absolute(), chosen.results, chosen.only)
     for part in parts:
         for line in getattr(bench, part)():
             print(line, flush=True)
-    return 0
+    return int(bench.failed)
 
 
 class Bench:
@@ -48,6 +53,7 @@ class Bench:
 
     def __init__(self, data: Path, results: Path, only: str | None) -> None:
         self.data, self.results, self.only = data, results, only
+        self.failed = False
         self.sets = [
             one for one in SETS if (data / one.folder).is_dir() and only in (None, one.name)
         ]
@@ -140,16 +146,65 @@ class Bench:
         if self.only is None:
             yield from swing.table(self.data)
 
+    def accept(self) -> Iterator[str]:
+        """Each line of acceptance that a folder of flights can show."""
+        number = 0
+        for passed, text in self._accepted():
+            number += 1
+            self.failed |= not passed
+            yield f"{'pass' if passed else 'FAIL'}  {text}"
+        if number == 0:
+            self.failed = True
+            yield f"FAIL  {self.data}: there is none of the sets in it"
+
+    def _accepted(self) -> Iterator[acceptance.Line]:
+        for flights in self.sets:
+            cases = []
+            for split in flights.splits:
+                label = f"{flights.name} {split.name}"
+                case = self.fitted(flights, split)
+                if "refused" in case:
+                    yield False, f"{label}: fitted; refused: {case['refused']}"
+                    continue
+                cases.append(case)
+                reference = self.reference(flights, split)
+                yield from acceptance.constants(label, case, reference)
+                shares = {}
+                for axis, name in (("roll", "c0"), ("pitch", "c1")):
+                    gain = case["constants"][name] * reference["per_constant"]
+                    one = reference[axis]
+                    shares[axis] = self.explained(flights, split, axis, gain, one)
+                yield from acceptance.predictions(label, case, shares, flights.measured)
+                found = self.searched(flights, split)
+                if "refused" in found:
+                    yield False, f"{label}: searched; refused: {found['refused']}"
+                else:
+                    yield from acceptance.findings(label, flights.name, found)
+            yield from acceptance.agreement(flights.name, cases)
+        loaded = self._loaded()
+        if loaded is not None:
+            if "refused" in loaded:
+                yield False, f"payload: searched; refused: {loaded['refused']}"
+                return
+            light = next(one for one in self.sets if one.name == "brushless")
+            yield from acceptance.payload(loaded, self.searched(light, light.splits[0]))
+
     def _payload(self) -> Iterator[str]:
+        found = self._loaded()
+        if found is not None:
+            yield _finding("payload, model brushless a", found)
+
+    def _loaded(self) -> Case | None:
+        """What is found on flights with payload by a model from others; None without these."""
         brushless = next((one for one in self.sets if one.name == "brushless"), None)
         folder = self.data / "imrc_payload"
         if brushless is None or not folder.is_dir():
-            return
+            return None
         case = self.fitted(brushless, brushless.splits[0])
         if "refused" in case:
-            return
+            return None
         flights = [folder / name for name in PAYLOAD]
-        found = self._kept(
+        return self._kept(
             "find_payload",
             lambda: program.find(
                 [flights[0], flights[2]],
@@ -158,7 +213,6 @@ class Bench:
                 self.results / "payload_report.json",
             ),
         )
-        yield _finding("payload, model brushless a", found)
 
     def fitted(self, flights: FlightSet, split: Split) -> Case:
         return self._kept(
