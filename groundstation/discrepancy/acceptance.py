@@ -205,7 +205,7 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.WEIGHED,), Reason.INSIGNIFICANT, insignificant),
     ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.TRIED_BEFORE, tried_before),
-    ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
+    ((Stage.JOINED, Stage.SETTLED), Reason.SUPERFLUOUS, superfluous),
     ((Stage.STABLE,), Reason.CHANNELS_DISAGREE, channels_disagree),
     ((Stage.STABLE,), Reason.RECORDINGS_DISAGREE, recordings_disagree),
     ((Stage.LEFT,), Reason.DROWNED, drowned),

@@ -31,9 +31,11 @@ LEAST_INFORMATION = 9.0
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """drop: of -2 log L in the fit, the prior included; held_out: of that of held-out rows,
-    expected: what the fitted rows promise for it. t: by blocks. parts: (flight, channel) -> size
-    relative to the joint fit, and its standard error. gap: whitened RMS on held-out rows before and
-    after, over the channels it touches. recordings: names by number of the flight."""
+    expected: what it is there, on average, for an effect of the fitted size (a flight may hardly do
+    what shows in another, and what was known before the flights promises nothing). t: by blocks.
+    parts: (flight, channel) -> size relative to the joint fit, and its standard error. gap:
+    whitened RMS on held-out rows before and after, over the channels it touches. recordings: names
+    by number of the flight."""
 
     drop: float
     held_out: float
@@ -55,6 +57,8 @@ class Evidence:
             weight = sum(error**-2 for _, error in parts)
             found[key] = sum(size * error**-2 for size, error in parts) / weight, weight
         every = sum(weight for _, weight in found.values())
+        if by == 0:  # flights that no fit saw may know it by far better
+            every += self.expected
         return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
 
     def spread(self, by: int) -> tuple[float, float]:
@@ -75,17 +79,10 @@ def gather(
     held, expected, gap, channels = 0.0, 0.0, (1.0, 1.0), touched(problem, after, variant)
     drop = before.cost - after.cost
     if validation:
-        one, own, freedom = problem.cost(before.point, validation)
-        other, better, _ = problem.cost(after.point, validation)
-        held = one - other
-        # Of the rows alone: what was known before the flights does not speak twice, and constants
-        # that were bent against it fit held-out rows as they fit these.
-        shown = sum(
-            sign * problem.cost(fit.point, problem.flights)[0]
-            for sign, fit in ((1.0, before), (-1.0, after))
-        )
-        rows = sum(f.last - f.first for f in problem.flights)
-        expected = shown * sum(f.last - f.first for f in validation) / rows
+        away, near = (problem.linear(fit.point, (), validation) for fit in (before, after))
+        one, own, freedom = problem.cost_of(away)
+        other, better, _ = problem.cost_of(near)
+        held, expected = one - other, problem.apart(away, near)
         count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
         gap = (
             float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),

@@ -207,11 +207,13 @@ class Findings:
 @dataclass(frozen=True, slots=True)
 class Predicted:
     """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
-    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent."""
+    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent.
+    blocks: what each second adds to the squared gap."""
 
     gap: float
     worse: dict[int, float]
     gaps: tuple[float, ...] = ()
+    blocks: tuple[float, ...] = ()
 
     @property
     def badness(self) -> tuple[float, float]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.base_constants import TOUCHES, Group
 from groundstation.discrepancy.findings import Predicted, Reason, Refusal
@@ -19,6 +21,9 @@ from groundstation.identification.likelihood.problem import Fit
 RAISES, LOWERS = 0.005, 0.01
 """Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
 again by so much. Noise in a gap of a minute is below 0.2 %."""
+CLEARLY = 1.0
+"""Standard errors, from the spread of seconds, by which a gap has to fall for that: of a few
+seconds in slow air the gap is hardly known to a per cent."""
 IDLE, UNEXPLAINED = 0.2, 1.5
 """A sensor's fault explains nothing where less than this share of the squared excess over noise
 goes with it in every channel that it touches, and these are left at so many times noise or more:
@@ -44,7 +49,7 @@ def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
         if not trials:
             return changed
         left, option, fit = min(trials, key=lambda trial: trial[0].badness)
-        if not now.worse and (left.worse or left.gap > (1.0 - LOWERS) * now.gap):
+        if not now.worse and (left.worse or not _lower(left, now)):
             return changed
         if isinstance(option, tuple):
             search.held.update(option)
@@ -94,6 +99,14 @@ def drop_idle(search: SearchState, judge: Judge) -> bool:
 def _share(gap: float, without: float) -> float:
     """Of the squared excess over noise, what goes with an effect."""
     return 1.0 - (gap**2 - 1.0) / max(without**2 - 1.0, 1e-9)
+
+
+def _lower(left: Predicted, now: Predicted) -> bool:
+    """Whether a gap is clearly below another."""
+    if left.gap > (1.0 - LOWERS) * now.gap:
+        return False
+    gains = np.subtract(now.blocks, left.blocks)
+    return len(gains) < 2 or float(gains.mean()) > CLEARLY * float(gains.std()) / len(gains) ** 0.5
 
 
 def _refusal(now: Predicted, left: Predicted) -> Refusal:

@@ -85,7 +85,17 @@ class HeldOut:
         """The gap of another model, and the channels on which it is worse than the given one."""
         after = self.of(model)
         gaps = tuple((after.rms / self.before.noise_floor).tolist())
-        return Predicted(after.beside(self.before), worse_channels(self.before, after), gaps)
+        worse = worse_channels(self.before, after)
+        return Predicted(after.beside(self.before), worse, gaps, self._by_seconds(after))
+
+    def _by_seconds(self, after: Comparison) -> tuple[float, ...]:
+        """What each block adds to the squared gap of a model."""
+        values = np.concatenate([h for one in after.errors for h in one.horizons])
+        counts = np.isfinite(values).sum(axis=0)
+        blocks = np.concatenate([_squares_by_blocks(one) for one in after.errors])
+        scale = self.before.noise_floor**2 * np.maximum(counts, 1) * max((counts > 0).sum(), 1)
+        shares = np.divide(blocks, scale, out=np.zeros_like(blocks), where=np.isfinite(blocks))
+        return tuple(shares.sum(axis=1).tolist())
 
 
 def _numbers(model: Model) -> bytes:
@@ -173,10 +183,16 @@ def _band_power(values: Array, period_s: float) -> Array:
 def _block_sums(before: AheadErrors, after: AheadErrors) -> Array:
     """Growth of the squared error over both horizons, summed over blocks of time, (blocks, 9); NaN
     where nothing was judged."""
-    growth = np.stack([b**2 - a**2 for a, b in zip(before.horizons, after.horizons, strict=True)])
-    known = np.isfinite(growth)
-    rows = np.where(known, growth, 0.0).sum(axis=0)
-    block = np.arange(len(rows)) * before.run.period_s // BLOCK_S
+    return _squares_by_blocks(after) - _squares_by_blocks(before)
+
+
+def _squares_by_blocks(errors: AheadErrors) -> Array:
+    """Squared errors over both horizons, summed over blocks of time, (blocks, 9); NaN where nothing
+    was judged."""
+    squares = np.stack(errors.horizons) ** 2
+    known = np.isfinite(squares)
+    rows = np.where(known, squares, 0.0).sum(axis=0)
+    block = np.arange(len(rows)) * errors.run.period_s // BLOCK_S
     starts = np.flatnonzero(np.diff(block, prepend=-1.0))
     counted = np.add.reduceat(known.any(axis=0), starts, axis=0)
     return np.where(counted > 0, np.add.reduceat(rows, starts, axis=0), np.nan)

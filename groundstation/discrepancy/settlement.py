@@ -6,10 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
 from groundstation.discrepancy.evidence import gather
 from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
+from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.identification.likelihood.parameters import Variant
 from groundstation.identification.likelihood.problem import Fit
@@ -75,17 +78,17 @@ def confirm(search: SearchState) -> bool:
         if search.judge is not None:
             changed |= answer_to_predictions(search, search.judged)
             changed |= drop_idle(search, search.judged)
-        leaves = drop_implausible(search)
+        leaves = drop_dwindled(search)
         changed |= leaves
     return changed
 
 
-def drop_implausible(search: SearchState) -> bool:
-    """Take back, the weakest first, what the last fits left with a size that cannot be; whether
-    anything was."""
+def drop_dwindled(search: SearchState) -> bool:
+    """Take back, the weakest first, what the last fits left with a size that cannot be or that is
+    next to nothing; whether anything was."""
     changed = False
     while True:
-        asked = ((one, Trial(one.variant, search.now)) for one in search.accepted)
+        asked = ((one, _left_with(search.now, one.variant)) for one in search.accepted)
         out = [(one, why) for one, trial in asked if (why := refusal(Stage.SETTLED, trial))]
         if not out:
             return changed
@@ -94,6 +97,12 @@ def drop_implausible(search: SearchState) -> bool:
         search.refused[one.variant.label] = why
         search.now = search.refit(search.accepted, search.held)
         changed = True
+
+
+def _left_with(fit: Fit, variant: Variant) -> Trial:
+    own = [fit.keys.index(key) for key in variant.sizes]
+    cost = removal_cost(sizes_at(variant, fit.point), fit.covariance[np.ix_(own, own)])
+    return Trial(variant, fit, removal=cost)
 
 
 def _renamed(

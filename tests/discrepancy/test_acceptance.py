@@ -1,5 +1,7 @@
 """Each gate refuses what it is there for, with a reason that a program can compare."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,9 @@ def scored(drop, size, effect="rate_damping"):
 
 
 def fit(**point):
-    return Fit({key.replace("__", "."): size for key, size in point.items()}, (), 0.0, np.eye(0))
+    """A joint fit that knows each size to a tenth."""
+    sizes = {key.replace("__", "."): size for key, size in point.items()}
+    return Fit(sizes, tuple(sizes), 0.0, np.diag([(0.1 * size) ** 2 for size in sizes.values()]))
 
 
 def test_what_the_screening_finds_too_weak_is_not_fitted():
@@ -82,6 +86,15 @@ def test_channels_that_both_show_an_effect_have_to_agree_on_it():
 
 def test_recordings_have_to_agree_too():
     parts = {(0, FORCE_Z): (0.3, 0.04), (1, FORCE_Z): (1.6, 0.04)}
+    assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.RECORDINGS_DISAGREE
+
+
+def test_a_recording_that_hardly_tells_it_beside_those_no_fit_saw_is_no_veto():
+    # jana02, 8 s of a figure of eight, tells half of the rotors' inertia that jana06, 20 s of
+    # turns on the spot, confirms
+    parts = {(0, GYRO_Z): (0.5, 0.05), (1, GYRO_Z): (1.2, 0.04)}
+    stable = evidence(parts, held_out=20000.0, expected=25000.0)
+    assert said(Stage.STABLE, evidence=stable) is None
     assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.RECORDINGS_DISAGREE
 
 
@@ -162,6 +175,18 @@ def test_an_impossible_size_leaves_in_the_end_and_the_others_are_fitted_again():
     assert search.now.point == {"rate_damping.damping_n_m_s": 1e-5}
     assert search.refused["supply_sag"].reason is Reason.IMPLAUSIBLE
     assert not confirm(search)
+
+
+def test_what_the_last_fits_left_next_to_nothing_of_has_no_name():
+    both = {"rate_damping__damping_n_m_s": 1e-5, "supply_sag__resistance_ohm": 0.02}
+    search = LastFits(
+        {tuple(DROPS): both, ("rate_damping",): {"rate_damping__damping_n_m_s": 1e-5}}
+    )
+    doubt = np.diag([1e-6**2, 0.02**2])
+    search.now = replace(search.now, covariance=doubt)
+    assert confirm(search)
+    assert [one.variant.effect for one in search.accepted] == ["rate_damping"]
+    assert search.refused["supply_sag"].reason is Reason.SUPERFLUOUS
 
 
 def test_every_gate_has_a_reason_of_its_own():

