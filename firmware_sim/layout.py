@@ -123,6 +123,9 @@ PARAMETERS = np.dtype(
         ("load_length", "f8"),
         ("load_damping", "f8"),  # 1/s
         ("load_below", "f8"),  # m
+        ("windy", "i8"),
+        ("wind", "f8", (6,)),  # rad/s^2 about, m/s^2 along the body's axes
+        ("wind_time", "f8"),  # s
         # effects whose laws are flown, see effects/own.py
         ("lawful", "i8"),
         ("own", "i8", (5,)),

@@ -32,6 +32,7 @@ from firmware_sim.effects.rotor_gyroscopic_torque import gyroscopic_torque
 from firmware_sim.effects.side_gust import side_gust
 from firmware_sim.effects.slung_load import slung_load
 from firmware_sim.effects.velocity_moment import flapping_acceleration
+from firmware_sim.effects.wind import wind
 from firmware_sim.effects.yaw_damping import turn_damping
 from firmware_sim.imu import filter_slopes
 from firmware_sim.layout import (
@@ -183,6 +184,13 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
             on_roll, on_pitch = bent_propeller(p, y[ROTOR + i], y[PHASE + i])
             roll += on_roll
             pitch += on_pitch
+    if p.windy != 0:
+        moment_x += wind(p, time_s, 0)
+        moment_y += wind(p, time_s, 1)
+        twist += wind(p, time_s, 2)
+        force_x += p.mass * wind(p, time_s, 3)
+        force_y += p.mass * wind(p, time_s, 4)
+        force_z += p.mass * wind(p, time_s, 5)
     push_x = (r11 * force_x + r12 * force_y + r13 * force_z) / p.mass + s.noise[3]
     push_y = (r21 * force_x + r22 * force_y + r23 * force_z) / p.mass + s.noise[4]
     push_z = (r31 * force_x + r32 * force_y + r33 * force_z) / p.mass + s.noise[5]

@@ -30,13 +30,14 @@ from groundstation.discrepancy.proof import HeldOut, Proof, prove
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.slow_disturbance import with_wind
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.division import hold_out
 from groundstation.identification.flight import Flight, prepare
-from groundstation.identification.likelihood.on_board import ON_BOARD, in_plane_hz
+from groundstation.identification.likelihood.on_board import in_plane_hz
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
@@ -120,6 +121,7 @@ def find_discrepancy(
         progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
     )
     report("proving it on held-out rows", 0.8)
+    findings = with_wind(findings, train, judged)
     findings = replace(findings, warnings=(*broken, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
@@ -189,8 +191,8 @@ def find_effects(
     vehicle = model_vehicle(model)
     corner = in_plane_hz(vehicle, fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
-    out = {*lost, *there, *ON_BOARD}
-    candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v not in RENAMES]
+    out = {*lost, *there}
+    candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
     search = SearchState(problem, held, known, candidates, report)
     if judged is not None:
         given = tuple(key for variant in known for key in variant.keys)

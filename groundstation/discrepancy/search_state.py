@@ -47,7 +47,7 @@ class SearchState:
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
         self.candidates = list(candidates)
-        fixed = [one for one in known if one.definition.renames or one.definition.on_board]
+        fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]
         self.fixed = {key: problem.start[key] for one in fixed for key in one.keys}
         self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))

@@ -55,6 +55,7 @@ CRAFT = np.dtype(
         ("body_states", "i8"),
         ("sensor_states", "i8"),
         ("body_initial", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),
+        ("body_noise", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # standard deviation, or 0
         ("sensor_initial", "f8", (SENSOR_STATES,)),
         ("follows", "i8", (SENSOR_STATES,)),  # gyro 0-2, force 3-5, or -1
         ("fastest", "f8"),  # 1/s, of the sensor states
@@ -117,7 +118,7 @@ def craft_of_laws(effects: Sequence[Acting]) -> Crafts:
         by_stage.setdefault(one[0].stage, []).append(one)
     _put_own(record[0], by_stage)
     for stage in STATEFUL:
-        _put_states(record[0], stage, [effect for effect, _ in by_stage.get(stage, ())])
+        _put_states(record[0], stage, by_stage.get(stage, ()))
     return record
 
 
@@ -181,7 +182,7 @@ def add_effects(craft: np.void, effects: list[Acting]) -> None:
             craft["fastest"] = max(craft["fastest"], effect.fastest(values))
     _put_own(craft, own)
     for stage in STATEFUL:
-        _put_states(craft, stage, [effect for effect, _ in own.get(stage, ())])
+        _put_states(craft, stage, own.get(stage, ()))
 
 
 def _put_own(craft: np.void, own: Mapping[str, list[Acting]]) -> None:
@@ -202,24 +203,32 @@ def _put_own(craft: np.void, own: Mapping[str, list[Acting]]) -> None:
     craft["own_values"][: len(numbers)] = numbers
 
 
-def _put_states(craft: np.void, stage: Stage, own: Sequence[Effect]) -> None:
+def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
     """Where the states of a stage begin, and how many there are to integrate."""
     listed = [effect for effect in at_stage(stage) if effect.states]
     acts = [*(bool(craft[effect.name][0]) for effect in listed), *(True for _ in own)]
+    given = [[p.name for p in effect.parameters] for effect in listed]
+    values = [
+        *(dict(zip(n, craft[e.name][1:], strict=True)) for e, n in zip(listed, given, strict=True)),
+        *(values for _, values in own),
+    ]
+    effects = (*listed, *(effect for effect, _ in own))
     remembered = [
-        (state, there)
-        for effect, there in zip((*listed, *own), acts, strict=True)
+        (state, there, sizes)
+        for effect, there, sizes in zip(effects, acts, values, strict=True)
         for state in effect.states
     ]
-    theirs = sum(len(effect.states) for effect in own)
+    theirs = sum(len(effect.states) for effect, _ in own)
     if theirs > STATE_SLOTS:
         raise BadInputError(f"its own effects have {theirs} states, at most {STATE_SLOTS} can act")
     if own:  # their chain has room for as many states as may be, whether they have any or not
         craft[f"{stage}_states"] = LISTED_STATES[stage] + STATE_SLOTS
     elif any(craft[effect.name][0] for effect in listed):
         craft[f"{stage}_states"] = LISTED_STATES[stage]
-    for place, (state, there) in enumerate(remembered):
+    for place, (state, there, sizes) in enumerate(remembered):
         craft[f"{stage}_initial"][place] = state.initial
+        if there and state.noise and stage == "body":
+            craft["body_noise"][place] = sizes[state.noise]
         # An observer takes the first that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)

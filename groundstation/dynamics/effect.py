@@ -136,11 +136,14 @@ class State:
 
     follows: a channel of ``Reading``'s gyro or accelerometer in body axes that the state is a
     delayed copy of: it begins at that channel's value and an observer corrects the two alike.
+    noise: the parameter that is the state's standard deviation, where noise drives it: an observer
+    estimates it.
     """
 
     name: str
     initial: float = 0.0
     follows: Channel | None = None
+    noise: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +209,17 @@ class Effect:
     def sizes(self) -> tuple[Parameter, ...]:
         """Parameters that alone make the effect."""
         return tuple(p for p in self.parameters if p.kind == "size")
+
+    @property
+    def followed(self) -> bool:
+        """Whether noise drives it: an observer follows it, and no column of a fit shows it."""
+        return any(state.noise for state in self.states)
+
+    @property
+    def fitted(self) -> bool:
+        """Whether a search fits it beside the base: not what is another name for one of its
+        constants, what is known of the firmware, or what has no column."""
+        return not (self.renames or self.on_board or self.followed)
 
     @property
     def choice(self) -> Parameter | None:

@@ -415,8 +415,8 @@ def observe(
 
 @spliced
 def _correct(craft: Any, gain: Any, error: Any, y: Any, z: Any) -> None:
-    delta = np.zeros(12)
-    for i in range(12):
+    delta = np.zeros(len(gain))
+    for i in range(len(gain)):
         total = 0.0
         for k in range(12):
             total += gain[i, k] * error[k]
@@ -430,5 +430,10 @@ def _correct(craft: Any, gain: Any, error: Any, y: Any, z: Any) -> None:
         for i in range(SENSOR_STATES):
             if 0 <= craft.follows[i] < 3:
                 z[i] += delta[6 + craft.follows[i]]
+    place = 12
+    for i in range(craft.body_states):
+        if place < len(gain) and craft.body_noise[i] > 0.0:
+            y[17 + i] += delta[place]
+            place += 1
     turn = (1.0, 0.5 * delta[0], 0.5 * delta[1], 0.5 * delta[2])
     y[6], y[7], y[8], y[9] = quaternion.normalised(quaternion.product(q, turn))

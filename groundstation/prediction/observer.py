@@ -96,8 +96,8 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
     lean = bool(sensor[0]["gains"][0] > 0.0)
     # The observer's velocity is the integral of measured specific force, not of the model's.
     observed = a.copy()
-    observed[9:] = 0.0
-    observed[9:, 9:] = np.eye(3)
+    observed[9:ERRORS] = 0.0
+    observed[9:ERRORS, 9:ERRORS] = np.eye(3)
     observed[9, 1] = period_s * craft[0]["gravity"]
     observed[10, 0] = -period_s * craft[0]["gravity"]
     torque = np.square(np.multiply(noise.torque, period_s))
@@ -106,6 +106,9 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
         [torque * (0.5 * period_s) ** 2 + 1e-13, torque, np.full(3, 1e-13), np.full(3, felt)]
     )
     process[9:] *= period_s**2
+    # A first-order process keeps its variance: what fades in a row comes anew.
+    driven = craft[0]["body_noise"][craft[0]["body_noise"] > 0.0]
+    process = np.concatenate([process, driven**2 * (1.0 - np.diag(a)[ERRORS:] ** 2)])
     # A leaning filter's report says next to nothing about the true attitude.
     attitude = 0.5 if lean else noise.attitude
     sensors = np.concatenate(
@@ -116,7 +119,7 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
             np.full(3, noise.speed**2),
         ]
     )
-    p = np.eye(ERRORS) * 1e-4
+    p = np.eye(len(a)) * 1e-4
     stale = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
     gains = {}
     for k in range(ROUNDS):
@@ -126,12 +129,12 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
         gain = np.linalg.solve(seen @ p @ seen.T + np.diag(sensors[rows]), seen @ p).T
         p = p - gain @ seen @ p
         p = 0.5 * (p + p.T)
-        full = np.zeros((ERRORS, ERRORS))
+        full = np.zeros((len(a), ERRORS))
         full[:, rows] = gain
         gains[k % 2] = full
     shown = sensors.copy()
     shown[6:9] = noise.attitude**2
-    process[9:] = (period_s * noise.force) ** 2
+    process[9:ERRORS] = (period_s * noise.force) ** 2
     return Gains(gains[1], gains[0], p, a, c, process, shown)
 
 
@@ -148,14 +151,17 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     """(12, 12) transition of an error over one row, and what is measured of it afterwards."""
     from groundstation.prediction.kernels import coast
 
-    one, hover, count = craft[0], hover_rev_s(craft), 2 * ERRORS
+    one, hover = craft[0], hover_rev_s(craft)
+    driven = STATES + np.flatnonzero(one["body_noise"])
+    errors = ERRORS + len(driven)
+    count = 2 * errors
     starts = np.zeros((count, STATES))
     starts[:, QUATERNION.start], starts[:, ROTOR] = 1.0, hover
     starts[:, POSITION.stop - 1] = FAR_M
     starts = with_states(craft, starts).copy()
     follows = one["follows"]
     sensed = np.tile(resting_sensors(one), (count, 1))
-    for i in range(ERRORS):
+    for i in range(errors):
         for k, sign in ((2 * i, 1.0), (2 * i + 1, -1.0)):
             part, axis = divmod(i, 3)
             if part == 0:
@@ -166,8 +172,10 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
                 starts[k, RATE.start + axis] = sign * NUDGE
             elif part == 2:
                 sensed[k, follows == axis] = sign * NUDGE
-            else:
+            elif part == 3:
                 starts[k, 3 + axis] = sign * NUDGE
+            else:
+                starts[k, driven[i - ERRORS]] = sign * NUDGE
     measured = np.empty((count, 1, 9))
     coast(
         one,
@@ -188,7 +196,9 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
         places = np.flatnonzero(follows == axis)
         if len(places) and one["sensor_states"]:
             delayed[:, axis] = sensed[:, places[0]]
-    reached = np.column_stack([2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6]])
+    reached = np.column_stack(
+        [2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6], starts[:, driven]]
+    )
     a = (reached[0::2] - reached[1::2]).T / (2 * NUDGE)
     felt = measured[:, 0, :6]
     seen = (felt[0::2] - felt[1::2]).T / (2 * NUDGE)
@@ -202,8 +212,8 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
             " without end; look at your own effects first"
         )
     # ``seen`` is of the error before the row; the observer needs it of the one after.
-    after = np.zeros((ERRORS, ERRORS))
+    after = np.zeros((ERRORS, errors))
     after[:6] = np.linalg.lstsq(a.T, seen.T, rcond=1e-12)[0].T
     after[6:9, 0:3] = np.eye(3)
-    after[9:, 9:] = np.eye(3)
+    after[9:, 9:ERRORS] = np.eye(3)
     return a, after

@@ -44,6 +44,7 @@ LISTED = {
     "attitude_filter_lean",
     "mass_change",
     "slung_load",
+    "wind",
 }
 QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 NEUTRAL = {"motor_braking_asymmetry": {"factor": 1.0}, "rotor_mismatch": {"excess": 0.0}}
@@ -70,6 +71,8 @@ def test_an_effect_of_size_zero_leaves_every_bit_as_it_was(name):
     zero = {parameter: 0.0 for parameter in EFFECTS[name].parameters if parameter != "rotor"}
     if name == "ground_effect":
         zero = {"gain": 0.0}
+    if name == "wind":
+        zero.pop("time_s")
     zero = NEUTRAL.get(name, zero)
     if name in ("slung_load", "cracked_arm"):
         zero = {"percent": 0.0} if name == "slung_load" else {"gain": 0.0}
@@ -466,6 +469,20 @@ def test_a_gust_comes_back_with_its_period():
     assert push[0] == pytest.approx([0.02 / p[0]["mass"], 2e-5 / p[0]["inertia"][0]])
     assert push[1] == pytest.approx(-push[0])
     assert push[2] == pytest.approx(push[0])
+
+
+def test_wind_has_the_spread_and_the_pace_of_noise_through_a_low_pass():
+    spread = {f"{what}_{axis}": 1.0 for what in ("moment", "force") for axis in "xyz"}
+    p, s = plant(effects={"wind": {**spread, "time_s": 2.0}})
+    still, resting = plant()
+    times = np.arange(0.0, 400.0, 0.5)
+    pushed = np.array([slopes(p, s, t) - slopes(still, resting, t) for t in times])
+    for column in (3, 4, 5, 10, 11, 12):
+        felt = pushed[:, column]
+        assert felt.std() == pytest.approx(1.0, rel=0.15)
+        assert felt[4:] @ felt[:-4] / (felt @ felt) == pytest.approx(np.exp(-1.0), abs=0.15)
+    others = np.corrcoef(pushed[:, [3, 4, 5, 10, 11, 12]].T) - np.eye(6)
+    assert np.abs(others).max() < 0.4
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,11 @@ def test_an_effect_whose_shape_has_to_be_looked_for_is_left_to_the_search():
         fit_body(flown(5), VEHICLE, ("slung_load",))
 
 
+def test_an_effect_that_noise_drives_is_left_to_the_search():
+    with pytest.raises(BadInputError, match="no fit of constants shows it"):
+        fit_body(flown(5), VEHICLE, ("wind",))
+
+
 def test_every_effect_that_is_fitted_is_tested_here():
     assert set(HIDDEN) == set(FITTED)
 

@@ -92,6 +92,17 @@ def test_a_slung_load_is_predicted_from_the_ground_on():
     assert within.max() < 1.2
 
 
+def test_an_observer_follows_what_drifts_slowly():
+    """Knowing spread and pace, it keeps moment and force, and a prediction begins with them."""
+    blown = dict.fromkeys(("moment_x", "moment_y", "moment_z"), 2.0)
+    blown |= dict.fromkeys(("force_x", "force_y", "force_z"), 0.3) | {"time_s": 2.0}
+    run, _ = flown(40.0, 3, effects={"wind": blown})
+    without, within = over_noise(BASE, run), over_noise(affected("wind", blown), run)
+    assert without.max() > 2.0
+    assert within.max() < 1.0 + 0.4 * (without.max() - 1.0)
+    assert (within < without + 0.05).all()
+
+
 def test_the_attitude_filter_of_2014_smooths_the_accelerometer_and_todays_does_not(clean):
     """Release 2014.01.0 takes an eighth of each sample; today's estimator what its sensors give."""
     felt = clean.accelerometer

@@ -45,6 +45,7 @@ FITTED = tuple(
     for name, one in EFFECTS.items()
     if one.stage != "supply"
     and not one.on_board
+    and not one.followed
     and set(one.channels) & {*GYRO}
     and not SOUGHT[name]
 )
@@ -235,6 +236,11 @@ def require_known(names: Sequence[str]) -> None:
             raise BadInputError(
                 f"--with {name}: its {', '.join(SOUGHT[name])} has to be looked for, which"
                 " 'groundstation discrepancy' does"
+            )
+        if name in EFFECTS and EFFECTS[name].followed:
+            raise BadInputError(
+                f"--with {name}: no fit of constants shows it, for only its spread and pace are"
+                " known; 'groundstation discrepancy' finds it"
             )
         if name in EFFECTS:
             raise BadInputError(

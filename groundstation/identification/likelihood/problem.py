@@ -124,11 +124,7 @@ class Problem:
         tried = {k for v in self.frame.variants.values() if v.tried for k in v.keys} - {*start}
         measured = any(flight.rotor_measured for flight in flights)
         self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
-        told = [
-            key
-            for key, one in effects
-            if not (one.effect.renames or one.effect.on_board or key in tried)
-        ]
+        told = [key for key, one in effects if one.effect.fitted and key not in tried]
         self.every_key = (*self.base_keys, *told)
         lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}

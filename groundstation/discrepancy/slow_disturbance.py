@@ -1,0 +1,217 @@
+"""What pushes and turns a craft slowly and belongs to no flight condition: ``wind``.
+
+No column shows it, for it has no law but its spread and its pace. What is left of predictions is
+averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
+The covariance of neighbours and of the next but one gives both numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.comparison.comparison import Comparison
+from groundstation.comparison.gap import AheadErrors
+from groundstation.discrepancy.acceptance import LEAST_DROP, LEAST_T
+from groundstation.discrepancy.findings import (
+    Candidate,
+    Findings,
+    FoundEffect,
+    Reason,
+    Refusal,
+    Verdict,
+)
+from groundstation.discrepancy.proof import HeldOut
+from groundstation.dynamics.model import EffectTerm, Estimate, Model
+from groundstation.dynamics.registry import EFFECTS
+
+Array = NDArray[np.float64]
+
+WIND = next(effect for effect in EFFECTS.values() if effect.followed)
+BLOCK_S = 0.5
+"""Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
+SHORTEST_S, LONGEST_S = 0.2, 30.0
+"""A pace that a block and a flight can tell."""
+LEAST_BLOCKS, LEAST_LASTING = 20, 3.0
+"""Means that tell a covariance, and its standard errors from which a channel has one; all six are
+asked at once, and the surest needs more."""
+EXCESS = 1.2
+"""Gap on held-out rows below which nothing is left that a name could explain."""
+FACTORS = (0.3, 1.0, 3.0)
+EXPLAINS = 0.2
+"""Least share of the squared excess of held-out predictions over noise that goes with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slow:
+    """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
+    where nothing lasts. time_s: the pace of all. t: of the surest; drop: of -2 log L of the means
+    of half seconds where each remembers the one before. seconds: so much was flown."""
+
+    spread: Array
+    time_s: float
+    t: float
+    drop: float
+    seconds: float
+
+
+def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
+    """The findings, with ``wind`` as the last effect where held-out predictions are better for it.
+
+    train: the given model on the rows that were fitted.
+    """
+    base = findings.model
+    if any(term.name == WIND.name for term in base.effects):
+        return findings
+    now = held.judge(base)
+    if now.gap < EXCESS:
+        return findings
+    fitted = train.with_model(base)
+    slow = slow_part(fitted.errors)
+    if slow.t < LEAST_T or slow.drop < LEAST_DROP:
+        words = f"not significant: {slow.t:.1f} standard errors"
+        return _refused(findings, slow, Refusal(Reason.INSIGNIFICANT, words))
+    slow = best_followed(slow, fitted)
+    found = held.judge(_with_term(base, slow))
+    while found.worse and slow.spread.any():
+        # Where following makes it worse it is not followed.
+        away = [channel % 3 + (3 if 3 <= channel < 6 else 0) for channel in found.worse]
+        rest = slow.spread.copy()
+        rest[away] = 0.0
+        if (rest == slow.spread).all():
+            rest[:] = 0.0
+        slow = replace(slow, spread=rest)
+        found = held.judge(_with_term(base, slow))
+    parameters = _parameters(slow)
+    if not WIND.plausible({name: one.value for name, one in parameters.items()}):
+        words = ", ".join(f"{k} {one.value:.3g} {one.unit}" for k, one in parameters.items())
+        return _refused(findings, slow, Refusal(Reason.IMPLAUSIBLE, f"not plausible: {words}"))
+    share = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
+    if share < EXPLAINS:
+        words = f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions"
+        return _refused(findings, slow, Refusal(Reason.DROWNED, words))
+    return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
+
+
+def best_followed(slow: Slow, fitted: Comparison) -> Slow:
+    """Each spread times the factor with which its channels are predicted best on fitted rows, 0
+    among them: beside what is fast and has no name, the observer may follow less or more."""
+    tried = [0.0, *FACTORS]
+    squares = []
+    for factor in tried:
+        model = _with_term(fitted.model, replace(slow, spread=factor * slow.spread))
+        error = (fitted.with_model(model).rms / fitted.noise_floor) ** 2
+        squares.append(np.concatenate([np.nansum([error[:3], error[6:]], axis=0), error[3:6]]))
+    with np.errstate(invalid="ignore"):
+        chosen = np.argmin(np.nan_to_num(squares, nan=np.inf), axis=0)
+    return replace(slow, spread=slow.spread * np.array(tried)[chosen])
+
+
+def slow_part(errors: Sequence[AheadErrors]) -> Slow:
+    """What lasts in the errors of predictions at the longest horizon.
+
+    The rate that a craft has gained by then is a moment times the horizon. A channel whose
+    neighbouring means agree no better than chance has none.
+    """
+    flights = [_means(one) for one in errors]
+    seconds = BLOCK_S * float(sum(len(means) for means in flights))
+    variance, one, two = (_covariances(flights, lag) for lag in range(3))
+    count = np.array([sum(int(np.isfinite(m[:, c]).sum()) for m in flights) for c in range(6)])
+    there = (variance > 0.0) & (count >= LEAST_BLOCKS)
+    like = np.where(there, one / np.where(there, variance, 1.0), 0.0).clip(-0.999, 0.999)
+    t = like * np.sqrt(count)
+    lasting = t >= LEAST_LASTING
+    if not lasting.any():
+        return Slow(np.zeros(6), SHORTEST_S, float(t.max(initial=0.0)), 0.0, seconds)
+    kept = float((two / np.where(there, variance, 1.0))[lasting].sum() / like[lasting].sum())
+    pace = -BLOCK_S / math.log(min(max(kept, 1e-9), 1.0 - 1e-9))
+    time_s = min(max(pace, SHORTEST_S), LONGEST_S)
+    # The covariance of neighbouring means of such a process, over its variance.
+    share = (time_s / BLOCK_S * (1.0 - math.exp(-BLOCK_S / time_s))) ** 2
+    spread = np.where(lasting, np.sqrt(np.maximum(one, 0.0) / share), 0.0)
+    drop = float((-count * np.log(1.0 - like**2))[lasting].sum())
+    return Slow(spread, time_s, float(t.max()), drop, seconds)
+
+
+def _means(one: AheadErrors) -> Array:
+    """Moments and forces that are missing, (blocks, 6), averaged over each block; NaN where less
+    than half of it was judged."""
+    period, last = one.run.period_s, one.horizons[-1][:, :6]
+    missing = last / np.concatenate([one.rows[-1][:3] * period, np.ones(3)])
+    size = max(round(BLOCK_S / period), 1)
+    blocks = missing[: len(missing) // size * size].reshape(-1, size, 6)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=1)
+    sums = np.where(known, blocks, 0.0).sum(axis=1)
+    return np.where(count * 2 >= size, sums / np.maximum(count, 1), np.nan)
+
+
+def _covariances(flights: Sequence[Array], lag: int) -> Array:
+    """Mean products (6,) of each mean and the one ``lag`` later, where both are known."""
+    found = np.concatenate([means[: len(means) - lag] * means[lag:] for means in flights])
+    known = np.isfinite(found)
+    return np.asarray(np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+
+
+def _parameters(slow: Slow) -> dict[str, Estimate]:
+    """With the standard errors of a first-order process that was watched for so long."""
+    error = math.sqrt(slow.time_s / max(2.0 * slow.seconds, slow.time_s))
+    found = {
+        one.name: Estimate(spread, error * spread, one.unit)
+        for one, spread in zip(WIND.sizes, slow.spread.tolist(), strict=True)
+    }
+    (pace,) = (one for one in WIND.parameters if one.kind == "shape")
+    return {**found, pace.name: Estimate(slow.time_s, 2.0 * error * slow.time_s, pace.unit)}
+
+
+def _with_term(model: Model, slow: Slow) -> Model:
+    import msgspec
+
+    if not slow.spread.any():
+        return model
+    effects = (*model.effects, EffectTerm(WIND.name, _parameters(slow)))
+    return msgspec.structs.replace(model, effects=effects)
+
+
+def _joined(findings: Findings, slow: Slow, after: Slow, gaps: tuple[float, float]) -> Findings:
+    """after: what lasts on held-out rows. gaps: of held-out predictions before and after."""
+    model = _with_term(findings.model, slow)
+    effect = FoundEffect(
+        name=WIND.name,
+        order=len(findings.effects) + 1,
+        parameters=_parameters(slow),
+        evidence={
+            "likelihood_ratio": slow.drop,
+            "t": slow.t,
+            "held_out": after.drop,
+            "held_out_expected": slow.drop * after.seconds / slow.seconds,
+            "axes": 0.0,
+            "recordings": 0.0,
+            "whitened_before": gaps[0],
+            "whitened_after": gaps[1],
+        },
+        alternatives=(),
+        channels=tuple(CHANNELS[c] for c in np.flatnonzero(slow.spread).tolist()),
+        adds=WIND.adds,
+        model=model,
+    )
+    return replace(
+        findings,
+        verdict=Verdict.EFFECTS_FOUND,
+        effects=(*findings.effects, effect),
+        model=model,
+        candidates=(*findings.candidates, _candidate(slow, after.drop, None)),
+    )
+
+
+def _refused(findings: Findings, slow: Slow, why: Refusal) -> Findings:
+    return replace(findings, candidates=(*findings.candidates, _candidate(slow, 0.0, why)))
+
+
+def _candidate(slow: Slow, held_out: float, why: Refusal | None) -> Candidate:
+    return Candidate(WIND.name, _parameters(slow), slow.drop, slow.t, held_out, why is None, why)

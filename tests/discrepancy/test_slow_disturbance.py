@@ -1,0 +1,103 @@
+"""What acts slowly and belongs to no flight condition is called wind, and nothing else is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from searched_flights import base_model, flights
+
+from groundstation.comparison.comparison import compare
+from groundstation.discrepancy.engine import find_effects
+from groundstation.discrepancy.findings import Verdict
+from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.slow_disturbance import slow_part, with_wind
+
+PERIOD_S, AHEAD = 0.002, 25
+BLOWN = {
+    "moment_x": 3.0,
+    "moment_y": 3.0,
+    "moment_z": 1.5,
+    "force_x": 0.3,
+    "force_y": 0.3,
+    "force_z": 0.1,
+    "time_s": 2.0,
+}
+
+
+def errors(missing):
+    """Prediction errors of a flight in which these moments and forces (n, 6) are missing."""
+    last = np.column_stack([missing, np.zeros((len(missing), 3))])
+    last[:, :3] *= AHEAD * PERIOD_S
+    rows = np.full(9, AHEAD)
+    run = SimpleNamespace(period_s=PERIOD_S)
+    return SimpleNamespace(run=run, horizons=(last, last), rows=(rows, rows))
+
+
+def drifting(seconds, time_s, spread, generator):
+    """Noise through a first-order low-pass, with this spread."""
+    count, kept = round(seconds / PERIOD_S), np.exp(-PERIOD_S / time_s)
+    driven = generator.normal(size=count) * np.sqrt(1.0 - kept**2)
+    return spread * lfilter([1.0], [1.0, -kept], driven)
+
+
+def test_spread_and_pace_of_what_drifts_are_told_beside_noise():
+    generator = np.random.default_rng(1)
+    missing = generator.normal(0.0, 5.0, (200_000, 6))
+    for column, spread in ((0, 3.0), (4, 0.4)):
+        missing[:, column] = drifting(400.0, 3.0, spread, generator)
+        missing[:, column] += generator.normal(0.0, 5.0 * spread, 200_000)
+    slow = slow_part([errors(missing)])
+    assert np.flatnonzero(slow.spread).tolist() == [0, 4]
+    assert slow.spread[[0, 4]] == pytest.approx([3.0, 0.4], rel=0.2)
+    assert slow.time_s == pytest.approx(3.0, rel=0.5)
+
+
+def test_noise_alone_does_not_last():
+    missing = np.random.default_rng(2).normal(0.0, 5.0, (100_000, 6))
+    assert not slow_part([errors(missing)]).spread.any()
+
+
+def test_a_flight_that_was_hardly_judged_tells_nothing():
+    missing = np.full((100_000, 6), np.nan)
+    missing[:2000] = 1.0
+    assert not slow_part([errors(missing)]).spread.any()
+
+
+@pytest.fixture(scope="module")
+def searched():
+    """Stand-in flights in wind and in still air: the findings, with and without that name."""
+
+    def look(seed, effects):
+        runs, held = flights(seed, effects)
+        train = compare(runs, base_model())
+        judged = HeldOut(compare(held, base_model(), train.black_box))
+        before = find_effects(runs, base_model(), held, judged=judged)
+        return before, with_wind(before, train, judged), judged
+
+    return {"wind": look(8, {"wind": BLOWN}), "still": look(9, {})}
+
+
+def test_wind_is_named_with_its_spread_and_held_out_rows_are_predicted_better(searched):
+    before, after, judged = searched["wind"]
+    assert before.effects == ()
+    (found,) = after.effects
+    assert found.name == "wind"
+    assert after.verdict == Verdict.EFFECTS_FOUND
+    given, improved = judged.judge(before.model), judged.judge(after.model)
+    assert not improved.worse
+    assert improved.gap**2 - 1.0 < 0.5 * (given.gap**2 - 1.0)
+    force = found.parameters["force_x"]
+    assert force.value == pytest.approx(BLOWN["force_x"], rel=0.6)
+    (candidate,) = [one for one in after.candidates if one.name == "wind"]
+    assert candidate.accepted
+
+
+def test_in_still_air_there_is_none(searched):
+    before, after, _ = searched["still"]
+    assert after is before
+
+
+def test_a_model_that_has_it_already_keeps_it(searched):
+    _, after, judged = searched["wind"]
+    assert with_wind(after, judged.before, judged) is after
