@@ -76,6 +76,7 @@ def test_the_predictor_flies_the_same_accelerations(name, seed):
     run = SimpleNamespace(
         period_s=2e-4,
         duty=duty,
+        settings=duty,
         supply_v=np.full(rows, 3.7),
         gyro=zeros,
         accelerometer=zeros,
