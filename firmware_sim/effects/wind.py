@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.effect import POSITIVE, Effect, Values, size
+from firmware_sim.effects.effect import POSITIVE, Effect, Values, size, zeroes
 from firmware_sim.layout import Record
 
 WAVES, SLOWEST, FASTEST = 32, 0.01, 8.0
@@ -42,6 +42,12 @@ def _apply(p: Any, values: Values) -> None:
     p["windy"] = int(np.any(p["wind"] != 0.0))
 
 
+def _present(p: Any) -> Values | None:
+    if not p["windy"]:
+        return None
+    return dict(zip(NAMES, p["wind"].tolist(), strict=True)) | {"time_s": float(p["wind_time"])}
+
+
 def _draw(generator: np.random.Generator) -> Values:
     return {
         "moment_x": size(generator, 1.0, 5.0),
@@ -65,6 +71,8 @@ EFFECT = Effect(
         "time_s": (2.0, "s"),
     },
     apply=_apply,
+    clear=zeroes("windy", "wind"),
+    present=_present,
     draw=_draw,
     limits={**dict.fromkeys(NAMES, POSITIVE), "time_s": (0.05, math.inf)},
 )
