@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.acceptance import LEAST_DROP, LEAST_T
+from groundstation.discrepancy.acceptance import LEAST_DROP, LEAST_T, PREDICTED_SHARE
 from groundstation.discrepancy.findings import (
     Candidate,
     Findings,
@@ -43,8 +43,6 @@ asked at once, and the surest needs more."""
 EXCESS = 1.2
 """Gap on held-out rows below which nothing is left that a name could explain."""
 FACTORS = (0.3, 1.0, 3.0)
-EXPLAINS = 0.2
-"""Least share of the squared excess of held-out predictions over noise that goes with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
         words = ", ".join(f"{k} {one.value:.3g} {one.unit}" for k, one in parameters.items())
         return _refused(findings, slow, Refusal(Reason.IMPLAUSIBLE, f"not plausible: {words}"))
     share = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
-    if share < EXPLAINS:
+    if share < PREDICTED_SHARE:
         words = f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions"
         return _refused(findings, slow, Refusal(Reason.DROWNED, words))
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
