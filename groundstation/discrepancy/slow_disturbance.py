@@ -42,7 +42,6 @@ LEAST_BLOCKS, LEAST_LASTING = 20, 3.0
 asked at once, and the surest needs more."""
 EXCESS = 1.2
 """Gap on held-out rows below which nothing is left that a name could explain."""
-FACTORS = (0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
     if slow.t < LEAST_T or slow.drop < LEAST_DROP:
         words = f"not significant: {slow.t:.1f} standard errors"
         return _refused(findings, slow, Refusal(Reason.INSIGNIFICANT, words))
-    slow = best_followed(slow, fitted)
+    slow = worth_following(slow, fitted)
     found = held.judge(_with_term(base, slow))
     while found.worse and slow.spread.any():
         # Where following makes it worse it is not followed.
@@ -96,18 +95,15 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
 
 
-def best_followed(slow: Slow, fitted: Comparison) -> Slow:
-    """Each spread times the factor with which its channels are predicted best on fitted rows, 0
-    among them: beside what is fast and has no name, the observer may follow less or more."""
-    tried = [0.0, *FACTORS]
-    squares = []
-    for factor in tried:
-        model = _with_term(fitted.model, replace(slow, spread=factor * slow.spread))
-        error = (fitted.with_model(model).rms / fitted.noise_floor) ** 2
-        squares.append(np.concatenate([np.nansum([error[:3], error[6:]], axis=0), error[3:6]]))
-    with np.errstate(invalid="ignore"):
-        chosen = np.argmin(np.nan_to_num(squares, nan=np.inf), axis=0)
-    return replace(slow, spread=slow.spread * np.array(tried)[chosen])
+def worth_following(slow: Slow, fitted: Comparison) -> Slow:
+    """With the spreads only of those channels that are predicted better for it on fitted rows:
+    beside what is fast and has no name, following what is slow can mislead."""
+    after = fitted.with_model(_with_term(fitted.model, slow))
+    before, now = (
+        np.concatenate([np.nansum([one[:3], one[6:]], axis=0), one[3:6]])
+        for one in ((part.rms / fitted.noise_floor) ** 2 for part in (fitted, after))
+    )
+    return replace(slow, spread=np.where(now < before, slow.spread, 0.0))
 
 
 def slow_part(errors: Sequence[AheadErrors]) -> Slow:
@@ -160,7 +156,7 @@ def _parameters(slow: Slow) -> dict[str, Estimate]:
     """With the standard errors of a first-order process that was watched for so long."""
     error = math.sqrt(slow.time_s / max(2.0 * slow.seconds, slow.time_s))
     found = {
-        one.name: Estimate(spread, error * spread, one.unit)
+        one.name: Estimate(spread, error * spread if spread else None, one.unit)
         for one, spread in zip(WIND.sizes, slow.spread.tolist(), strict=True)
     }
     (pace,) = (one for one in WIND.parameters if one.kind == "shape")
