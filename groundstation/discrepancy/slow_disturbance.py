@@ -2,14 +2,14 @@
 
 No column shows it, for it has no law but its spread and its pace. What is left of predictions is
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
-The covariance of neighbours and of the next but one gives both numbers.
+The covariance of neighbours gives the spread, and how well fitted rows are predicted the pace.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 WIND = next(effect for effect in EFFECTS.values() if effect.followed)
 BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
-SHORTEST_S, LONGEST_S = 0.2, 30.0
-"""A pace that a block and a flight can tell."""
+PACES_S = (0.3, 1.0, 3.0, 10.0)
+"""How fast it may change: more slowly than a craft is steered, and told by a flight of a minute."""
 LEAST_BLOCKS, LEAST_LASTING = 20, 3.0
 """Means that tell a covariance, and its standard errors from which a channel has one; all six are
 asked at once, and the surest needs more."""
@@ -48,13 +48,20 @@ EXCESS = 1.2
 class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
     where nothing lasts. time_s: the pace of all. t: of the surest; drop: of -2 log L of the means
-    of half seconds where each remembers the one before. seconds: so much was flown."""
+    of half seconds where each remembers the one before. seconds: so much was flown. shared (6,):
+    covariance of neighbouring means."""
 
     spread: Array
     time_s: float
     t: float
     drop: float
     seconds: float
+    shared: Array = field(default_factory=lambda: np.zeros(6))
+
+    def at(self, time_s: float) -> Slow:
+        """The spreads with which a first-order process of this pace has such means."""
+        share = (time_s / BLOCK_S * (1.0 - math.exp(-BLOCK_S / time_s))) ** 2
+        return replace(self, time_s=time_s, spread=np.sqrt(self.shared / share))
 
 
 def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
@@ -73,7 +80,7 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
     if slow.t < LEAST_T or slow.drop < LEAST_DROP:
         words = f"not significant: {slow.t:.1f} standard errors"
         return _refused(findings, slow, Refusal(Reason.INSIGNIFICANT, words))
-    slow = worth_following(slow, fitted)
+    slow = best_followed(slow, fitted)
     found = held.judge(_with_term(base, slow))
     while found.worse and slow.spread.any():
         # Where following makes it worse it is not followed.
@@ -95,15 +102,27 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
 
 
-def worth_following(slow: Slow, fitted: Comparison) -> Slow:
-    """With the spreads only of those channels that are predicted better for it on fitted rows:
-    beside what is fast and has no name, following what is slow can mislead."""
-    after = fitted.with_model(_with_term(fitted.model, slow))
-    before, now = (
-        np.concatenate([np.nansum([one[:3], one[6:]], axis=0), one[3:6]])
-        for one in ((part.rms / fitted.noise_floor) ** 2 for part in (fitted, after))
-    )
-    return replace(slow, spread=np.where(now < before, slow.spread, 0.0))
+def best_followed(slow: Slow, fitted: Comparison) -> Slow:
+    """At the pace with which fitted rows are predicted best, with the spreads only of those
+    channels that are: beside what is fast and has no name, following what is slow can mislead."""
+    told = np.isfinite(fitted.rms)
+    before = _squares(fitted.rms / fitted.noise_floor, told)
+    found = []
+    for time_s in PACES_S:
+        one = slow.at(time_s)
+        after = fitted.with_model(_with_term(fitted.model, one)).rms / fitted.noise_floor
+        gained = before - _squares(after, told)
+        kept = replace(one, spread=np.where(gained > 0.0, one.spread, 0.0))
+        found.append((float(gained[gained > 0.0].sum()), kept))
+    return max(found, key=lambda each: each[0])[1]
+
+
+def _squares(gaps: Array, told: NDArray[np.bool_]) -> Array:
+    """Of the channels (9,) that a moment or a force on each axis moves, (6,); infinite where a
+    channel that can be told is predicted no number."""
+    known = np.where(np.isfinite(gaps), gaps, np.inf)
+    squares = np.where(told, known, 0.0) ** 2
+    return np.concatenate([squares[:3] + squares[6:], squares[3:6]])
 
 
 def slow_part(errors: Sequence[AheadErrors]) -> Slow:
@@ -114,22 +133,15 @@ def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     """
     flights = [_means(one) for one in errors]
     seconds = BLOCK_S * float(sum(len(means) for means in flights))
-    variance, one, two = (_covariances(flights, lag) for lag in range(3))
+    variance, shared = (_covariances(flights, lag) for lag in range(2))
     count = np.array([sum(int(np.isfinite(m[:, c]).sum()) for m in flights) for c in range(6)])
     there = (variance > 0.0) & (count >= LEAST_BLOCKS)
-    like = np.where(there, one / np.where(there, variance, 1.0), 0.0).clip(-0.999, 0.999)
+    like = np.where(there, shared / np.where(there, variance, 1.0), 0.0).clip(-0.999, 0.999)
     t = like * np.sqrt(count)
     lasting = t >= LEAST_LASTING
-    if not lasting.any():
-        return Slow(np.zeros(6), SHORTEST_S, float(t.max(initial=0.0)), 0.0, seconds)
-    kept = float((two / np.where(there, variance, 1.0))[lasting].sum() / like[lasting].sum())
-    pace = -BLOCK_S / math.log(min(max(kept, 1e-9), 1.0 - 1e-9))
-    time_s = min(max(pace, SHORTEST_S), LONGEST_S)
-    # The covariance of neighbouring means of such a process, over its variance.
-    share = (time_s / BLOCK_S * (1.0 - math.exp(-BLOCK_S / time_s))) ** 2
-    spread = np.where(lasting, np.sqrt(np.maximum(one, 0.0) / share), 0.0)
     drop = float((-count * np.log(1.0 - like**2))[lasting].sum())
-    return Slow(spread, time_s, float(t.max()), drop, seconds)
+    found = Slow(np.zeros(6), BLOCK_S, float(t.max(initial=0.0)), drop, seconds)
+    return replace(found, shared=np.where(lasting, shared, 0.0)).at(BLOCK_S)
 
 
 def _means(one: AheadErrors) -> Array:
@@ -153,14 +165,18 @@ def _covariances(flights: Sequence[Array], lag: int) -> Array:
 
 
 def _parameters(slow: Slow) -> dict[str, Estimate]:
-    """With the standard errors of a first-order process that was watched for so long."""
+    """With the standard errors of a first-order process that was watched for so long; the pace
+    is known to a step of ``PACES_S``."""
     error = math.sqrt(slow.time_s / max(2.0 * slow.seconds, slow.time_s))
     found = {
         one.name: Estimate(spread, error * spread if spread else None, one.unit)
         for one, spread in zip(WIND.sizes, slow.spread.tolist(), strict=True)
     }
     (pace,) = (one for one in WIND.parameters if one.kind == "shape")
-    return {**found, pace.name: Estimate(slow.time_s, 2.0 * error * slow.time_s, pace.unit)}
+    return {
+        **found,
+        pace.name: Estimate(slow.time_s, max(2.0 * error, 0.5) * slow.time_s, pace.unit),
+    }
 
 
 def _with_term(model: Model, slow: Slow) -> Model:

@@ -41,16 +41,15 @@ def drifting(seconds, time_s, spread, generator):
     return spread * lfilter([1.0], [1.0, -kept], driven)
 
 
-def test_spread_and_pace_of_what_drifts_are_told_beside_noise():
+def test_the_spread_of_what_drifts_is_told_beside_noise():
     generator = np.random.default_rng(1)
     missing = generator.normal(0.0, 5.0, (200_000, 6))
     for column, spread in ((0, 3.0), (4, 0.4)):
         missing[:, column] = drifting(400.0, 3.0, spread, generator)
         missing[:, column] += generator.normal(0.0, 5.0 * spread, 200_000)
-    slow = slow_part([errors(missing)])
+    slow = slow_part([errors(missing)]).at(3.0)
     assert np.flatnonzero(slow.spread).tolist() == [0, 4]
     assert slow.spread[[0, 4]] == pytest.approx([3.0, 0.4], rel=0.2)
-    assert slow.time_s == pytest.approx(3.0, rel=0.5)
 
 
 def test_noise_alone_does_not_last():
@@ -91,6 +90,7 @@ def test_wind_is_named_with_its_spread_and_held_out_rows_are_predicted_better(se
     assert force.value == pytest.approx(BLOWN["force_x"], rel=0.6)
     (candidate,) = [one for one in after.candidates if one.name == "wind"]
     assert candidate.accepted
+    assert found.parameters["time_s"].value in (1.0, 3.0)
 
 
 def test_in_still_air_there_is_none(searched):
