@@ -30,7 +30,8 @@ def run():
     force[sink + CLIMB_ROWS : sink + 2 * CLIMB_ROWS, 2] += 1.0
     nothing = np.full((ROWS, 4), np.nan)
     level = np.zeros((ROWS, 3))
-    return Run("hop", 0.0, T, duty, np.full(ROWS, 3.9), level, force, level, nothing, level[:, 0])
+    full, still = np.full(ROWS, 3.9), level[:, 0]
+    return Run("hop", 0.0, T, duty, full, level, force, level, nothing, still, nothing)
 
 
 def test_the_ground_carries_until_the_craft_is_two_centimetres_up(run):
