@@ -206,17 +206,10 @@ def _put_own(craft: np.void, own: Mapping[str, list[Acting]]) -> None:
 def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
     """Where the states of a stage begin, and how many there are to integrate."""
     listed = [effect for effect in at_stage(stage) if effect.states]
-    acts = [*(bool(craft[effect.name][0]) for effect in listed), *(True for _ in own)]
-    given = [[p.name for p in effect.parameters] for effect in listed]
-    values = [
-        *(dict(zip(n, craft[e.name][1:], strict=True)) for e, n in zip(listed, given, strict=True)),
-        *(values for _, values in own),
-    ]
-    effects = (*listed, *(effect for effect, _ in own))
+    every = [(effect, bool(craft[effect.name][0]), _given(craft, effect)) for effect in listed]
+    every += [(effect, True, values) for effect, values in own]
     remembered = [
-        (state, there, sizes)
-        for effect, there, sizes in zip(effects, acts, values, strict=True)
-        for state in effect.states
+        (state, there, values) for effect, there, values in every for state in effect.states
     ]
     theirs = sum(len(effect.states) for effect, _ in own)
     if theirs > STATE_SLOTS:
@@ -225,13 +218,19 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         craft[f"{stage}_states"] = LISTED_STATES[stage] + STATE_SLOTS
     elif any(craft[effect.name][0] for effect in listed):
         craft[f"{stage}_states"] = LISTED_STATES[stage]
-    for place, (state, there, sizes) in enumerate(remembered):
+    for place, (state, there, values) in enumerate(remembered):
         craft[f"{stage}_initial"][place] = state.initial
         if there and state.noise and stage == "body":
-            craft["body_noise"][place] = sizes[state.noise]
+            craft["body_noise"][place] = values[state.noise]
         # An observer takes the first that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
+
+
+def _given(craft: np.void, effect: Effect) -> dict[str, float]:
+    """A listed effect's parameters as a record has them."""
+    names = (one.name for one in effect.parameters)
+    return dict(zip(names, craft[effect.name][1:].tolist(), strict=True))
 
 
 def _put_motors(craft: np.void, motors: Motors) -> None:

@@ -64,4 +64,4 @@ CHANNELS = _channels()
 """Battery, duties, gyro, accelerometer, attitude (pitch nose down positive), rotors, and what slow
 rows know of two settings."""
 UNUSUAL = ("rotor_rev_s", "duty_step")
-"""Fields that most sources do not have and nobody misses."""
+"""Fields that most sources do not have and nobody misses; older recordings know them not."""

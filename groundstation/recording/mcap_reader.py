@@ -15,12 +15,12 @@ from mcap.records import Channel, Schema
 from groundstation.errors import RecordingError
 from groundstation.recording.catalogue import is_held
 from groundstation.recording.cdr import Definition
+from groundstation.recording.channels import UNUSUAL
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (
     COMMAND_TOPIC,
     ENTRY_TOPICS,
     EVENTS_TOPIC,
-    MAY_BE_EMPTY,
     RAW_DEFINITION,
     RAW_TOPIC,
     SAMPLE_FIELDS,
@@ -204,7 +204,7 @@ class _Topics:
         assert schema is not None
         definition = Definition.parse(schema.data.decode())
         for field in ours.fields:
-            if field not in definition.fields and field.name not in MAY_BE_EMPTY:
+            if field not in definition.fields and field.name not in UNUSUAL:
                 raise ValueError(f"has no {field.name} of type {field.dtype}; not ours to read")
         return definition
 
@@ -232,9 +232,9 @@ class _SampleColumns:
             for column, (name, width) in SAMPLE_FIELDS.items()
             if name in places
         ]
-        none_of = [(self._columns[n], SAMPLE_FIELDS[n][1]) for n in MAY_BE_EMPTY if n not in places]
+        none_of = [(self._columns[n], SAMPLE_FIELDS[n][1]) for n in UNUSUAL if n not in places]
         tick, ticks = places["tick_s"], places["ticks"]
-        empty = [(places[n], SAMPLE_FIELDS[n][1]) for n in MAY_BE_EMPTY if n in places]
+        empty = [(places[n], SAMPLE_FIELDS[n][1]) for n in UNUSUAL if n in places]
 
         def add(payload: memoryview) -> None:
             parts = definition.slices(payload)

@@ -15,6 +15,7 @@ import numpy as np
 
 from groundstation.documents import decode_json
 from groundstation.recording.cdr import Definition
+from groundstation.recording.channels import UNUSUAL
 from groundstation.recording.ros2_messages import (
     LOG_DEFINITION,
     LOG_TOPIC,
@@ -80,8 +81,6 @@ SAMPLE_FIELDS: dict[str, tuple[str, int]] = {
     "duty_step": ("duty_step", 4),
 }
 """Column of a ``SampleBatch`` -> field of the definition and numbers per row."""
-MAY_BE_EMPTY = ("rotor_rev_s", "duty_step")
-"""Columns, named as their fields, that few sources have; older recordings know them not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +171,7 @@ def encode_samples(batch: SampleBatch) -> bytes:
         field: getattr(batch, column) for column, (field, _) in SAMPLE_FIELDS.items()
     }
     values["tick_s"] = batch.tick_s
-    values |= {name: () for name in MAY_BE_EMPTY if np.isnan(getattr(batch, name)).all()}
+    values |= {name: () for name in UNUSUAL if np.isnan(getattr(batch, name)).all()}
     return SAMPLES_DEFINITION.encode(values)
 
 

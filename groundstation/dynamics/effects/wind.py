@@ -41,7 +41,7 @@ EFFECT = Effect(
     name="wind",
     stage="body",
     law=law,
-    order=11,
+    order=11,  # it scales with nothing: neither with the mass nor with a load
     states=tuple(State(f"of {one.name}", noise=one.name) for one in SIZES),
     parameters=(
         *SIZES,
@@ -52,7 +52,6 @@ EFFECT = Effect(
             low=0.2,
             high=60.0,
             absent=2.0,
-            bounds=(0.2, 60.0),
             kind="shape",
             least=0.05,
         ),

@@ -43,11 +43,7 @@ SOUGHT = {name: [key.name for key in one.parameters if key.tried] for name, one 
 FITTED = tuple(
     name
     for name, one in EFFECTS.items()
-    if one.stage != "supply"
-    and not one.on_board
-    and not one.followed
-    and set(one.channels) & {*GYRO}
-    and not SOUGHT[name]
+    if one.stage != "supply" and one.fitted and set(one.channels) & {*GYRO} and not SOUGHT[name]
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""
