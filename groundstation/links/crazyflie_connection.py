@@ -13,17 +13,22 @@ import io
 import logging
 import os
 import random
+import re
 import threading
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.log_plan import Variable
 
-SCHEMES = ("udp://", "radio://", "usb://")
+ADDRESSES = (
+    "udp://HOST:PORT, usb://0 or radio://0/80/2M/E7E7E7E7E7 (dongle or its serial number, channel 0"
+    " to 125, rate 250K, 1M or 2M, address of ten hexadecimal digits)"
+)
 HINT = "install it with pip install -e '.[radio]' in the program's folder, or pip install cflib"
 CONNECT_S = 10.0
 ANSWER_S = 1.0
@@ -40,6 +45,13 @@ _LOG_CONTROL, _VERSION = 1, 1
 _START_V2 = 8
 _FIRMWARE, _DEVICE = 1, 2
 
+_RADIO = re.compile(
+    r"radio://(\d{1,9}|[0-9A-Fa-f]{10,32})/(?P<channel>\d{1,3})"
+    r"(/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?)?/?(\?rate_limit=\d+)?"
+)
+_CABLE = re.compile(r"usb://\d+")
+_LAST_CHANNEL = 125
+_ERROR_NAME = re.compile(r"^([\w.]+\.)?\w*(Error|Exception): ")
 _UNHEARD = logging.NullHandler()
 
 OnValues = Callable[[int, int, tuple[float, ...]], None]
@@ -64,11 +76,8 @@ class Connection:
     """
 
     def __init__(self, uri: str) -> None:
-        if not uri.startswith(SCHEMES):
-            raise BadInputError(
-                f"{uri!r} is not known: give udp://HOST:PORT, usb://0 or"
-                " radio://0/80/2M/E7E7E7E7E7 (dongle, channel, rate, address)"
-            )
+        if not _is_address(uri):
+            raise BadInputError(f"{uri!r} is no address of a craft: give {ADDRESSES}")
         try:
             import cflib.crtp
             from cflib.crazyflie import Crazyflie
@@ -386,6 +395,20 @@ def in_reach() -> list[str]:
     return found
 
 
+def _is_address(uri: str) -> bool:
+    """Whether cflib can make anything of it: of what it cannot it says so in words of Python, and
+    a wrong channel it finds only once there is a dongle."""
+    if radio := _RADIO.fullmatch(uri):
+        return int(radio["channel"]) <= _LAST_CHANNEL
+    if not uri.startswith("udp://"):
+        return _CABLE.fullmatch(uri) is not None
+    try:
+        parts = urlsplit(uri)
+        return bool(parts.hostname and parts.port)
+    except ValueError:  # the port
+        return False
+
+
 def _elsewhere(function: Callable[[], None]) -> None:
     """Let a thread of its own call it: one that may not wait for the thread that asks."""
     threading.Thread(target=function, daemon=True).start()
@@ -406,7 +429,15 @@ def _explained(reason: str) -> str:
     line = lines[0] if lines else "connection lost"
     if "Traceback" in reason:
         line = lines[-1]
+    line = _ERROR_NAME.sub("", line)
     lowered = reason.lower()
+    if "could not open usb" in lowered:
+        return (
+            f"{line}: no Crazyflie is on the cable, it is off, or there is no permission;"
+            " 'groundstation install udev --print' shows the rule"
+        )
+    if "gaierror" in lowered:
+        return "no such host"
     if "access" in lowered or "permission" in lowered:
         return f"{line}: no permission; 'groundstation install udev --print' shows the rule"
     if "busy" in lowered:

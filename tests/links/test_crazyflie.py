@@ -117,10 +117,24 @@ def test_a_craft_that_does_not_answer_gives_one_clear_error(
     assert link.state is CommandState.CLOSED
 
 
-@pytest.mark.parametrize("uri", ["http://x", "udp:", "nonsense"])
-def test_an_unknown_kind_of_command_link_is_refused(uri: str) -> None:
-    with pytest.raises(BadInputError, match="not known"):
+@pytest.mark.parametrize(
+    "uri",
+    [
+        *("http://x", "udp:", "nonsense", "udp://127.0.0.1", "udp://127.0.0.1:99999", "usb://x"),
+        *("radio://0", "radio://0/126/2M", "radio://0/80/3M", "radio://0/80/2m"),
+        "radio://0/80/2M/E7E7E7E7EX",
+    ],
+)
+def test_what_can_be_no_address_is_refused_before_anything_is_tried(uri: str) -> None:
+    with pytest.raises(BadInputError, match="is no address of a craft: give udp"):
         make_command_link(uri)
+
+
+@pytest.mark.parametrize(
+    "uri", ["radio://0/80", "radio://0/80/250K/e7e7e7e701", "radio://5CC6CC66B8/2/1M", "usb://1"]
+)
+def test_every_form_of_address_that_the_library_knows_is_taken(uri: str) -> None:
+    assert make_command_link(uri).uri == uri
 
 
 @pytest.mark.parametrize("protocol", [7, 10])

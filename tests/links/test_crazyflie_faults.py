@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import socket
 import subprocess
 import sys
 import traceback
@@ -53,6 +54,8 @@ def as_cflib_says_it(error: Exception) -> str:
         (USBError("Access denied (insufficient permissions)", -3, errno.EACCES), "install udev"),
         (USBError("Resource busy", -6, errno.EBUSY), "the dongle is in use by another program"),
         (Exception("Cannot find a Crazyradio Dongle"), "no Crazyradio is plugged in, or it is in"),
+        (Exception("Could not open usb://0"), "no Crazyflie is on the cable, it is off, or"),
+        (socket.gaierror(-2, "Name or service not known"), "no such host"),
     ],
 )
 def test_what_libusb_raises_of_a_dongle_is_one_line_that_says_what_to_do(
@@ -63,6 +66,7 @@ def test_what_libusb_raises_of_a_dongle_is_one_line_that_says_what_to_do(
     assert told in line
     assert "\n" not in line
     assert "Traceback" not in line
+    assert "Exception" not in line
 
 
 def test_the_rule_that_is_named_lets_every_dongle_in() -> None:
