@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 GROUNDSTATION_LOCAL_DATA ?= local-data
+# Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run demo test test-usb check-local lint bench bench-real bench-discrepancy soak clean
 

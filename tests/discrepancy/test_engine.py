@@ -185,7 +185,7 @@ def test_without_attitude_the_names_that_need_it_are_listed_as_lost():
 
 
 def test_a_hover_shows_which_effects_it_cannot_show():
-    runs, held = flights(7, {}, program="hover")
+    runs, held = flights(7, {}, program="hover", span_s=60.0)
     findings = find_effects(runs, base_model(), held)
     assert findings.effects == ()
     unseen = {one.name for one in findings.not_shown}
