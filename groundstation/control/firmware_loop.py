@@ -149,10 +149,11 @@ def run_cascade(
 
     wanted = np.ascontiguousarray(setpoints, np.float64)
     rows = len(wanted)
-    supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
+    # new arrays: numba compiles the kernel anew, half a minute, for one that is read-only
+    supply = np.full(rows, supply_mv, np.float64)
     if thrust is None:
         thrust = plant.hover_thrust(supply)
-    lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
+    lift = np.full(rows, thrust, np.float64)
     angles, gyro, pwm = np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4))
     cascade_run(
         plant.craft[0],

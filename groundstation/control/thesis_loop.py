@@ -86,10 +86,11 @@ def run_whole(
         nk = np.maximum(nk, 1) if delay is None else np.full(3, delay)  # speeds act after a row
     wanted = np.ascontiguousarray(reference, np.float64)
     rows = len(wanted)
-    supply = np.ascontiguousarray(np.broadcast_to(np.asarray(supply_mv, np.float64), (rows,)))
+    # new arrays: numba compiles the kernel anew, half a minute, for one that is read-only
+    supply = np.full(rows, supply_mv, np.float64)
     if thrust is None:
         thrust = plant.hover_duty(supply) * PWM_FULL
-    lift = np.ascontiguousarray(np.broadcast_to(np.asarray(thrust, np.float64), (rows,)))
+    lift = np.full(rows, thrust, np.float64)
     own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S)
     angles, controls, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     whole_run(
