@@ -222,7 +222,7 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         craft[f"{stage}_initial"][place] = state.initial
         if there and state.noise and stage == "body":
             craft["body_noise"][place] = values[state.noise]
-        # An observer takes the first that follows a channel for what the sensor shows of it.
+        # An observer takes the last that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
 

@@ -116,7 +116,7 @@ class CommandLink(ABC):
                 )
             if thrust:
                 raise BadInputError("setpoint: give thrust or height_m, not both")
-            if not self.holds_height:
+            if self.state is CommandState.CONNECTED and not self.holds_height:
                 raise BadInputError(
                     "setpoint: this craft holds no height: it needs today's firmware and a deck"
                     " that measures it (Flow or Z-ranger)"

@@ -314,7 +314,7 @@ def observe(
 ) -> None:
     """The state behind every row, from the past alone: the model, corrected by measurements.
 
-    Row by row the model predicts gyro, accelerometer and attitude; gains (12, 12) turn the
+    Row by row the model predicts gyro, accelerometer and attitude; gains (e, 12) turn the
     errors and the velocity itself, as if it were known to be about zero, into corrections of
     attitude, rates, delayed rates and velocity in body axes. Velocity is the integral of the
     measured specific force. On the ground (``flying`` false) the state is what is measured.
@@ -426,14 +426,21 @@ def _correct(craft: Any, gain: Any, error: Any, y: Any, z: Any) -> None:
     for i in range(3):
         y[10 + i] += delta[3 + i]
         y[3 + i] += velocity[i]
-    if craft.sensor_states > 0:
-        for i in range(SENSOR_STATES):
-            if 0 <= craft.follows[i] < 3:
-                z[i] += delta[6 + craft.follows[i]]
     place = 12
     for i in range(craft.body_states):
         if place < len(gain) and craft.body_noise[i] > 0.0:
             y[17 + i] += delta[place]
             place += 1
+    if craft.sensor_states > 0:
+        for i in range(SENSOR_STATES):
+            axis = craft.follows[i]
+            if 0 <= axis < 3:
+                at = 6 + axis
+                for j in range(i + 1, SENSOR_STATES):
+                    if craft.follows[j] == axis:  # a later filter shows it
+                        at = place
+                if at == place:
+                    place += 1
+                z[i] += delta[at]
     turn = (1.0, 0.5 * delta[0], 0.5 * delta[1], 0.5 * delta[2])
     y[6], y[7], y[8], y[9] = quaternion.normalised(quaternion.product(q, turn))

@@ -2,7 +2,8 @@
 
 A Kalman filter whose covariance has settled: the model, with its effects, is linearised about
 hover by differences, and the Riccati equation iterated to its end. Errors are those of attitude
-(rotation in the body), rates, low-passed rates and velocity in the body: 12 numbers.
+(rotation in the body), rates, what the gyro's last filter makes of them and velocity in the body:
+12 numbers; behind them those of states that noise drives, and of filters before the last.
 """
 
 from __future__ import annotations
@@ -63,9 +64,9 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """fresh, stale: (12, 12), for rows with and without a new attitude. covariance: (12, 12) of
-    the error after a row. transition, shown: (12, 12), the model linearised about hover, and
-    what gyro, accelerometer, attitude and velocity show of an error. process, sensor: (12,)
+    """fresh, stale: (e, 12), for rows with and without a new attitude. covariance: (e, e) of
+    the error after a row. transition (e, e), shown (12, e): the model linearised about hover, and
+    what gyro, accelerometer, attitude and velocity show of an error. process (e,), sensor (12,):
     variances per row."""
 
     fresh: Array
@@ -108,7 +109,9 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
     process[9:] *= period_s**2
     # A first-order process keeps its variance: what fades in a row comes anew.
     driven = craft[0]["body_noise"][craft[0]["body_noise"] > 0.0]
-    process = np.concatenate([process, driven**2 * (1.0 - np.diag(a)[ERRORS:] ** 2)])
+    fades = np.diag(a)[ERRORS : ERRORS + len(driven)]
+    process = np.concatenate([process, driven**2 * (1.0 - fades**2)])
+    process = np.concatenate([process, np.full(len(a) - len(process), 1e-13)])
     # A leaning filter's report says next to nothing about the true attitude.
     attitude = 0.5 if lean else noise.attitude
     sensors = np.concatenate(
@@ -148,18 +151,18 @@ def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains
 
 
 def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tuple[Array, Array]:
-    """(12, 12) transition of an error over one row, and what is measured of it afterwards."""
+    """(e, e) transition of an error over one row, and (12, e) what is measured of it afterwards."""
     from groundstation.prediction.kernels import coast
 
     one, hover = craft[0], hover_rev_s(craft)
     driven = STATES + np.flatnonzero(one["body_noise"])
-    errors = ERRORS + len(driven)
+    last, before = gyro_states(one["follows"])
+    errors = ERRORS + len(driven) + len(before)
     count = 2 * errors
     starts = np.zeros((count, STATES))
     starts[:, QUATERNION.start], starts[:, ROTOR] = 1.0, hover
     starts[:, POSITION.stop - 1] = FAR_M
     starts = with_states(craft, starts).copy()
-    follows = one["follows"]
     sensed = np.tile(resting_sensors(one), (count, 1))
     for i in range(errors):
         for k, sign in ((2 * i, 1.0), (2 * i + 1, -1.0)):
@@ -171,11 +174,13 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
             elif part == 1:
                 starts[k, RATE.start + axis] = sign * NUDGE
             elif part == 2:
-                sensed[k, follows == axis] = sign * NUDGE
+                sensed[k, last[axis : axis + 1]] = sign * NUDGE
             elif part == 3:
                 starts[k, 3 + axis] = sign * NUDGE
-            else:
+            elif i < ERRORS + len(driven):
                 starts[k, driven[i - ERRORS]] = sign * NUDGE
+            else:
+                sensed[k, before[i - ERRORS - len(driven)]] = sign * NUDGE
     measured = np.empty((count, 1, 9))
     coast(
         one,
@@ -191,13 +196,12 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
         np.tile([1.0, 0, 0, 0], (count, 1)),
         measured,
     )
-    delayed = np.zeros((count, 3))
-    for axis in range(3):
-        places = np.flatnonzero(follows == axis)
-        if len(places) and one["sensor_states"]:
-            delayed[:, axis] = sensed[:, places[0]]
+    delayed = sensed[:, last] if len(last) else np.zeros((count, 3))
     reached = np.column_stack(
-        [2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6], starts[:, driven]]
+        [
+            *(2.0 * starts[:, 7:10], starts[:, RATE], delayed, starts[:, 3:6]),
+            *(starts[:, driven], sensed[:, before]),
+        ]
     )
     a = (reached[0::2] - reached[1::2]).T / (2 * NUDGE)
     felt = measured[:, 0, :6]
@@ -217,3 +221,11 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     after[6:9, 0:3] = np.eye(3)
     after[9:, 9:ERRORS] = np.eye(3)
     return a, after
+
+
+def gyro_states(follows: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(places of what the gyro's last filter shows (3,), or none where it has no filter; places of
+    what the filters before it pass on), among the sensors' states."""
+    places = [np.flatnonzero(follows == axis) for axis in range(3)]
+    last = np.array([one[-1] for one in places if len(one)], np.intp)
+    return last, np.sort(np.concatenate([one[:-1] for one in places]))

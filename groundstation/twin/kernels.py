@@ -50,11 +50,11 @@ def score(
     controller later inputs answer to them, and whatever mixes a row with later ones would take
     the answer for a cause.
 
-    signals: (n, s), row k acts from row k - 1 to k. enters: (12, s), what one unit adds to the
+    signals: (n, s), row k acts from row k - 1 to k. enters: (e, s), what one unit adds to the
     observer's error over a row; seen_at: (9, s), what it adds to what is measured. advance:
-    (12, 12) an error over a row, shown: (12, 12) what is measured of it; gains (12, 12).
+    (e, e) an error over a row, shown: (12, e) what is measured of it; gains (e, 12).
     fresh, judged: (n,). innovations: (n, 9).
-    Carried on: error (12, s), smooth (POLES, 9, s), place (returned), and for the two windows that
+    Carried on: error (e, s), smooth (POLES, 9, s), place (returned), and for the two windows that
     are open, the one that ends first in front: bad (2,) rows not judged, felt (2, 9).
     Adds to square (10,): squared innovations, averaged over windows judged throughout, by
     channel, and the number of windows. In judged rows, by channel: total (9, s): innovations
@@ -62,11 +62,12 @@ def score(
     its products with those of the signals that ``shared`` (m,) names, smoothed and as they are.
     """
     count = signals.shape[1]
-    ahead, new = np.zeros((12, count)), np.zeros((12, count))
+    errors = len(advance)
+    ahead, new = np.zeros((errors, count)), np.zeros((12, count))
     for k in range(len(signals)):
         ahead[:] = 0.0
-        for i in range(12):
-            for m in range(12):
+        for i in range(errors):
+            for m in range(errors):
                 a = advance[i, m]
                 if a != 0.0:
                     for s in range(count):
@@ -81,7 +82,7 @@ def score(
         for i in range(12):
             known = fresh[k] or i < 6 or i >= 9
             if known:
-                for m in range(12):
+                for m in range(errors):
                     c = shown[i, m]
                     if c != 0.0:
                         for s in range(count):
@@ -117,7 +118,7 @@ def score(
                         for s in range(count):
                             meant[i, a, s] += one * smooth[POLES - 1, i, s]
                             mixed[i, a, s] += other * smooth[POLES - 1, i, s]
-        for i in range(12):
+        for i in range(errors):
             for s in range(count):
                 error[i, s] = ahead[i, s]
             for m in range(12):

@@ -134,11 +134,11 @@ class Rolling:
 class _Open:
     """The windows of ``kernels.score`` that are open, and the errors behind them."""
 
-    def __init__(self) -> None:
+    def __init__(self, errors: int) -> None:
         from groundstation.twin.kernels import POLES
 
         self.place = 0
-        self.error = np.zeros((ERRORS, len(KINDS)))
+        self.error = np.zeros((errors, len(KINDS)))
         self.bad = np.ones(2, np.int64)
         self.felt = np.zeros((2, 9))
         self.smooth = np.zeros((POLES, 9, len(KINDS)))
@@ -152,7 +152,6 @@ class _Stretch:
         self.rows = rows
         self._owner = owner
         self._segment = segment
-        self._enters, self._seen_at = entries(period, owner._lean)
         self._horizons = np.array([round(each / period) for each in HORIZONS_S])
         self._block, self._history, self._after, self._stride = (
             round(seconds / period) for seconds in (BLOCK_S, HISTORY_S, AFTER_S, STRIDE_S)
@@ -161,9 +160,10 @@ class _Stretch:
         self._tuned = False
         self._steady = 0  # rows of settled flight without a break
         self._set_gains(owner.noise)
+        self._enters, self._seen_at = entries(period, owner._lean, len(self._advance))
         self._done = 0  # observed up to this row
         self._carry: Array | None = None
-        self._open = _Open()
+        self._open = _Open(len(self._advance))
         self._memory = Memory()
         self._flying: bool | None = None  # at row ``done``; None: not known yet
         self._settled_from = round((SETTLE_S + HISTORY_S) / period)
@@ -247,7 +247,7 @@ class _Stretch:
             *(np.zeros((9, len(SHARED), count)), np.zeros((9, len(SHARED), count))),
         )
         if not flying[1:].any():
-            self._open = _Open()
+            self._open = _Open(len(self._advance))
             return square, scores
         one = self._open
         one.place = score(
@@ -338,10 +338,10 @@ def _later(mask: Mask, rows: int) -> Mask:
 
 
 def _error_dynamics(gains: Gains, period_s: float, lean: bool) -> tuple[Array, Array]:
-    """((12, 12) the observer's error over a row, (12, 12) what is measured of it)."""
+    """((e, e) the observer's error over a row, (12, e) what is measured of it)."""
     advance = gains.transition.copy()
-    advance[9:] = 0.0  # velocity is the integral of what was measured
-    advance[9:, 9:] = np.eye(3)
+    advance[9:ERRORS] = 0.0  # velocity is the integral of what was measured
+    advance[9:ERRORS, 9:ERRORS] = np.eye(3)
     advance[9, 1] = period_s * STANDARD_GRAVITY
     advance[10, 0] = -period_s * STANDARD_GRAVITY
     shown = gains.shown.copy()

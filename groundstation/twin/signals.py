@@ -23,7 +23,6 @@ from groundstation.dynamics.motor import REVOLUTION
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.state import QUATERNION, RATE, VELOCITY
-from groundstation.prediction.observer import ERRORS
 from groundstation.prediction.prediction import Observed
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
@@ -260,13 +259,14 @@ LOW_S = 4.0
 """Height is reckoned for so long after a take-off."""
 
 
-def entries(period_s: float, lean: bool) -> tuple[Array, Array]:
-    """(what one unit of each signal adds to the observer's error over a row (12, s), and to what
+def entries(period_s: float, lean: bool, errors: int) -> tuple[Array, Array]:
+    """(what one unit of each signal adds to the observer's error over a row (e, s), and to what
     is measured at its end (9, s)).
 
-    lean: the model has the firmware's attitude filter, which goes by the gyro alone.
+    lean: the model has the firmware's attitude filter, which goes by the gyro alone. errors: how
+    many numbers the observer's error has.
     """
-    enters, seen = np.zeros((ERRORS, len(KINDS))), np.zeros((9, len(KINDS)))
+    enters, seen = np.zeros((errors, len(KINDS))), np.zeros((9, len(KINDS)))
     for s, kind in enumerate(KINDS):
         if kind.acts == "torque":
             enters[3 + kind.axis, s] = period_s

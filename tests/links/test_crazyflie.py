@@ -175,6 +175,19 @@ def test_a_craft_with_a_deck_holds_a_height_and_leans_and_turns_in_the_signs_of_
     assert max(entry.get("height_m", 0.0) for entry in entries) == 0.5
 
 
+def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> None:
+    async def fly(craft: ServedCraft) -> None:
+        link = make_command_link(craft.uri)
+        await link.open()
+        link.setpoint(0, 0, 0, 0, height_m=0.1)
+        await link.close()
+        with pytest.raises(LinkError, match="is not connected"):
+            link.setpoint(0, 0, 0, 0, height_m=0.1)
+
+    with served(craft="crazyflie21", height_deck=True) as craft:
+        asyncio.run(fly(craft))
+
+
 def test_a_craft_without_such_a_deck_or_firmware_is_asked_for_no_height() -> None:
     async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
         assert not link.holds_height

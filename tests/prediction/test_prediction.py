@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from affected_flights import BASE, MEDIUM, affected, flown
 
+from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
+from groundstation.identification.runs import CHANNELS as CHANNELS_OF_RUNS
 from groundstation.prediction.attitude_rhythm import fresh_rows
 from groundstation.prediction.observer import Noise, gains_of
 from groundstation.prediction.prediction import (
@@ -81,6 +83,30 @@ def test_with_the_true_effect_in_the_model_only_noise_is_left(name):
     without, within = over_noise(BASE, run), over_noise(affected(name), run)
     assert without[:, CHANNELS.index(channel)].max() > least
     assert within.max() < 1.1
+
+
+def test_two_filters_behind_the_gyro_are_both_followed_in_slow_rows():
+    """An observer that corrected both by one number was three times as far off a row ahead."""
+    half = {f"pid_rate.{axis}_kp": 125.0 for axis in ("roll", "pitch")}
+    lag = {"gyro_low_pass": {"bandwidth_hz": 40.0}}
+    run, _ = flown(40.0, 3, craft="crazyflie21", gains=half, effects=lag)
+    chip = affected("gyro_low_pass", lag["gyro_low_pass"])
+    board = affected("gyro_filter", {"corner_hz": 80.0})
+    model = msgspec.structs.replace(
+        vehicle_model(BUILT_IN["crazyflie21"]), effects=(*board.effects, *chip.effects)
+    )
+    slow = every_second_row(run)
+    error = predict_ahead(model, slow, (1,)).errors(slow)[..., :3]
+    assert (np.sqrt(np.mean(error**2, axis=0)) < 2.0 * np.array(Noise().gyro)).all()
+
+
+def every_second_row(run):
+    """The same at half the rate, with both settings of the motors."""
+    rows = slice(1, None, 2)
+    first, second = run.duty[:-1:2], run.duty[1::2]
+    parts = {name: getattr(run, name)[rows] for name in CHANNELS_OF_RUNS}
+    mean, step = 0.5 * (first + second), second - first
+    return replace(run, **{**parts, "duty": mean, "duty_step": step}, period_s=2 * run.period_s)
 
 
 def test_a_slung_load_is_predicted_from_the_ground_on():
