@@ -113,6 +113,7 @@ PARAMETERS = np.dtype(
         ("coasting", "f8"),
         ("plane_drag", "f8"),
         ("flapping", "f8"),
+        ("flapping_asymmetry", "f8"),
         ("inflow", "f8"),
         ("lever", "f8", (3,)),
         ("levered", "i8"),

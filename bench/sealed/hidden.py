@@ -124,4 +124,6 @@ def scaled(name: str, values: dict[str, float], factor: float) -> dict[str, floa
         fixed = "rotor", "height_m"
     if name == "slung_load":
         fixed = "length_m", "damping_per_s", "below_m"
+    if name == "velocity_moment":
+        fixed = ("asymmetry",)
     return {key: v if key in fixed else factor * v for key, v in values.items()}

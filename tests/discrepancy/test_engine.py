@@ -118,7 +118,10 @@ def test_a_lag_of_the_gyro_is_told_though_the_attitude_is_made_of_that_gyro():
 
 
 def test_a_velocity_moment_is_told_by_an_attitude_that_leans():
-    hidden = {"attitude_filter_lean": {"strength": 1.0}, "velocity_moment": {"moment": 15.0}}
+    hidden = {
+        "attitude_filter_lean": {"strength": 1.0},
+        "velocity_moment": {"moment": 15.0, "asymmetry": 0.2},
+    }
     assert_found(search(7, hidden), hidden)
 
 

@@ -153,9 +153,9 @@ LAWS: dict[str, tuple[dict[str, float], Callable[[Any, Any], Any]]] = {
         lambda p, y: np.cross([-1e-3, 5e-4, 0.0], [0.0, 0.0, p["thrust"] * (y[13:17] ** 2).sum()]),
     ),
     "velocity_moment": (
-        {"moment": 12.0},
+        {"moment": 12.0, "asymmetry": 0.25},
         lambda p, y: (
-            12.0 * np.array([body_velocity(y)[1], -body_velocity(y)[0], 0.0]) * p["inertia"]
+            np.array([9.0 * body_velocity(y)[1], -15.0 * body_velocity(y)[0], 0.0]) * p["inertia"]
         ),
     ),
     "rotor_mismatch": (
