@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.output import write_csv, write_npz, write_truth
 from firmware_sim.settings import load_settings
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.kernel_cache import provide_cache
 from groundstation.text import printable
 
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--settings", type=Path, help="TOML file of settings (docs/stand_in.md)")
     parser.add_argument("--plant", choices=("reduced", "faithful", "model"))
-    parser.add_argument("--craft", help="crazyflie1, crazyflie21, thesis, a .toml or a model file")
+    parser.add_argument("--craft", help=f"{', '.join(BUILT_IN)}, thesis, a .toml or a model file")
     parser.add_argument("--program", help="pilot programme, built in or a TOML file")
     parser.add_argument("--seed", type=int)
     parser.add_argument(

@@ -83,8 +83,9 @@ def stop_motors(pilot: Pilot) -> str:
                 break
             time.sleep(0.05)
     except GroundStationError as error:
-        say(f"stopping: {error}; the daemon's dead man stops the motors", error=True)
-        return "the dead man stops the motors"
+        asks = "the dead man asks for it where the daemon still reaches the craft"
+        say(f"stopping: {error}; {asks}", error=True)
+        return "nothing says that the motors stopped"
     return "motors were told to stop, no telemetry shows it"
 
 
