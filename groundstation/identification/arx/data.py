@@ -66,7 +66,8 @@ def arx_data(
         kept = np.arange(first + decimate, len(outputs), decimate)
         inputs = _block_means(inputs, kept, decimate)
         outputs = outputs[kept] if channel == "attitude" else _block_means(outputs, kept, decimate)
-    return ArxData(run.name, run.period_s * decimate, inputs, np.ascontiguousarray(outputs))
+    columns = np.ascontiguousarray(inputs), np.ascontiguousarray(outputs)  # one type to numba
+    return ArxData(run.name, run.period_s * decimate, *columns)
 
 
 def _freshest(outputs: Array, decimate: int) -> int:

@@ -61,6 +61,8 @@ class MotorProblem:
         self._room = [
             (np.empty(len(run.rev_s)), np.empty((len(run.rev_s), columns))) for run in runs
         ]
+        # A view of a column is another type to numba, and would compile each kernel once more.
+        self._voltage_mv = [np.ascontiguousarray(run.voltage_mv) for run in runs]
         self.first_order = False
         """a2 stays what it is in ``minimise``."""
         self._simulated: list[bytes] = [b""] * len(runs)
@@ -84,17 +86,18 @@ class MotorProblem:
         )
 
         run, (speed, sensitivity) = self.runs[index], self._room[index]
+        voltage_mv = self._voltage_mv[index]
         start = theta[self.starts + index]
         asked = theta.tobytes()
         if asked == self._simulated[index]:
             return speed, sensitivity[:, self._used] if self.effects else sensitivity
         self._simulated[index] = asked
         if not self.effects:
-            motor_sensitivities(theta[:3], run.voltage_mv, run.period_s, start, speed, sensitivity)
+            motor_sensitivities(theta[:3], voltage_mv, run.period_s, start, speed, sensitivity)
             return speed, sensitivity
         values = dict(zip(self.effects, theta[SHARED : self.starts], strict=True))
         constants = np.array([*theta[:3], *({**ABSENT, **values}[name] for name in EFFECTS)])
-        flawed_sensitivities(constants, run.voltage_mv, run.period_s, start, speed, sensitivity)
+        flawed_sensitivities(constants, voltage_mv, run.period_s, start, speed, sensitivity)
         return speed, sensitivity[:, self._used]
 
     def places(self, index: int) -> NDArray[np.int64]:
