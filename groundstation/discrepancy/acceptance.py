@@ -2,14 +2,15 @@
 
 A gate is a question that is asked at one stage of the procedure (``search.py``), a threshold with
 its source, and the reason that a refused candidate carries. Adding a gate is one function and one
-line of ``GATES``.
+line of ``GATES``, or of ``LASTING_GATES`` for what has no column and only lasts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,8 +18,12 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
+from groundstation.dynamics.effect import Effect
+from groundstation.dynamics.model import Estimate
 from groundstation.identification.likelihood.parameters import Variant, estimates_of
 from groundstation.identification.likelihood.problem import Fit
+
+Asked = TypeVar("Asked")
 
 WORTH = 16.0
 """Drop of -2 log L in the screening that is worth a joint fit: 4 standard errors."""
@@ -64,6 +69,8 @@ class Stage(Enum):
     """Nothing leaves any more, and no fit comes after."""
     NAMED = auto()
     """The last one."""
+    FOLLOWED = auto()
+    """An observer follows it, and held-out rows have been predicted with that."""
 
 
 @dataclass(slots=True)
@@ -88,6 +95,21 @@ class Trial:
     predicted: float = 0.0
     open_s: float = 0.0
     scored: Scored | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Lasting:
+    """An effect that noise drives, on its way through its gates.
+
+    t: standard errors from which the surest channel has it. drop: of -2 log L. predicted: share of
+    the squared excess of held-out predictions over noise that goes with it.
+    """
+
+    effect: Effect
+    parameters: Mapping[str, Estimate]
+    t: float
+    drop: float
+    predicted: float = 0.0
 
 
 def weak(trial: Trial) -> str:
@@ -197,6 +219,28 @@ def negligible(trial: Trial) -> str:
     return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
 
 
+def does_not_last(lasting: Lasting) -> str:
+    """Chance can do it: its means of half seconds agree no better."""
+    enough = lasting.t >= LEAST_T and lasting.drop >= LEAST_DROP
+    return "" if enough else f"not significant: {lasting.t:.1f} standard errors"
+
+
+def implausible_spread(lasting: Lasting) -> str:
+    """No air moves a small craft so."""
+    if lasting.effect.plausible({name: one.value for name, one in lasting.parameters.items()}):
+        return ""
+    values = ", ".join(f"{k} {one.value:.3g} {one.unit}" for k, one in lasting.parameters.items())
+    return f"not plausible: {values}"
+
+
+def predicts_little(lasting: Lasting) -> str:
+    """Following it hardly helps to predict."""
+    if lasting.predicted >= PREDICTED_SHARE:
+        return ""
+    percent = 100.0 * max(lasting.predicted, 0.0)
+    return f"explains {percent:.0f} % of what is wrong in predictions"
+
+
 GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.SCREENED,), Reason.WEAK, weak),
     ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
@@ -212,12 +256,31 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
+LASTING_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Lasting], str]], ...] = (
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, does_not_last),
+    ((Stage.FOLLOWED,), Reason.IMPLAUSIBLE, implausible_spread),
+    ((Stage.FOLLOWED,), Reason.DROWNED, predicts_little),
+)
+"""The same for what noise drives."""
 
 
 def refusal(stage: Stage, trial: Trial) -> Refusal | None:
     """Why a candidate does not pass a stage; None where it does."""
-    for where, reason, question in GATES:
-        if stage in where and (words := question(trial)):
+    return _refusal(GATES, stage, trial)
+
+
+def lasting_refusal(stage: Stage, lasting: Lasting) -> Refusal | None:
+    """The same of what noise drives."""
+    return _refusal(LASTING_GATES, stage, lasting)
+
+
+def _refusal(
+    gates: Sequence[tuple[tuple[Stage, ...], Reason, Callable[[Asked], str]]],
+    stage: Stage,
+    asked: Asked,
+) -> Refusal | None:
+    for where, reason, question in gates:
+        if stage in where and (words := question(asked)):
             return Refusal(reason, words)
     return None
 

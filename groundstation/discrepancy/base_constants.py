@@ -11,8 +11,9 @@ from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
+from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
-from groundstation.identification.likelihood.problem import Fit, Problem, bounded, linearise
+from groundstation.identification.likelihood.problem import Fit, Problem, bounded
 
 Group = tuple[str, ...]
 """Constants that change or stay together."""

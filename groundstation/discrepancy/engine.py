@@ -26,7 +26,7 @@ from groundstation.discrepancy.findings import (
     Predicted,
     Verdict,
 )
-from groundstation.discrepancy.proof import HeldOut, Proof, prove
+from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
@@ -103,11 +103,12 @@ def find_discrepancy(
     report("comparing", 0.05)
     (recordings, validation), broken = _without_broken_sensors((recordings, validation), model)
     parts = divide(recordings, validation, model_vehicle(model).configuration)
-    train = compare(parts.fit_on, model)
-    judged = HeldOut(compare(parts.judged, model, train.black_box))
+    train = Predictions(compare(parts.fit_on, model))
+    black_box = train.before.black_box
+    judged = HeldOut(compare(parts.judged, model, black_box))
     names = {one.recording for one in asked}
     runs = [run for part in (*recordings, *validation) for run in part if run.name in names]
-    given = compare(runs, model, train.black_box) if runs else None
+    given = compare(runs, model, black_box) if runs else None
     if given is not None:
         for one in asked:
             within(given, one)  # says, before anything is searched, where nothing of it flew

@@ -14,7 +14,7 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
 from groundstation.discrepancy.findings import Findings, Predicted, Verdict
 from groundstation.dynamics.model import Model
-from groundstation.identification.recordings import filled
+from groundstation.gaps import filled
 
 Array = NDArray[np.float64]
 
@@ -67,8 +67,8 @@ class Left:
         return f"{self.channel}: {self.gap:.2f} times noise, {share}"
 
 
-class HeldOut:
-    """The given model on rows that no fit saw, and others beside it, each predicted once."""
+class Predictions:
+    """A given model on some rows, and others beside it, each predicted once."""
 
     def __init__(self, before: Comparison) -> None:
         self.before = before
@@ -80,6 +80,10 @@ class HeldOut:
         if key not in self._known:
             self._known[key] = self.before.with_model(model)
         return self._known[key]
+
+
+class HeldOut(Predictions):
+    """The same on rows that no fit saw."""
 
     def judge(self, model: Model) -> Predicted:
         """The gap of another model, and the channels on which it is worse than the given one."""
@@ -107,7 +111,7 @@ def _numbers(model: Model) -> bytes:
     return msgspec.json.encode((model.motor, model.motors, model.body, effects))
 
 
-def prove(findings: Findings, train: Comparison, held: HeldOut) -> tuple[Findings, Proof]:
+def prove(findings: Findings, train: Predictions, held: HeldOut) -> tuple[Findings, Proof]:
     """Judge each step from the given model to the improved one; the findings with these gaps.
 
     train: the model given on the rows that were fitted; the noise floor is learnt on them, and is
@@ -122,7 +126,7 @@ def prove(findings: Findings, train: Comparison, held: HeldOut) -> tuple[Finding
         gap = held.of(found.model).beside(before)
         effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
         steps.append((found.name, gap))
-    proof = Proof(train, train.with_model(findings.model), before, after, tuple(steps))
+    proof = Proof(train.before, train.of(findings.model), before, after, tuple(steps))
     verdict = findings.verdict
     if verdict is Verdict.NO_DISCREPANCY and steps[-1][1] > LEFT:
         verdict = Verdict.UNEXPLAINED

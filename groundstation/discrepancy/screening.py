@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import inverse
+from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     KEYS,
@@ -22,12 +23,7 @@ from groundstation.identification.likelihood.parameters import (
     Variant,
     absent,
 )
-from groundstation.identification.likelihood.problem import (
-    BASE_KEYS,
-    Linear,
-    Problem,
-    bounded,
-)
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem, bounded
 from groundstation.identification.likelihood.spectra import Quadratic
 
 Array = NDArray[np.float64]

@@ -2,14 +2,14 @@
 
 No column shows it, for it has no law but its spread and its pace. What is left of predictions is
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
-The covariance of neighbours gives the spread, and how well fitted rows are predicted the pace.
+The likelihood of these means gives the spread, and how well fitted rows are predicted the pace.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.acceptance import LEAST_DROP, LEAST_T, PREDICTED_SHARE
+from groundstation.discrepancy.acceptance import Lasting, Stage, lasting_refusal
+from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.discrepancy.findings import (
     Candidate,
     Findings,
     FoundEffect,
-    Reason,
     Refusal,
     Verdict,
 )
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
 from groundstation.dynamics.registry import EFFECTS
 
@@ -37,9 +37,9 @@ BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
 PACES_S = (0.3, 1.0, 3.0, 10.0)
 """How fast it may change: more slowly than a craft is steered, and told by a flight of a minute."""
-LEAST_BLOCKS, LEAST_LASTING = 20, 3.0
-"""Means that tell a covariance, and its standard errors from which a channel has one; all six are
-asked at once, and the surest needs more."""
+LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
+"""Means that tell anything, and the drop of -2 log L from which a channel has what lasts (three
+standard errors); all six are asked at once, and the surest needs more."""
 EXCESS = 1.2
 """Gap on held-out rows below which nothing is left that a name could explain."""
 
@@ -47,24 +47,43 @@ EXCESS = 1.2
 @dataclass(frozen=True, slots=True)
 class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
-    where nothing lasts. time_s: the pace of all. t: of the surest; drop: of -2 log L of the means
-    of half seconds where each remembers the one before. seconds: so much was flown. shared (6,):
-    covariance of neighbouring means."""
+    where nothing lasts. time_s: the pace of all. t: of the surest, the root of its drop; drop: of
+    -2 log L where each has its likeliest pace. seconds: so much was flown. variances (paces, 6):
+    of the means of half seconds, by ``PACES_S``."""
 
     spread: Array
     time_s: float
     t: float
     drop: float
     seconds: float
-    shared: Array = field(default_factory=lambda: np.zeros(6))
+    variances: Array
 
     def at(self, time_s: float) -> Slow:
         """The spreads with which a first-order process of this pace has such means."""
-        share = (time_s / BLOCK_S * (1.0 - math.exp(-BLOCK_S / time_s))) ** 2
-        return replace(self, time_s=time_s, spread=np.sqrt(self.shared / share))
+        variance = self.variances[PACES_S.index(time_s)]
+        return replace(self, time_s=time_s, spread=spread_of(variance, BLOCK_S, time_s))
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """With the standard errors of a first-order process that was watched for so long; the pace
+        is known to a step of ``PACES_S``."""
+        error = math.sqrt(self.time_s / max(2.0 * self.seconds, self.time_s))
+        found = {
+            one.name: Estimate(spread, error * spread if spread else None, one.unit)
+            for one, spread in zip(WIND.sizes, self.spread.tolist(), strict=True)
+        }
+        (pace,) = (one for one in WIND.parameters if one.kind == "shape")
+        return {
+            **found,
+            pace.name: Estimate(self.time_s, max(2.0 * error, 0.5) * self.time_s, pace.unit),
+        }
+
+    def asked(self, predicted: float = 0.0) -> Lasting:
+        """What its gates are asked of; predicted: ``Lasting.predicted``."""
+        return Lasting(WIND, self.parameters, self.t, self.drop, predicted)
 
 
-def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
+def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings:
     """The findings, with ``wind`` as the last effect where held-out predictions are better for it.
 
     train: the given model on the rows that were fitted.
@@ -75,11 +94,10 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
     now = held.judge(base)
     if now.gap < EXCESS:
         return findings
-    fitted = train.with_model(base)
+    fitted = train.of(base)
     slow = slow_part(fitted.errors)
-    if slow.t < LEAST_T or slow.drop < LEAST_DROP:
-        words = f"not significant: {slow.t:.1f} standard errors"
-        return _refused(findings, slow, Refusal(Reason.INSIGNIFICANT, words))
+    if why := lasting_refusal(Stage.WEIGHED, slow.asked()):
+        return _refused(findings, slow, why)
     slow = best_followed(slow, fitted)
     found = held.judge(_with_term(base, slow))
     while found.worse and slow.spread.any():
@@ -91,14 +109,9 @@ def with_wind(findings: Findings, train: Comparison, held: HeldOut) -> Findings:
             rest[:] = 0.0
         slow = replace(slow, spread=rest)
         found = held.judge(_with_term(base, slow))
-    parameters = _parameters(slow)
-    if not WIND.plausible({name: one.value for name, one in parameters.items()}):
-        words = ", ".join(f"{k} {one.value:.3g} {one.unit}" for k, one in parameters.items())
-        return _refused(findings, slow, Refusal(Reason.IMPLAUSIBLE, f"not plausible: {words}"))
-    share = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
-    if share < PREDICTED_SHARE:
-        words = f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions"
-        return _refused(findings, slow, Refusal(Reason.DROWNED, words))
+    predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
+    if why := lasting_refusal(Stage.FOLLOWED, slow.asked(predicted)):
+        return _refused(findings, slow, why)
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
 
 
@@ -128,20 +141,24 @@ def _squares(gaps: Array, told: NDArray[np.bool_]) -> Array:
 def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     """What lasts in the errors of predictions at the longest horizon.
 
-    The rate that a craft has gained by then is a moment times the horizon. A channel whose
-    neighbouring means agree no better than chance has none.
+    The rate that a craft has gained by then is a moment times the horizon. A channel which white
+    noise explains as well has none.
     """
     flights = [_means(one) for one in errors]
     seconds = BLOCK_S * float(sum(len(means) for means in flights))
-    variance, shared = (_covariances(flights, lag) for lag in range(2))
-    count = np.array([sum(int(np.isfinite(m[:, c]).sum()) for m in flights) for c in range(6)])
-    there = (variance > 0.0) & (count >= LEAST_BLOCKS)
-    like = np.where(there, shared / np.where(there, variance, 1.0), 0.0).clip(-0.999, 0.999)
-    t = like * np.sqrt(count)
-    lasting = t >= LEAST_LASTING
-    drop = float((-count * np.log(1.0 - like**2))[lasting].sum())
-    found = Slow(np.zeros(6), BLOCK_S, float(t.max(initial=0.0)), drop, seconds)
-    return replace(found, shared=np.where(lasting, shared, 0.0)).at(BLOCK_S)
+    count = sum(np.isfinite(means).sum(axis=0) for means in flights)
+    drops, variances = drift_of(flights, BLOCK_S, PACES_S)
+    likeliest = np.where(count >= LEAST_BLOCKS, drops.max(axis=0), 0.0)
+    lasting = likeliest >= LEAST_LASTING
+    found = Slow(
+        spread=np.zeros(6),
+        time_s=PACES_S[0],
+        t=math.sqrt(likeliest.max()),
+        drop=float(likeliest[lasting].sum()),
+        seconds=seconds,
+        variances=np.where(lasting, variances, 0.0),
+    )
+    return found.at(PACES_S[int(drops[:, lasting].sum(axis=1).argmax())])
 
 
 def _means(one: AheadErrors) -> Array:
@@ -157,34 +174,12 @@ def _means(one: AheadErrors) -> Array:
     return np.where(count * 2 >= size, sums / np.maximum(count, 1), np.nan)
 
 
-def _covariances(flights: Sequence[Array], lag: int) -> Array:
-    """Mean products (6,) of each mean and the one ``lag`` later, where both are known."""
-    found = np.concatenate([means[: len(means) - lag] * means[lag:] for means in flights])
-    known = np.isfinite(found)
-    return np.asarray(np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-
-
-def _parameters(slow: Slow) -> dict[str, Estimate]:
-    """With the standard errors of a first-order process that was watched for so long; the pace
-    is known to a step of ``PACES_S``."""
-    error = math.sqrt(slow.time_s / max(2.0 * slow.seconds, slow.time_s))
-    found = {
-        one.name: Estimate(spread, error * spread if spread else None, one.unit)
-        for one, spread in zip(WIND.sizes, slow.spread.tolist(), strict=True)
-    }
-    (pace,) = (one for one in WIND.parameters if one.kind == "shape")
-    return {
-        **found,
-        pace.name: Estimate(slow.time_s, max(2.0 * error, 0.5) * slow.time_s, pace.unit),
-    }
-
-
 def _with_term(model: Model, slow: Slow) -> Model:
     import msgspec
 
     if not slow.spread.any():
         return model
-    effects = (*model.effects, EffectTerm(WIND.name, _parameters(slow)))
+    effects = (*model.effects, EffectTerm(WIND.name, slow.parameters))
     return msgspec.structs.replace(model, effects=effects)
 
 
@@ -194,7 +189,7 @@ def _joined(findings: Findings, slow: Slow, after: Slow, gaps: tuple[float, floa
     effect = FoundEffect(
         name=WIND.name,
         order=len(findings.effects) + 1,
-        parameters=_parameters(slow),
+        parameters=slow.parameters,
         evidence={
             "likelihood_ratio": slow.drop,
             "t": slow.t,
@@ -224,4 +219,4 @@ def _refused(findings: Findings, slow: Slow, why: Refusal) -> Findings:
 
 
 def _candidate(slow: Slow, held_out: float, why: Refusal | None) -> Candidate:
-    return Candidate(WIND.name, _parameters(slow), slow.drop, slow.t, held_out, why is None, why)
+    return Candidate(WIND.name, slow.parameters, slow.drop, slow.t, held_out, why is None, why)

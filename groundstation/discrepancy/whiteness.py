@@ -18,7 +18,8 @@ from groundstation.discrepancy.findings import Leftover
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
-from groundstation.identification.likelihood.problem import Fit, Linear, Problem
+from groundstation.identification.likelihood.linearisation import Linear
+from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.likelihood.residuals import generic_signals
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.likelihood.spectra import (

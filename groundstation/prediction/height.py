@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.gaps import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -28,10 +29,13 @@ FALL_S, FALLING = 0.6, 0.5
 
 
 def rise_of(attitude: Array, accelerometer: Array) -> Array:
-    """Vertical acceleration (n,) in m/s^2 from attitude (n, 3) and specific force (n, 3), FLU;
-    0 where either is unknown."""
-    roll, pitch = attitude[:, 0], attitude[:, 1]
-    x, y, z = accelerometer.T
+    """Vertical acceleration (n,) in m/s^2 from attitude (n, 3) and specific force (n, 3), FLU.
+
+    Rows that lack either are bridged, for the craft rises in them as well: attitude is new in every
+    second row or third. 0 where either is unknown throughout.
+    """
+    roll, pitch = filled(attitude[:, :2]).T
+    x, y, z = filled(accelerometer).T
     up = -np.sin(pitch) * x + np.cos(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
     return np.asarray(np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0))
 

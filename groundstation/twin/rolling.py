@@ -19,7 +19,7 @@ from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.observer import ERRORS, Gains, Noise, gains_of
+from groundstation.prediction.observer import Gains, Noise, gains_of, integrating_force
 from groundstation.prediction.prediction import (
     LANDED,
     SETTLE_S,
@@ -339,11 +339,7 @@ def _later(mask: Mask, rows: int) -> Mask:
 
 def _error_dynamics(gains: Gains, period_s: float, lean: bool) -> tuple[Array, Array]:
     """((e, e) the observer's error over a row, (12, e) what is measured of it)."""
-    advance = gains.transition.copy()
-    advance[9:ERRORS] = 0.0  # velocity is the integral of what was measured
-    advance[9:ERRORS, 9:ERRORS] = np.eye(3)
-    advance[9, 1] = period_s * STANDARD_GRAVITY
-    advance[10, 0] = -period_s * STANDARD_GRAVITY
+    advance = integrating_force(gains.transition, period_s, STANDARD_GRAVITY)
     shown = gains.shown.copy()
     if lean:
         shown[6:9] = 0.0  # the report follows the filter, not the attitude

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import LONGEST_GAP_S, filled
+from groundstation.gaps import filled
+from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch

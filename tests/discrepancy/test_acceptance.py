@@ -5,12 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.discrepancy.acceptance import GATES, Stage, Trial, refusal
+from groundstation.discrepancy.acceptance import (
+    GATES,
+    LASTING_GATES,
+    Lasting,
+    Stage,
+    Trial,
+    lasting_refusal,
+    refusal,
+)
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.settlement import confirm
+from groundstation.dynamics.model import Estimate
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.likelihood.parameters import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
@@ -150,6 +160,23 @@ def test_a_size_that_the_last_fit_left_has_to_be_one_that_a_craft_can_have(effec
     assert said(Stage.SETTLED, effect, fit=fit(**point)) is reason
 
 
+@pytest.mark.parametrize(
+    ("stage", "found", "reason"),
+    [
+        (Stage.WEIGHED, {"t": 4.0}, Reason.INSIGNIFICANT),
+        (Stage.WEIGHED, {"drop": 12.0}, Reason.INSIGNIFICANT),
+        (Stage.WEIGHED, {}, None),
+        (Stage.FOLLOWED, {"parameters": {"force_x": Estimate(1e4)}}, Reason.IMPLAUSIBLE),
+        (Stage.FOLLOWED, {"predicted": 0.05}, Reason.DROWNED),
+        (Stage.FOLLOWED, {}, None),
+    ],
+)
+def test_what_drifts_has_to_last_as_air_does_and_help_to_predict(stage, found, reason):
+    given = {"parameters": {"force_x": Estimate(0.5)}, "t": 9.0, "drop": 90.0, "predicted": 0.4}
+    refused = lasting_refusal(stage, Lasting(EFFECTS["wind"], **{**given, **found}))
+    assert (refused and refused.reason) is reason
+
+
 class LastFits(SearchState):
     """The end of a search: the sizes that a fit leaves, by the names that are in it."""
 
@@ -190,5 +217,6 @@ def test_what_the_last_fits_left_next_to_nothing_of_has_no_name():
 
 
 def test_every_gate_has_a_reason_of_its_own():
-    reasons = [reason for _, reason, _ in GATES]
-    assert len(set(reasons)) == len(reasons)
+    for gates in (GATES, LASTING_GATES):
+        reasons = [reason for _, reason, _ in gates]
+        assert len(set(reasons)) == len(reasons)

@@ -10,7 +10,7 @@ from searched_flights import base_model, flights
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.discrepancy.slow_disturbance import slow_part, with_wind
 
 PERIOD_S, AHEAD = 0.002, 25
@@ -69,8 +69,8 @@ def searched():
 
     def look(seed, effects):
         runs, held = flights(seed, effects)
-        train = compare(runs, base_model())
-        judged = HeldOut(compare(held, base_model(), train.black_box))
+        train = Predictions(compare(runs, base_model()))
+        judged = HeldOut(compare(held, base_model(), train.before.black_box))
         before = find_effects(runs, base_model(), held, judged=judged)
         return before, with_wind(before, train, judged), judged
 
@@ -100,4 +100,4 @@ def test_in_still_air_there_is_none(searched):
 
 def test_a_model_that_has_it_already_keeps_it(searched):
     _, after, judged = searched["wind"]
-    assert with_wind(after, judged.before, judged) is after
+    assert with_wind(after, judged, judged) is after

@@ -67,3 +67,15 @@ def test_a_flight_that_was_in_the_air_already_has_no_height(flight):
     begun = start + 2000
     height = heights_of(rise[begun:], still[begun:], 0, stop - begun, 0.002)
     assert np.isinf(height).all()
+
+
+def test_rows_without_a_new_attitude_are_risen_in_as_well():
+    generator = np.random.default_rng(2)
+    attitude = np.cumsum(generator.normal(0.0, 2e-3, (3000, 3)), axis=0)
+    accelerometer = generator.normal([0.0, 0.0, 10.0], 0.5, (3000, 3))
+    true = rise_of(attitude, accelerometer)
+    attitude[np.arange(3000) % 3 != 0] = np.nan
+    accelerometer[700:705] = np.nan
+    told = rise_of(attitude, accelerometer)
+    assert told.sum() == pytest.approx(true.sum(), rel=0.01)
+    assert np.abs(told - true).mean() < 0.02
