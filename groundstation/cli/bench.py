@@ -164,11 +164,12 @@ def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
 
 def _follow(pilot: Pilot, profile: ThrustProfile, at_rest: dict[str, Any]) -> str:
     """The profile, setpoint by setpoint; why it was cut short, or empty."""
+    from groundstation.control.programme import LowBattery
     from groundstation.control.thrust_profile import reason_to_stop
 
-    clock = SetpointClock()
+    clock, low = SetpointClock(), LowBattery()
     for thrust in profile.thrusts().tolist():
-        reason = reason_to_stop(pilot.setpoint(0.0, 0.0, 0.0, thrust), at_rest)
+        reason = reason_to_stop(pilot.setpoint(0.0, 0.0, 0.0, thrust), at_rest, low)
         if reason:
             return reason
         clock.wait()

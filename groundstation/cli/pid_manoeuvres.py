@@ -13,7 +13,7 @@ from groundstation.service.client import Pilot
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Firmware
-    from groundstation.control.programme import Programme
+    from groundstation.control.programme import LowBattery, Programme
 
 HOLD_HEIGHT = "flightmode.althold"
 DESCENT = 0.97
@@ -22,6 +22,10 @@ DESCENT_S = 2.4
 TOUCHED_DPS = 150.0
 """Level flight never turns so fast: the ground has been met."""
 TAKE_OFF_S = 3.0
+NOT_TURNING = (
+    "thrust is asked for and no motor turns: a craft that needs arming is armed on the page"
+    " (Arm...) or by POST /command/arm; after an emergency stop it is switched off and on"
+)
 ON_GROUND_S = 0.7
 """How long no height is asked for at a landing, before the motors are stopped."""
 STOPPED_S = 3.0
@@ -31,18 +35,18 @@ STOPS = 5
 
 def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
     """Take off, fly the programme, land; why it was aborted, or empty."""
-    from groundstation.control.programme import RATE_HZ, reason_to_abort
+    from groundstation.control.programme import RATE_HZ, LowBattery, reason_to_abort
 
     table = programme.setpoints()
     # before the flight, which nothing may hold up
     firmware = _firmware(pilot) if isinstance(sticks, StandInPilot) else None
-    clock = SetpointClock()
+    clock, low = SetpointClock(), LowBattery()
     answer: dict[str, Any] = {}
 
     def send(hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> str:
         nonlocal answer
         answer = _sent(pilot, hands, roll, pitch, yaw)
-        return reason_to_abort(answer)
+        return reason_to_abort(answer, low)
 
     # take-off: until the human says so, or the pilot has had his time
     for tick in range(10**9):
@@ -55,6 +59,8 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
         if hands.begin and hands.flies and tick >= TAKE_OFF_S * RATE_HZ:
             break
         clock.wait()
+    if all(motor == 0.0 for motor in answer["telemetry"]["motors"]):
+        return NOT_TURNING
     pilot.mark("pid fly programme")
     for roll, pitch, yaw in table.tolist():
         hands = sticks.read()
@@ -65,7 +71,7 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
             return reason
         clock.wait()
     pilot.mark("pid fly landing")
-    return _land(pilot, sticks, clock, answer, firmware)
+    return _land(pilot, sticks, clock, low, answer, firmware)
 
 
 def stop_motors(pilot: Pilot) -> str:
@@ -93,6 +99,7 @@ def _land(
     pilot: Pilot,
     sticks: Source,
     clock: SetpointClock,
+    low: LowBattery,
     last: dict[str, Any],
     firmware: Firmware | None,
 ) -> str:
@@ -106,18 +113,18 @@ def _land(
         said = last["telemetry"]
         hover = float(firmware.thrust(said["motors"], 1000.0 * said["battery_v"]).mean())
         sinking = Hands(thrust=round(DESCENT * hover))
-        return _come_down(pilot, clock, [sinking] * round(DESCENT_S * RATE_HZ))
+        return _come_down(pilot, clock, low, [sinking] * round(DESCENT_S * RATE_HZ))
     height_m = sticks.read().height_m
     if height_m is not None:
         ticks = range(round((height_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
         heights = (max(height_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
-        return _come_down(pilot, clock, (Hands(height_m=lower) for lower in heights))
+        return _come_down(pilot, clock, low, (Hands(height_m=lower) for lower in heights))
     say("the programme is flown: land", error=True)
     while True:
         hands = sticks.read()
         if hands.stop or not hands.flies:
             return ""
-        reason = reason_to_abort(_sent(pilot, hands))
+        reason = reason_to_abort(_sent(pilot, hands), low)
         if reason:
             return reason
         clock.wait()
@@ -133,13 +140,13 @@ def _sent(
     )  # fmt: skip
 
 
-def _come_down(pilot: Pilot, clock: SetpointClock, steps: Iterable[Hands]) -> str:
+def _come_down(pilot: Pilot, clock: SetpointClock, low: LowBattery, steps: Iterable[Hands]) -> str:
     """Send one after the other until the ground is met; why it was aborted, or empty."""
     from groundstation.control.programme import LANDING, reason_to_abort
 
     for hands in steps:
         answer = _sent(pilot, hands)
-        reason = reason_to_abort(answer, LANDING)
+        reason = reason_to_abort(answer, low, LANDING)
         if reason:
             return reason
         if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:

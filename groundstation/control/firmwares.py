@@ -16,12 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.pid import AXES
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import FULL_16_BIT
 
 Array = NDArray[np.float64]
 Release = Literal["2014", "2.x"]
 RELEASES: tuple[Release, ...] = get_args(Release)
-FULL = 65536.0
-"""Thrust and PWM have 16 bits."""
+FULL = FULL_16_BIT + 1.0
+"""Duty 1 in the firmware's 16 bits."""
 BRUSHLESS_OHM = 1.0
 """Windings of brushless motors are below it, those of brushed ones above."""
 
@@ -62,14 +63,14 @@ class Firmware:
             return np.asarray(share * FULL)
         volts = share * np.asarray(supply_mv, np.float64) / 1000.0
         newtons = np.polynomial.polynomial.polyval(volts, self.curve)
-        return np.asarray(np.maximum(newtons, 0.0) / self.most_n * (FULL - 1.0))
+        return np.asarray(np.maximum(newtons, 0.0) / self.most_n * FULL_16_BIT)
 
     def volts_per_thrust(self, volts: float) -> float:
         """Motor voltage for one more unit of thrust at a voltage."""
         slope = np.polynomial.polynomial.polyval(
             volts, np.polynomial.polynomial.polyder(self.curve)
         )
-        return float(self.most_n / (FULL - 1.0) / slope)
+        return float(self.most_n / FULL_16_BIT / slope)
 
 
 def _gains(**loops: tuple[float, float, float]) -> dict[str, float]:

@@ -16,12 +16,13 @@ from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, fuse, 
 from groundstation.dynamics.compiled import kernel, spliced
 from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.kernels import craft_step, normalise
+from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.motor_kernels import armature
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
 from groundstation.dynamics.sensing import begin, estimated, follow, sense
+from groundstation.telemetry.packet import FULL_16_BIT
 
 DEGREES = 180.0 / math.pi
-PWM_FULL = 4096.0
 ROTOR, RATE = 13, 10
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -196,13 +197,13 @@ def _compensated(f: Any, thrust: float, supply_v: float) -> float:
     """PWM (16 bits, not yet limited) by which the firmware's thrust curve gives a thrust."""
     if thrust <= 0.0:
         return 0.0
-    wanted, volts = thrust / 65535.0 * f.most_n, 2.0
+    wanted, volts = thrust / FULL_16_BIT * f.most_n, 2.0
     c = f.curve
     for _ in range(6):
         value = c[0] + volts * (c[1] + volts * (c[2] + volts * c[3])) - wanted
         slope = c[1] + volts * (2.0 * c[2] + 3.0 * volts * c[3])
         volts = min(max(volts - value / slope, 0.0), 5.0)
-    return volts / supply_v * 65535.0
+    return volts / supply_v * FULL_16_BIT
 
 
 @spliced
@@ -365,11 +366,11 @@ def cascade_run(
         if f.today != 0:
             for i in range(4):
                 mixed[i] = _compensated(f, thrust[k] + mixed[i], supply_mv[k] / 1000.0)
-                beyond = max(beyond, mixed[i] - 65535.0)
+                beyond = max(beyond, mixed[i] - FULL_16_BIT)
         for i in range(4):
             # today's lowers all motors together: attitude comes before thrust
             wanted = mixed[i] - beyond if f.today != 0 else thrust[k] + mixed[i]
-            steps = min(max(wanted, 0.0), 65535.0) / 128.0
+            steps = min(max(wanted, 0.0), FULL_16_BIT) / 128.0
             if f.quantised != 0:
                 steps = float(int(steps))
             compare[k, i] = steps

@@ -98,13 +98,14 @@ def require_flyable(programme: Programme) -> None:
 class AbortLimits:
     """Beyond any of these the motors are stopped.
 
-    tilt_deg, rate_dps: of the telemetry. battery_v: under load. silent_s: age of the newest
-    telemetry.
+    tilt_deg, rate_dps: of the telemetry. battery_v, battery_s: under load, and how long it must
+    stay below without a break. silent_s: age of the newest telemetry.
     """
 
     tilt_deg: float = 50.0
     rate_dps: float = 800.0
     battery_v: float = 3.0
+    battery_s: float = 2.0
     silent_s: float = 1.0
 
 
@@ -112,10 +113,42 @@ LANDING = AbortLimits(tilt_deg=180.0, rate_dps=2100.0)
 """Meeting the ground turns a craft faster than any flight; only what blinds is a reason then."""
 
 
-def reason_to_abort(answer: Mapping[str, Any], limits: AbortLimits = AbortLimits()) -> str:
+class LowBattery:
+    """How long the battery has been low, of one flight.
+
+    Starting rotors draw their stall current for milliseconds, and a cell sags under it: one low
+    reading says nothing of the charge. The firmware waits for 5 s below 3.0 V before it shuts
+    down (pm.c); ``AbortLimits.battery_s`` ends before that.
+    """
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._least_v = math.inf
+
+    def reason(self, read_ns: int, battery_v: float, limits: AbortLimits) -> str:
+        """Why the flight must end, or empty. read_ns: when battery_v was received: an old reading
+        that is seen again makes no time pass."""
+        if battery_v >= limits.battery_v:
+            self._since_ns = None
+            return ""
+        if self._since_ns is None:
+            self._since_ns, self._least_v = read_ns, battery_v
+        self._least_v = min(self._least_v, battery_v)
+        low_s = (read_ns - self._since_ns) * 1e-9
+        if low_s < limits.battery_s:
+            return ""
+        return (
+            f"battery below {limits.battery_v:g} V for {low_s:.1f} s, now {battery_v:.2f} V,"
+            f" {self._least_v:.2f} V at the least: charge it, or fly with a newer one"
+        )
+
+
+def reason_to_abort(
+    answer: Mapping[str, Any], low: LowBattery, limits: AbortLimits = AbortLimits()
+) -> str:
     """Why a flight must end now, from the daemon's answer to a setpoint; empty while all is well.
 
-    A value that is missing or no number is a reason: nothing is known then.
+    low: of this flight. A value that is missing or no number is a reason: nothing is known then.
     """
     telemetry = answer.get("telemetry")
     if answer.get("link_state") != "streaming" or telemetry is None:
@@ -130,9 +163,9 @@ def reason_to_abort(answer: Mapping[str, Any], limits: AbortLimits = AbortLimits
     if not rate <= limits.rate_dps:
         return f"rate of {rate:.0f} deg/s, {limits.rate_dps:g} is the most"
     battery = telemetry["battery_v"]
-    if battery is None or not battery >= limits.battery_v:
-        return f"battery at {battery} V, {limits.battery_v:g} is the least"
-    return ""
+    if battery is None or math.isnan(battery):
+        return "the battery's voltage is not known"
+    return low.reason(answer["time_ns"] - round(1e9 * age), battery, limits)
 
 
 def _largest(values: Sequence[float | None]) -> float:

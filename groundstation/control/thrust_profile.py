@@ -13,12 +13,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.programme import RATE_HZ, AbortLimits, reason_to_abort
+from groundstation.control.programme import RATE_HZ, AbortLimits, LowBattery, reason_to_abort
 from groundstation.errors import BadInputError
+from groundstation.telemetry.packet import FULL_16_BIT
 
 Shape = Literal["steps", "staircase", "chirp"]
 SHAPES: tuple[Shape, ...] = ("steps", "staircase", "chirp")
-FULL_THRUST = 65535
 LEAST, MOST = 0.16, 0.9
 """Share of full thrust: below, the firmware of 2014 takes it for none; above, it clips at 0.915."""
 RAMP_S = 1.0
@@ -57,7 +57,7 @@ class ThrustProfile:
         levels = self.low + (self.high - self.low) * (share + 1.0) / 2.0
         rise = np.linspace(0.0, 1.0, round(RAMP_S * RATE_HZ), endpoint=False)
         whole = np.concatenate([levels[0] * rise, levels, levels[-1] * rise[::-1], [0.0]])
-        return np.rint(FULL_THRUST * whole).astype(np.int64)
+        return np.rint(FULL_16_BIT * whole).astype(np.int64)
 
     def _levels(self, count: int) -> NDArray[np.float64]:
         """Levels in turn, -1 to 1."""
@@ -90,10 +90,10 @@ def require_drivable(profile: ThrustProfile) -> None:
         )
 
 
-def reason_to_stop(answer: Mapping[str, Any], at_rest: Mapping[str, Any]) -> str:
+def reason_to_stop(answer: Mapping[str, Any], at_rest: Mapping[str, Any], low: LowBattery) -> str:
     """Why the motors must stop now, from the daemon's answer to a setpoint; empty while all is
-    well. at_rest: the telemetry before the motors turned."""
-    reason = reason_to_abort(answer, FIXED)
+    well. at_rest: the telemetry before the motors turned. low: of this run."""
+    reason = reason_to_abort(answer, low, FIXED)
     if reason:
         return f"{reason}: is the craft loose?" if reason.startswith("rate") else reason
     now = answer["telemetry"]

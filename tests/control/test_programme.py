@@ -9,6 +9,7 @@ from groundstation.control.programme import (
     LANDING,
     SETTLE_S,
     AbortLimits,
+    LowBattery,
     Programme,
     reason_to_abort,
     require_flyable,
@@ -83,7 +84,6 @@ def test_what_should_not_be_flown_is_refused(changes, complaint):
         ({"roll_deg": math.nan}, "tilt"),
         ({"gyro_dps": [0.0, 0.0, -900.0]}, "rate of 900 deg/s"),
         ({"gyro_dps": [0.0, None, 0.0]}, "rate"),
-        ({"battery_v": 2.9}, "battery at 2.9 V"),
         ({"battery_v": None}, "battery"),
         ({"age_s": 1.2}, "no telemetry for 1.20 s"),
         ({"age_s": math.nan}, "no telemetry"),
@@ -92,17 +92,40 @@ def test_what_should_not_be_flown_is_refused(changes, complaint):
     ],
 )
 def test_each_loss_ends_the_flight(changes, complaint):
-    assert complaint in reason_to_abort(answer(**changes))
+    assert complaint in reason_to_abort(answer(**changes), LowBattery())
 
 
 def test_a_flight_that_is_well_goes_on():
-    assert reason_to_abort(answer()) == ""
-    assert reason_to_abort({"telemetry": None, "link_state": "streaming"}) != ""
-    assert reason_to_abort(answer(yaw_deg=-179.0, roll_deg=AbortLimits().tilt_deg)) == ""
+    assert reason_to_abort(answer(), LowBattery()) == ""
+    assert reason_to_abort({"telemetry": None, "link_state": "streaming"}, LowBattery()) != ""
+    edge = answer(yaw_deg=-179.0, roll_deg=AbortLimits().tilt_deg)
+    assert reason_to_abort(edge, LowBattery()) == ""
 
 
 def test_meeting_the_ground_is_no_reason_to_abort_a_landing():
     hit = answer(roll_deg=70.0, gyro_dps=[1500.0, 0.0, 0.0])
-    assert reason_to_abort(hit) != ""
-    assert reason_to_abort(hit, LANDING) == ""
-    assert "battery" in reason_to_abort(answer(battery_v=2.0), LANDING)
+    assert reason_to_abort(hit, LowBattery()) != ""
+    assert reason_to_abort(hit, LowBattery(), LANDING) == ""
+
+
+def low_at(seconds, low, battery_v, age_s=0.01):
+    said = answer(battery_v=battery_v, age_s=age_s)
+    said["time_ns"] = 1_000_000_000_000 + round(1e9 * (seconds + age_s))
+    return reason_to_abort(said, low)
+
+
+def test_a_sag_of_starting_rotors_does_not_end_a_flight_and_one_that_lasts_does():
+    low = LowBattery()
+    assert low_at(0.0, low, 2.2) == ""
+    assert low_at(0.01, low, 3.4) == ""
+    for tick in range(200):
+        assert low_at(1.0 + 0.01 * tick, low, 2.8 if tick else 2.6) == "", tick
+    reason = low_at(3.0, low, 2.85)
+    assert reason.startswith("battery below 3 V for 2.0 s, now 2.85 V, 2.60 V at the least")
+    assert low_at(3.01, low, 3.1) == ""
+    assert low_at(5.02, low, 2.9) == ""
+
+
+def test_one_low_reading_heard_again_and_again_is_still_one():
+    low = LowBattery()
+    assert [low_at(0.0, low, 2.2, age_s=0.1 * step) for step in range(10)] == [""] * 10

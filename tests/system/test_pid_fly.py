@@ -358,6 +358,22 @@ def test_a_craft_with_a_deck_holds_its_height_by_itself_in_the_programme(station
     assert "height_m" not in sent[-1]
 
 
+@pytest.mark.parametrize("craft", ["brushless"])
+def test_a_craft_that_is_not_armed_is_told_and_not_measured_on_the_ground(station):
+    def disarmed():
+        """The stand-in's pilot arms until setpoints come, a real craft is not armed by itself."""
+        ask(station.daemon.socket, "POST", "/command/arm", {"on": False})
+        return flight.poll() is not None
+
+    with station.flying(*ONCE, mark="pid fly begins") as flight:
+        until(disarmed, "the flight has ended")
+        said = flight.stderr.read()
+    assert flight.returncode
+    assert "no motor turns" in said
+    assert "armed on the page" in said
+    assert "pid fly programme" not in station.marks()
+
+
 def test_a_craft_without_a_deck_is_not_flown_by_height(station):
     said = require_failure(station.fly("--thrust", "height", *ONCE))
     assert "holds no height by itself" in said
