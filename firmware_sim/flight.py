@@ -33,8 +33,9 @@ from firmware_sim.polynomials import turn
 from firmware_sim.random_numbers import normal, uniform
 from firmware_sim.stabilizer import angle_loops, stabilize
 from firmware_sim.stabilizer_today import stabilize_today
+from groundstation.telemetry.packet import FULL_16_BIT
 
-FULL_COMPARE, FULL_PWM = 512.0, 65535.0
+FULL_COMPARE = 512.0
 WAIT_NS = 1_000_000_000
 """The firmware waits so long before anything moves."""
 TEST_NS, TEST_EVERY_NS, TEST_COMPARE = 50_000_000, 200_000_000, 101
@@ -151,7 +152,7 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
             stabilize(p, fw)
     for i in range(4):
         if fw.today != 0 and fw.bias_found != 0:
-            s.duty[i] = fw.pwm[i] / FULL_PWM
+            s.duty[i] = fw.pwm[i] / FULL_16_BIT
         else:
             fw.pwm[i] = fw.compare[i] << 7
             s.duty[i] = fw.compare[i] / FULL_COMPARE

@@ -12,6 +12,7 @@ import math
 from firmware_sim.compiled import inner
 from firmware_sim.layout import PASS_NS, SENSOR_STREAM, Record
 from firmware_sim.random_numbers import normal
+from groundstation.telemetry.packet import FULL_16_BIT
 
 DT = PASS_NS * 1e-9
 RANGE_PASSES, LOOP_PASSES = 13, 5
@@ -24,7 +25,7 @@ HEIGHT_KP, HEIGHT_KI, CLIMB_KP, CLIMB_KI = 2.0, 0.5, 25.0, 15.0
 MOST_CLIMB_M_S = 1.1
 MOST_PUSH = 32.767
 LOOP_S = LOOP_PASSES * DT
-SCALE, BASE_THRUST, LEAST_THRUST, FULL = 1000.0, 36000.0, 20000.0, 65535.0
+SCALE, BASE_THRUST, LEAST_THRUST = 1000.0, 36000.0, 20000.0
 RADIANS = math.pi / 180.0
 
 
@@ -63,7 +64,7 @@ def hold_height(fw: Record, index: int) -> float:
     slow = min(max(wanted, -MOST_CLIMB_M_S), MOST_CLIMB_M_S) - fw.climb
     fw.climb_integral += slow * LOOP_S
     push = min(max(CLIMB_KP * slow + CLIMB_KI * fw.climb_integral, -MOST_PUSH), MOST_PUSH)
-    return min(max(BASE_THRUST + SCALE * push, LEAST_THRUST), FULL)
+    return min(max(BASE_THRUST + SCALE * push, LEAST_THRUST), FULL_16_BIT)
 
 
 @inner

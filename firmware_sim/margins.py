@@ -18,6 +18,7 @@ from firmware_sim import today
 from firmware_sim.physics import STOCK, craft_of, firmware_of, gain_place
 from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.vehicle import Vehicle
+from groundstation.telemetry.packet import FULL_16_BIT
 
 SENSOR_AGE_S = 3.3e-3
 HOLD_S = 1.0e-3
@@ -88,7 +89,7 @@ def _millivolts(vehicle: Vehicle, is_today: bool) -> float:
     slope = sum(
         power * factor * volts ** (power - 1) for power, factor in enumerate(curve) if power
     )
-    return 1000.0 * most_n / today.MOST_THRUST / slope
+    return 1000.0 * most_n / FULL_16_BIT / slope
 
 
 def _hover_rev_s(vehicle: Vehicle) -> float:

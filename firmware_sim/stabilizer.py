@@ -10,6 +10,7 @@ from typing import Any
 
 from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
+from groundstation.telemetry.packet import FULL_16_BIT
 
 RATE_DT = 0.002
 ANGLE_DT = 0.004
@@ -104,7 +105,7 @@ def stabilize(p: Record, fw: Record) -> None:
             fw.thrust + roll - yaw,
         )
     for i in range(4):
-        fw.compare[i] = int(min(max(mixed[i], 0.0), 65535.0)) >> 7
+        fw.compare[i] = int(min(max(mixed[i], 0.0), FULL_16_BIT)) >> 7
 
 
 @inner

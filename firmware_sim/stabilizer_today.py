@@ -12,9 +12,9 @@ from typing import Any
 
 from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
+from groundstation.telemetry.packet import FULL_16_BIT
 
 DT = 0.002
-FULL = 65535.0
 INT16_MAX = 32767.0
 RATE_LIMIT = (33.3, 33.3, 166.7)
 ANGLE_LIMIT = (20.0, 20.0, 360.0)
@@ -62,13 +62,13 @@ def stabilize_today(fw: Record) -> None:
         thrust + roll - pitch + yaw,
         thrust + roll + pitch - yaw,
     )
-    highest = FULL
+    highest = FULL_16_BIT
     for i in range(4):
         fw.wanted[i] = compensated(fw, mixed[i])
         highest = max(highest, fw.wanted[i])
     for i in range(4):
         # attitude comes before thrust: all are lowered together
-        fw.pwm[i] = int(max(fw.wanted[i] - (highest - FULL), 0.0))
+        fw.pwm[i] = int(max(fw.wanted[i] - (highest - FULL_16_BIT), 0.0))
 
 
 @inner
@@ -77,14 +77,14 @@ def compensated(fw: Record, thrust: float) -> float:
     supply_v = fw.battery_filter
     if thrust <= 0.0 or supply_v < LEAST_SUPPLY_V:
         return thrust
-    wanted_n = thrust / FULL * fw.thrust_most_n
+    wanted_n = thrust / FULL_16_BIT * fw.thrust_most_n
     c0, c1, c2, c3 = fw.thrust_curve[0], fw.thrust_curve[1], fw.thrust_curve[2], fw.thrust_curve[3]
     volts = 2.0
     for _ in range(NEWTON_STEPS):
         value = c0 + volts * (c1 + volts * (c2 + volts * c3)) - wanted_n
         slope = c1 + volts * (2.0 * c2 + 3.0 * volts * c3)
         volts = min(max(volts - value / slope, 0.0), MOST_MOTOR_V)
-    return volts / supply_v * FULL
+    return volts / supply_v * FULL_16_BIT
 
 
 @inner

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.vehicle import Vehicle
+from groundstation.telemetry.packet import FULL_16_BIT
 
 G = 9.80665
 LOOP_HZ = 1000.0
 GYRO_BANDWIDTH_HZ, ACCELEROMETER_BANDWIDTH_HZ = 116.0, 145.0
 """Of the BMI088's own filters at 1 kHz and 1.6 kHz."""
 BUS_S = 0.3e-3
-MOST_THRUST = 65535.0
 
 _BRUSHED = {
     "rate_kp": (250.0, 250.0, 120.0),
@@ -70,7 +70,7 @@ def hover_command(vehicle: Vehicle) -> float:
     rotor_rev_s = math.sqrt(G / (4 * vehicle.thrust_per_mass))
     volts = vehicle.motor.armature_mv(rotor_rev_s) / 1000.0
     thrust_n = sum(factor * volts**power for power, factor in enumerate(curve))
-    return thrust_n / most_n * MOST_THRUST
+    return thrust_n / most_n * FULL_16_BIT
 
 
 def low_pass(corner_hz: float) -> NDArray[np.float64]:

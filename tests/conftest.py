@@ -39,6 +39,31 @@ settings.register_profile(
 settings.load_profile("project")
 
 
+def pytest_collection_modifyitems(config, items):
+    """Files with a test that may take minutes, by its own limit, begin first: the last of them
+    would hold one worker up when all others are done. Each worker starts with an equal stretch of
+    the list (``--dist worksteal``), so each stretch begins with its share of them."""
+    usual_s = float(config.getini("timeout") or "inf")
+    slow = {item.path: [] for item in items if _limit_s(item, usual_s) > usual_s}
+    rest = [item for item in items if item.path not in slow]
+    for item in items:
+        if item.path in slow:
+            slow[item.path].append(item)
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    files, count, ordered = list(slow.values()), len(items), []
+    for worker in range(workers):
+        ordered += [item for file in files[worker::workers] for item in file]
+        fill = max(count * (worker + 1) // workers - len(ordered), 0)
+        ordered += rest[:fill]
+        rest = rest[fill:]
+    items[:] = ordered + rest
+
+
+def _limit_s(item, usual_s):
+    mark = item.get_closest_marker("timeout")
+    return float(mark.args[0]) if mark is not None else usual_s
+
+
 @pytest.fixture
 def small_disk(tmp_path):
     """Makes a file system of so many bytes."""

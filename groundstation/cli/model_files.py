@@ -36,8 +36,6 @@ ATTITUDE = typer.Option(
 )
 MASS_RANGE = 5.0
 """A craft weighs at most so many times, and at least one over so many, what its profile says."""
-LONG_S, MOST = 2.5, 0.8
-"""Stretches from which a motor fit gains, and the share of a recording that they hold at least."""
 
 
 def open_one(path: Path) -> Recording:
@@ -64,25 +62,9 @@ def bridged_runs_in(recordings: Sequence[Recording]) -> list[Run]:
 
 
 def motor_runs_in(recordings: Sequence[Recording]) -> list[Run]:
-    """Runs of the motor bench as they are. Flights with recorded rotor speeds uncut where long
-    stretches hold most of them, else bridged: what a motor was given in a lost row may be far from
-    a straight line.
-    """
-    import numpy as np
+    from groundstation.identification.motor.recorded import motor_runs
 
-    from groundstation.identification.runs import runs_of
-
-    if not any(np.isfinite(one.samples.rotor_rev_s).any() for one in recordings):
-        return runs_in(recordings)
-    found: list[Run] = []
-    for one in recordings:
-        try:
-            long = runs_of(one.samples, one.path.name, LONG_S)
-        except BadInputError:
-            long = []
-        whole = sum(map(len, long)) >= MOST * len(one.samples)
-        found += long if whole else bridged_runs_in([one])
-    return found
+    return motor_runs([(one.samples, one.path.name) for one in recordings])
 
 
 def fitted_model(source: str, *, attitude: bool = False) -> Model:

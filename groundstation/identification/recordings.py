@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.gaps import filled
 from groundstation.identification.runs import CHANNELS, Run, uninterrupted
 from groundstation.telemetry.samples import SampleBatch
 
@@ -78,18 +79,6 @@ def _unwrapped(attitude: NDArray[np.float64]) -> NDArray[np.float64]:
     known = np.isfinite(attitude).all(axis=1)
     out[known] = np.unwrap(attitude[known], axis=0)
     return out
-
-
-def filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Missing rows on the straight line between their neighbours; all NaN stays NaN."""
-    flat = values.reshape(len(values), -1)
-    out = flat.copy()
-    rows = np.arange(len(flat), dtype=np.float64)
-    for column in range(flat.shape[1]):
-        known = np.isfinite(flat[:, column])
-        if known.any() and not known.all():
-            out[:, column] = np.interp(rows, rows[known], flat[known, column])
-    return out.reshape(values.shape)
 
 
 def bridged(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:

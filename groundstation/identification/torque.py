@@ -45,15 +45,11 @@ def rotor_squares(
     run: Run,
     motor: MotorConstants | Motors,
     measured: bool = False,
-    *,
-    dead_mv: float = 0.0,
-    braking: float = 1.0,
 ) -> RotorSquares:
     """Squared rotor speeds by simulating the motors, or from measured speeds.
 
     The motors start settled at the first row's voltage; what is wrong with that is gone after
-    half a second. dead_mv, braking: motor_dead_voltage and motor_braking_asymmetry; a negative
-    voltage, which a search may try, is one that comes on top.
+    half a second.
 
     Raises BadInputError where duty or battery voltage (or the measured speed) are missing, and
     where the motors are saturated throughout.
@@ -77,11 +73,9 @@ def rotor_squares(
             f"{run.name}: a motor is saturated in more than half of the rows; the torque does not"
             " follow the control there: fly with less thrust or a full battery"
         )
-    driving = np.where(voltage > 0.0, np.maximum(voltage - dead_mv, 0.0), 0.0)
+    driving = np.maximum(voltage, 0.0)
     start = steady_rev_s(motor, driving[0])
-    effects = {"motor_braking_asymmetry": {"factor": braking}} if braking != 1.0 else None
-    period_s = run.period_s / each
-    speed, square = simulate_motor(motor, driving[each:], period_s, start, effects=effects)
+    speed, square = simulate_motor(motor, driving[each:], run.period_s / each, start)
     mean = square.reshape(-1, each, square.shape[1]).mean(axis=1)
     return RotorSquares(np.vstack([start**2, mean]), speed[::each] ** 2)
 

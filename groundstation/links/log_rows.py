@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from groundstation.links.log_plan import QUATERNION, LogPlan
 from groundstation.recording.microsd_channels import samples_from_columns
 from groundstation.telemetry.decoder import DecoderCounts
+from groundstation.telemetry.packet import FULL_16_BIT
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
 TICK_S = 1e-6
@@ -31,7 +32,7 @@ TICK_S = 1e-6
 WRAP_MS = 1 << 24
 BACKWARDS_MS = 100
 """Blocks share one queue, so their stamps run forward: one so far back is a restart's."""
-MOTORS, FULL = 4, 65535.0
+MOTORS = 4
 """Commands of 16 bits in a block."""
 SETTING_MS = 2
 """How long the motors keep a command."""
@@ -235,7 +236,7 @@ class LogRows:
         samples.segment[:] = [segment for _, _, segment, _ in rows]
         follows = self._as_they_acted(samples)
         if again.size:
-            step = again / FULL - samples.duty
+            step = again / FULL_16_BIT - samples.duty
             both = np.isfinite(step)
             samples.duty[both] += 0.5 * step[both]
             if self.period_ms == 2 * SETTING_MS:

@@ -330,6 +330,7 @@ def observe(
     f, error = np.zeros(FILTER), np.zeros(12)
     m, mount = sensor.mounting, four(sensor.mount)
     leans = sensor.gains[0] > 0.0
+    places = _places(craft, len(gain_fresh))
     then, since = (0.0, 0.0, 0.0), 0.0
     y[6], f[0] = 1.0, 1.0
     for j in range(len(gyro)):
@@ -395,7 +396,7 @@ def observe(
                 error[6], error[7], error[8] = off
             wind = quaternion.to_body((y[6], y[7], y[8], y[9]), (y[3], y[4], y[5]))
             error[9], error[10], error[11] = -wind[0], -wind[1], -wind[2]
-            _correct(craft, gain_fresh if new else gain_stale, error, y, z[0])
+            _correct(craft, gain_fresh if new else gain_stale, places, error, y, z[0])
             for i in range(9):
                 innovations[j, i] = error[i]
         for i in range(size):
@@ -414,7 +415,29 @@ def observe(
 
 
 @spliced
-def _correct(craft: Any, gain: Any, error: Any, y: Any, z: Any) -> None:
+def _places(craft: Any, size: int) -> Any:
+    """Which of ``size`` corrections is that of each filter behind the gyro (SENSOR_STATES,): an
+    axis's delayed rate for the last one, of its own for one before it; -1 for no such filter."""
+    found = np.full(SENSOR_STATES, -1)
+    if craft.sensor_states > 0:
+        place = 12
+        for i in range(craft.body_states):
+            if place < size and craft.body_noise[i] > 0.0:
+                place += 1
+        for i in range(SENSOR_STATES):
+            axis = craft.follows[i]
+            if 0 <= axis < 3:
+                found[i] = 6 + axis
+                for j in range(i + 1, SENSOR_STATES):
+                    if craft.follows[j] == axis:  # a later filter shows it
+                        found[i] = place
+                if found[i] == place:
+                    place += 1
+    return found
+
+
+@spliced
+def _correct(craft: Any, gain: Any, places: Any, error: Any, y: Any, z: Any) -> None:
     delta = np.zeros(len(gain))
     for i in range(len(gain)):
         total = 0.0
@@ -431,16 +454,8 @@ def _correct(craft: Any, gain: Any, error: Any, y: Any, z: Any) -> None:
         if place < len(gain) and craft.body_noise[i] > 0.0:
             y[17 + i] += delta[place]
             place += 1
-    if craft.sensor_states > 0:
-        for i in range(SENSOR_STATES):
-            axis = craft.follows[i]
-            if 0 <= axis < 3:
-                at = 6 + axis
-                for j in range(i + 1, SENSOR_STATES):
-                    if craft.follows[j] == axis:  # a later filter shows it
-                        at = place
-                if at == place:
-                    place += 1
-                z[i] += delta[at]
+    for i in range(len(places)):
+        if places[i] >= 0:
+            z[i] += delta[places[i]]
     turn = (1.0, 0.5 * delta[0], 0.5 * delta[1], 0.5 * delta[2])
     y[6], y[7], y[8], y[9] = quaternion.normalised(quaternion.product(q, turn))

@@ -30,6 +30,8 @@ ERRORS = 12
 ROUNDS = 1500
 """Rows over which the covariance settles: 3 s at 500 Hz."""
 NUDGE = 1e-4
+LEAST = 1e-13
+"""Variance per row of what nothing but the model moves; without any its covariance is singular."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,23 +97,18 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
     sensor = np.frombuffer(key[CRAFT.itemsize :], SENSORS)
     a, c = _linearised(craft, sensor, period_s)
     lean = bool(sensor[0]["gains"][0] > 0.0)
-    # The observer's velocity is the integral of measured specific force, not of the model's.
-    observed = a.copy()
-    observed[9:ERRORS] = 0.0
-    observed[9:ERRORS, 9:ERRORS] = np.eye(3)
-    observed[9, 1] = period_s * craft[0]["gravity"]
-    observed[10, 0] = -period_s * craft[0]["gravity"]
+    observed = integrating_force(a, period_s, craft[0]["gravity"])
     torque = np.square(np.multiply(noise.torque, period_s))
     felt = noise.accelerometer**2 + noise.force**2
     process = np.concatenate(
-        [torque * (0.5 * period_s) ** 2 + 1e-13, torque, np.full(3, 1e-13), np.full(3, felt)]
+        [torque * (0.5 * period_s) ** 2 + LEAST, torque, np.full(3, LEAST), np.full(3, felt)]
     )
     process[9:] *= period_s**2
     # A first-order process keeps its variance: what fades in a row comes anew.
     driven = craft[0]["body_noise"][craft[0]["body_noise"] > 0.0]
     fades = np.diag(a)[ERRORS : ERRORS + len(driven)]
-    process = np.concatenate([process, driven**2 * (1.0 - fades**2)])
-    process = np.concatenate([process, np.full(len(a) - len(process), 1e-13)])
+    before = np.full(len(a) - ERRORS - len(driven), LEAST)
+    process = np.concatenate([process, driven**2 * (1.0 - fades**2), before])
     # A leaning filter's report says next to nothing about the true attitude.
     attitude = 0.5 if lean else noise.attitude
     sensors = np.concatenate(
@@ -221,6 +218,17 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     after[6:9, 0:3] = np.eye(3)
     after[9:, 9:ERRORS] = np.eye(3)
     return a, after
+
+
+def integrating_force(transition: Array, period_s: float, gravity: float) -> Array:
+    """The transition (e, e) of an observer's error, whose velocity is the integral of measured
+    specific force, not of the model's."""
+    observed = transition.copy()
+    observed[9:ERRORS] = 0.0
+    observed[9:ERRORS, 9:ERRORS] = np.eye(3)
+    observed[9, 1] = period_s * gravity
+    observed[10, 0] = -period_s * gravity
+    return observed
 
 
 def gyro_states(follows: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion, body_rates
 from groundstation.recording.device_time import host_time_from_ticks, segments_of
-from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
 GyroUnit = Literal["deg/s", "rad/s"]
@@ -54,7 +54,7 @@ def samples_from_columns(
         [f"motor.m{m}" for m in range(1, 5)],
     ):
         kinds = {columns[name].dtype.itemsize for name in names if name in columns}
-        _fill(samples.duty, columns, names, 1 / 255 if kinds == {1} else 1 / 65535)
+        _fill(samples.duty, columns, names, 1 / 255 if kinds == {1} else 1 / FULL_16_BIT)
     for name, unit_v in (("pm.vbat", 1.0), ("pm.vbatMV", 1e-3)):
         if name in columns:
             samples.battery_v[:] = columns[name] * unit_v

@@ -37,6 +37,8 @@ ACCELEROMETER_M_S2 = STANDARD_GRAVITY / 4096
 ANGLE_RAD = math.radians(0.01)
 """rad per count."""
 DUTY = 1 / 4096
+FULL_16_BIT = 65535.0
+"""Full scale of the firmware's thrust and PWM where they have 16 bits, in it and in its logs."""
 BATTERY_V = 1e-3
 MOTOR_STEP = 8
 """9-bit PWM shifted left by three: every motor count is a multiple of this."""

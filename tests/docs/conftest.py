@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,9 @@ def larder(tmp_path_factory):
     return Larder(tmp_path_factory.mktemp("larder"))
 
 
-@pytest.fixture(scope="module")
-def station(tmp_path_factory):
-    """A running daemon with the software craft and a command link; its folder."""
-    folder = tmp_path_factory.mktemp("station")
+@contextmanager
+def running_station(folder):
+    """A running daemon with the software craft and a command link."""
     socket = folder / "groundstation" / "control.sock"
     socket.parent.mkdir()
     command = f"udp://127.0.0.1:{free_port()}"
@@ -33,12 +33,39 @@ def station(tmp_path_factory):
         assert daemon.stop() == 0, daemon.stderr
 
 
+@pytest.fixture(scope="module")
+def station(tmp_path_factory):
+    """A station that the commands of the pages share."""
+    with running_station(tmp_path_factory.mktemp("station")) as daemon:
+        yield daemon
+
+
 @pytest.fixture
 def with_station(station, monkeypatch):
     """Commands find the daemon."""
-    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(station.socket))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(station.folder))
+    find(station, monkeypatch)
     return station
+
+
+@pytest.fixture
+def for_a_while(tmp_path_factory, monkeypatch):
+    """Commands find a daemon of their own while they run, which computes no longer than that."""
+
+    @contextmanager
+    def begin():
+        with (
+            running_station(tmp_path_factory.mktemp("station")) as daemon,
+            monkeypatch.context() as m,
+        ):
+            find(daemon, m)
+            yield
+
+    return begin
+
+
+def find(daemon, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(daemon.folder))
 
 
 @pytest.fixture

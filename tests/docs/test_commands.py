@@ -148,7 +148,7 @@ def assert_taken(command):
 
 
 @pytest.mark.timeout(900)  # half a minute where nothing else runs
-def test_the_story_of_getting_started_goes_as_printed(folder, larder, request):
+def test_the_story_of_getting_started_goes_as_printed(folder, larder, for_a_while):
     """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
     said, clone, there = "", folder, set(folder.iterdir())
     for block in blocks_of(STORY):
@@ -162,12 +162,14 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, request):
         elif block.holds_commands:
             for command in block.commands():
                 if command.startswith(CLIENTS):
-                    request.getfixturevalue("with_station")
-                elif command.startswith("cd "):
+                    with for_a_while():
+                        said += carry_out(command, folder) or ""
+                    continue
+                if command.startswith("cd "):
                     folder /= command.removeprefix("cd ")
                     os.chdir(folder)
                     continue
-                elif command == "groundstation recordings sessions":
+                if command == "groundstation recordings sessions":
                     assert ".mcap" in carry_out(command, folder)
                     continue
                 said += carry_out(command, folder) or ""

@@ -79,7 +79,8 @@ def test_a_scheduler_that_runs_already_is_used_and_left_running():
             assert dict(done) == {one: one + one for one in names(40)}
 
 
-def test_a_scheduler_that_does_not_answer_is_one_line():
+def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
+    monkeypatch.setattr(engine, "CONNECT_S", 1)
     with pytest.raises(BadInputError, match=r"--scheduler tcp://127.0.0.1:9: does not answer"):
         list(carried_out(doubled, names(4), workers=1, scheduler="tcp://127.0.0.1:9"))
 

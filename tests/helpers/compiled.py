@@ -41,11 +41,10 @@ def craft():
 
 
 def models():
-    """What fits a body, flies a model, compares, searches and designs."""
+    """What fits a body, flies a model, compares and searches."""
     from groundstation import (
         Criterion,
         compare,
-        evaluate,
         find_discrepancy,
         flights_of,
         fly_reference,
@@ -69,15 +68,32 @@ def models():
     identify_arx(runs, [], model, vehicle, Criterion.PREDICTION, channel="gyro", decimate=4)
     simulate_run(model, runs[0], window_s=0.5)
     fly_reference(model, load_reference("doublet"))
-    evaluate(model, {}, "firmware")
     compare(flights, model)
     find_discrepancy([flights], model)
+
+
+def controllers():
+    """The loops, and what judges the gains of a design."""
+    import numpy as np
+
+    from groundstation import evaluate, load_model, load_vehicle, vehicle_model
+    from groundstation.control.firmware_loop import CascadeJudge
+    from groundstation.control.linear_loop import DirectJudge, axis_plant
+    from groundstation.control.pid import PidGains
+    from groundstation.control.plant import plant_of_model
+
+    model, thesis = vehicle_model(load_vehicle("crazyflie1")), load_model("thesis")
+    evaluate(model, {}, "firmware")
+    CascadeJudge([plant_of_model(model)], "yaw", 0.1)(np.ones((1, 2)))
+    for loop in ("direct", "whole"):
+        evaluate(thesis, {"yaw": PidGains(1000.0)}, loop)
+    DirectJudge([axis_plant(thesis, "yaw")], 0.1)(np.ones((1, 3)))
 
 
 def main():
     """Each piece in a process of its own."""
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for done in [pool.submit(piece) for piece in (craft, models)]:
+        for done in [pool.submit(piece) for piece in (models, controllers, craft)]:
             if error := done.exception():  # the tests will say more; they compile what is left
                 print(f"compiling: {error!r}", file=sys.stderr)
 

@@ -12,6 +12,7 @@ from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
 from groundstation.identification.likelihood.parameters import SENSOR_LAG
 from groundstation.identification.runs import Run
+from groundstation.telemetry.packet import FULL_16_BIT
 
 Array = NDArray[np.float64]
 
@@ -29,9 +30,9 @@ TELLS = 0.2
 CONTROL_HZ, SLOW = 500.0, 1.5
 """At which the firmware of 2014 and today's set the motors, and from how many settings a row on a
 recorded one is not what was flown."""
-FULL, HALF_WAY, MEANS = 65535.0, 0.05, 0.2
-"""Full scale of a setting, and the share of settings that lie so near half-way between two from
-which they are means: of those joined from other rates a tenth does."""
+HALF_WAY, MEANS = 0.05, 0.2
+"""Share of settings that lie so near half-way between two from which they are means: of those
+joined from other rates a tenth does."""
 MOTION_S = 0.05
 """Means over so long are the craft's motion, not its vibration."""
 BY_CHANCE = 2.5
@@ -69,7 +70,7 @@ def settings_a_row(run: Run) -> float:
     """How many settings of the motors stand behind each that a row holds, 1 where it is all there
     are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
     half-way between the 65536 that there are."""
-    away = np.abs((run.duty * FULL) % 1.0 - 0.5) < HALF_WAY
+    away = np.abs((run.duty * FULL_16_BIT) % 1.0 - 0.5) < HALF_WAY
     settings = CONTROL_HZ * run.period_s / (2.0 if away.mean() > MEANS else 1.0)
     return settings if settings >= SLOW else 1.0
 

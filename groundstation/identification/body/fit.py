@@ -49,8 +49,8 @@ from groundstation.identification.likelihood.free_spectra import (
     reweighted,
     smoothed,
 )
+from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
-from groundstation.identification.likelihood.problem import Linear
 from groundstation.identification.likelihood.residuals import BASE_STEPS
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.stretches import Stretch, paced

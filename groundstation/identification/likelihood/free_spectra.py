@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.estimate import bounded_step
+from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import Point, value
-from groundstation.identification.likelihood.problem import Linear
 from groundstation.identification.likelihood.spectra import Spectrum
 
 Array = NDArray[np.float64]

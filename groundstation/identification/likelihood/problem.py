@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, model_vehicle
-from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.unknowns import Key
-from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.estimate import bounded_step, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
+from groundstation.identification.likelihood.linearisation import Linear, linearise
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     KEYS,
@@ -26,41 +25,29 @@ from groundstation.identification.likelihood.parameters import (
     Variant,
     value,
 )
-from groundstation.identification.likelihood.residuals import (
-    ACCELEROMETER,
-    ATTITUDE,
-    Columns,
-    Series,
-    evaluate,
-    rate_errors,
+from groundstation.identification.likelihood.prior import (
+    LAG_BOUNDS_S,
+    LAG_DOUBT_S,
+    fitted_along,
+    prior_of,
+    sensor_lag,
+    trim_of,
 )
+from groundstation.identification.likelihood.residuals import ACCELEROMETER, rate_errors
 from groundstation.identification.likelihood.spectra import (
     Noise,
     Quadratic,
     Spectrum,
-    Vertical,
     leverage,
     quadratic,
     settled,
-    transform,
     trimmed,
     whiten_by_own,
 )
-from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
 BASE_KEYS = (*BODY_KEYS, *MOTOR_KEYS, TIMING)
-MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
-"""Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""
-TIMING_DOUBT = 0.5
-END_SPEED_M_S = 0.3
-"""Vertical speed that a flight may end with when it does not end at rest."""
-LEAST_LIFT_DOUBT = 0.05
-"""m/s^2: the model's mean force is 1 g to half a percent; what the accelerometer says of it is
-better known, but where slow air moves real craft its mean has no weight."""
-REST_SPEEDS_M_S = (0.03, 0.15)
-"""What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
 NOISE_ROUNDS, LATER_NOISE_ROUNDS = 3, 2
 SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
 """Width of the bands in which flights have noise of their own, and the degrees of freedom that
@@ -70,28 +57,10 @@ STEPS, SETTLED = 6, 0.05
 TIMING_BOUNDS = (-1.0, 2.0)
 SHARED = 1e-3
 """Share of a usual size to which two effects agree on a number of the craft that both have."""
-LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
-"""Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
-TRIM_SHARE = 0.03
-"""Of one rotor's moment in hover: the lasting moment that flights of one craft differ by. It is a
-battery pushed in a millimetre elsewhere, a propeller changed."""
 GYRO_COUNT_RAD_S = math.radians(2000.0) / 32768.0
 """Of the gyro's lasting offset between flights: the firmware takes it off in whole counts when it
 starts, and the sensor warms up after that."""
 RATE_GAINS = (0.03, 0.1, 0.25, 0.5, 0.8)
-
-
-@dataclass(frozen=True, slots=True)
-class Linear:
-    """Residuals and columns of all flights at a point, in the frequency domain."""
-
-    point: Point
-    keys: tuple[str, ...]
-    spectra: list[Spectrum]
-    verticals: list[Vertical]
-
-    def place(self, keys: Sequence[str]) -> list[int]:
-        return [self.keys.index(key) for key in keys]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,18 +95,18 @@ class Problem:
         self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
         told = [key for key, one in effects if one.effect.fitted and key not in tried]
         self.every_key = (*self.base_keys, *told)
-        lag = {SENSOR_LAG: _sensor_lag(model)} if measured else {}
+        lag = {SENSOR_LAG: sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}
         unknowns = self.frame.unknowns.values()
         self.shared = [(k.key, k.parameter.shares) for k in unknowns if k.parameter.shares]
-        self.prior, self.known_motor = _prior(model, start)
+        self.prior, self.known_motor = prior_of(model, start)
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
             self.prior.append(((SENSOR_LAG,), lag, weight))
-        near = _fitted_along(model) if measured else {}
+        near = fitted_along(model) if measured else {}
         self.near: Point = {key: number for key, number in near.items() if key not in start}
         """Where columns are evaluated first: what the body's fit saw beside its constants."""
-        self.trim = _trim(model_vehicle(model))
+        self.trim = trim_of(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
         self.reference: Linear | None = None
@@ -381,36 +350,6 @@ class Problem:
         return quadratic(changes, self.noise, (), 0).value
 
 
-def linearise(
-    flights: Sequence[Flight],
-    frame: Frame,
-    point: Point,
-    keys: Sequence[str],
-    channels: Container[int] = range(9),
-    nuisances: Mapping[str, Sequence[Columns]] | None = None,
-) -> Linear:
-    """Residuals and columns of flights at a point, as spectra of the given channels.
-
-    The vertical rows belong to the accelerometer's.
-
-    nuisances: keys that no effect has, linear, with what each adds to every flight per unit.
-    """
-    spectra: list[Spectrum] = []
-    verticals: list[Vertical] = []
-    extra = nuisances or {}
-    for number, flight in enumerate(flights):
-        series = evaluate(flight, frame, point, [key for key in keys if key not in extra])
-        for key in extra:
-            series.columns[key] = extra[key][number]
-            for channel, column in extra[key][number].items():
-                series.residual[channel] = series.residual[channel] - point[key] * column
-        series.residual = {c: rows for c, rows in series.residual.items() if c in channels}
-        spectra += transform(number, series, keys, flight.period_s, _strides(flight))
-        if ACCELEROMETER in channels:
-            verticals += _vertical(number, series, keys, flight)
-    return Linear(dict(point), tuple(keys), spectra, verticals)
-
-
 def bounded(
     point: Point, keys: Sequence[str], change: Array, unknowns: Mapping[str, Key] = KEYS
 ) -> Point:
@@ -433,76 +372,3 @@ def _ends(point: Point, keys: Sequence[str], unknowns: Mapping[str, Key]) -> tup
         elif key in unknowns:
             low[i], high[i] = unknowns[key].bounds
     return low, high
-
-
-def _strides(flight: Flight) -> dict[int, int]:
-    stride = flight.attitude.stride if flight.attitude is not None else 1
-    return {ATTITUDE + i: stride for i in range(3)}
-
-
-def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) -> list[Vertical]:
-    if series.vertical is None:
-        return []
-    residual, slopes = series.vertical
-    seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
-    ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
-    begin, end = (still if rest else END_SPEED_M_S for rest, still in ends)
-    sigma = np.hypot(begin, end) / seconds
-    found = [Vertical(number, residual, _row(slopes, keys), float(sigma))]
-    if series.lift is not None:
-        loose = max(
-            LEAST_LIFT_DOUBT, END_SPEED_M_S / ((flight.last - flight.first) * flight.period_s)
-        )
-        found.append(Vertical(number, series.lift[0], _row(series.lift[1], keys), loose))
-    return found
-
-
-def _row(slopes: Mapping[str, float], keys: Sequence[str]) -> Array:
-    return np.array([slopes.get(key, 0.0) for key in keys])
-
-
-Prior = tuple[tuple[str, ...], dict[str, float], Array]
-
-
-def _trim(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Standard deviation of a flight's lasting moment about each axis, rad/s^2."""
-    square = STANDARD_GRAVITY / (4.0 * vehicle.thrust_per_mass)
-    roll, pitch, yaw = (TRIM_SHARE * abs(one) * square for one in vehicle.body_constants)
-    return roll, pitch, yaw
-
-
-def _sensor_lag(model: Model) -> float:
-    """Of measured rotor speeds in s, as the motors' fit found it; 0 where it did not."""
-    account = model.fit.get("motor", {}).get("estimates") or {}
-    known = dict(zip(account.get("names", ()), account.get("values", ()), strict=False))
-    return float(np.clip(known.get("sensor_lag_s", 0.0), *LAG_BOUNDS_S))
-
-
-def _fitted_along(model: Model) -> Point:
-    """How late the rotors' answer is and what they take to speed up, as the body's fit found it.
-
-    They and the lag of the rotors' sensor multiply each other: from nothing each of them alone
-    leads astray.
-    """
-    along = model.fit.get("body", {}).get("fitted_along") or {}
-    return {key: along[key]["value"] for key in (DELAY, SPIN_UP, SENSOR_LAG) if key in along}
-
-
-def _prior(model: Model, start: Point) -> tuple[list[Prior], bool]:
-    """The bench's a0, a1, a2 with their covariance, and the attitude filter's timing.
-
-    A constant that is zero (a2 of a first-order motor) stays so: it is not in the prior.
-    """
-    motor = tuple(key for key in MOTOR_KEYS if start[key] != 0.0)
-    centre = {key: start[key] for key in motor}
-    values = np.array([start[key] for key in motor])
-    covariance, known = np.diag((MOTOR_DOUBT * values) ** 2), False
-    account = model.fit.get("motor", {}).get("estimates")
-    if account and set(motor) <= set(account.get("names", ())):
-        at = [account["names"].index(key) for key in motor]
-        given = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
-        if np.isfinite(given).all():
-            covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
-    weight = np.asarray(np.linalg.inv(covariance))
-    timing = ((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
-    return [(motor, centre, weight), timing], known

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model, with_motor
+from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.frame import Frame
@@ -43,20 +44,38 @@ def run():
     )
 
 
+def turned(run, motors, effects):
+    """Rotor speeds at the rows of a run and the mean squares before them, both (n, 4), by the
+    simulation of motors with known effects."""
+    each = len(run.settings) // len(run)
+    voltage = armature_mv(run.settings, np.repeat(run.supply_v, each))
+    start = steady_rev_s(motors, voltage[0])
+    period_s = run.period_s / each
+    speed, square = simulate_motor(motors, voltage[each:], period_s, start, effects=effects)
+    mean = square.reshape(-1, each, 4).mean(axis=1)
+    return speed[::each], np.vstack([start**2, mean])
+
+
 @pytest.mark.parametrize(
-    "key", [None, "motor_dead_voltage.voltage_mv", "motor_braking_asymmetry.factor"]
+    ("key", "size"),
+    [
+        (None, 0.0),
+        ("motor_dead_voltage.voltage_mv", 120.0),
+        ("motor_braking_asymmetry.factor", 0.7),
+    ],
 )
-def test_each_rotor_turns_by_its_own_motor_in_the_fit_as_in_the_search(run, key):
+def test_each_rotor_turns_by_its_own_motor_in_the_fit_as_in_the_search(run, key, size):
     (flight,) = prepare([run])
     mean = mean_motor(FOUR)
     point = point_of(with_motor(vehicle_model(VEHICLE), mean))
-    size = {None: {}, "motor_dead_voltage.voltage_mv": {"dead_mv": 120.0}}.get(
-        key, {"braking": 0.7}
-    )
-    point.update(zip([key], size.values(), strict=False))
     late = slice(ROWS // 2, None)  # the start is settled at a voltage that each takes differently
+    if key is None:
+        fit = rotor_squares(run, FOUR).square[late]
+    else:
+        name, parameter = key.split(".")
+        point[key] = size
+        fit = turned(run, FOUR, {name: {parameter: size}})[1][late]
     search = spin_rotors(flight, point, Frame(VEHICLE, FOUR)).square[late]
-    fit = rotor_squares(run, FOUR, **size).square[late]
     apart = np.ptp(fit.mean(axis=0))
     assert apart > 2000.0
     np.testing.assert_allclose(search, fit, rtol=1e-8)
@@ -79,8 +98,8 @@ def test_slow_rows_that_tell_two_settings_turn_rotors_as_fast_rows_do(run):
     model = msgspec.structs.replace(model, effects=(braked,))
     late = slice(ROWS // 4, None)
 
-    def fitted(one):
-        return rotor_squares(one, model.motor, braking=0.6).end
+    def simulated(one):
+        return turned(one, model.motor, {"motor_braking_asymmetry": {"factor": 0.6}})[0] ** 2
 
     def searched(one):
         (flight,) = prepare([one])
@@ -89,7 +108,7 @@ def test_slow_rows_that_tell_two_settings_turn_rotors_as_fast_rows_do(run):
     def predicted(one):
         return drive_run(model, one).rotor_rev_s ** 2
 
-    for behind in (fitted, searched, predicted):
+    for behind in (simulated, searched, predicted):
         true = behind(fast)[1::2][late]
         np.testing.assert_allclose(behind(told)[late], true, rtol=1e-6)
         assert np.abs(behind(untold)[late] / true - 1.0).min() > 0.01
