@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 from affected_flights import BASE, MEDIUM, affected
+from installed import Daemon
 from stand_in_flights import CARRYING_GAINS, recorded
 from typer.testing import CliRunner
 
@@ -122,12 +123,10 @@ def test_the_stand_in_link_flies_a_model_with_listed_and_own_effects(tmp_path):
     configuration.write_text(
         f'[stand_in]\nplant = "reduced"\nprogram = "hover"\ncraft = "{tmp_path / "model.json"}"\n'
     )
-    run(
-        *("run", "--config", configuration, "--link", "stand-in", "--speed", "max"),
-        *("--for", "12", "--recordings", tmp_path / "recordings", "--viewer", "off"),
-    )
-    (file,) = (tmp_path / "recordings").glob("*.mcap")
-    samples = open_recording(file).samples
+    with Daemon(tmp_path, "--config", configuration, "--speed", "max") as daemon:
+        daemon.recording(samples=5000)
+        assert daemon.stop() == 0
+        samples = open_recording(daemon.only_file()).samples[:5000]
     resting, flying = samples.gyro[:500], samples.gyro[-1500:]
     # The bias shows at rest; in the air the yaw controller works against the sail.
     assert np.degrees(resting.mean(axis=0))[:2] == pytest.approx([1.5, -1.0], abs=0.1)
