@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli import config, jobs, models, page, recordings
+from groundstation.cli import config, jobs, models, motors, page, recordings
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
@@ -37,6 +37,7 @@ def add_commands(app: typer.Typer) -> None:
     app.command("events")(events)
     app.command("link")(link)
     app.add_typer(record, name="record")
+    motors.add_commands(app)
     recordings.add_commands(app)
     page.add_commands(app)
     jobs.add_commands(app)

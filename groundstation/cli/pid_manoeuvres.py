@@ -23,8 +23,8 @@ TOUCHED_DPS = 150.0
 """Level flight never turns so fast: the ground has been met."""
 TAKE_OFF_S = 3.0
 NOT_TURNING = (
-    "thrust is asked for and no motor turns: a craft that needs arming is armed on the page"
-    " (Arm...) or by POST /command/arm; after an emergency stop it is switched off and on"
+    "thrust is asked for and no motor turns: a craft that needs arming is armed by `groundstation"
+    " motors arm` or on the page (Arm...); after an emergency stop it is switched off and on"
 )
 ON_GROUND_S = 0.7
 """How long no height is asked for at a landing, before the motors are stopped."""

@@ -181,10 +181,20 @@ def flight_lines(flown: Flown) -> list[str]:
     """The table for a terminal."""
     return [
         *table_lines(FLIGHT_HEAD, flight_rows(flown)),
-        f"setpoints took effect {_delay(flown)} (middle half within"
-        f" {1e3 * flown.spread_s:.1f} ms), seen in the motors at"
-        f" {flown.found} of {flown.edges} edges",
+        _effect(flown),
     ]
+
+
+def _effect(flown: Flown) -> str:
+    if not flown.found:
+        return (
+            f"no setpoint is seen in the motors (0 of {flown.edges} edges): when they took effect is"
+            " not known, the moment of sending is taken for it"
+        )
+    return (
+        f"setpoints took effect {_delay(flown)} (middle half within {1e3 * flown.spread_s:.1f} ms),"
+        f" seen in the motors at {flown.found} of {flown.edges} edges"
+    )
 
 
 def _delay(flown: Flown) -> str:

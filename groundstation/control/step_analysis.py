@@ -220,7 +220,7 @@ def _effective(
     noise = 1.4826 * np.median(np.abs(jumps), axis=0) + 1e-9
     moments = np.array([sent[row] for row, _ in changes])
     room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
-    delays, clear = [], []
+    visible, delays, clear = 0, [], []
     for (row, axis), before, after in zip(changes, room[:-1], room[1:], strict=True):
         if axis >= len(shown):
             delays.append(math.nan)
@@ -232,7 +232,10 @@ def _effective(
         if high - low < 5:
             raise BadInputError("telemetry does not cover the whole programme")
         strongest = low + int(np.argmax(sign * jumps[low:high, axis]))
-        delays.append(grid[strongest - 1] - sent[row])
+        visible += 1
+        # motors that stand still answer nothing
+        rises = sign * jumps[strongest, axis] > 0.0
+        delays.append(grid[strongest - 1] - sent[row] if rises else math.nan)
         clear.append(sign * jumps[strongest, axis] > CLEAR * noise[axis])
     if not delays:
         return [], 0.0, 0.0, 0, 0
@@ -254,7 +257,7 @@ def _effective(
         Edge(axis, float(start), setpoints[row - 1, axis], setpoints[row, axis], float(end))
         for (row, axis), start, end in zip(changes, starts, ends, strict=True)
     ]
-    return edges, usual, spread, sum(near), len(seen)
+    return edges, usual, spread, sum(near), visible
 
 
 def _predict(

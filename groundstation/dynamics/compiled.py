@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 from numba import njit
 from numba.core.caching import FunctionCache
 
-import groundstation
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -65,7 +63,7 @@ class _StampedCache(FunctionCache):
 @cache
 def source_stamp() -> str:
     """Changes with any source file that compiled code is made of: kernels, laws, constants."""
-    package = Path(groundstation.__file__).parent
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()

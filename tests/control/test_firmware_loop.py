@@ -23,6 +23,7 @@ from groundstation.control.gains_file import load_gains
 from groundstation.control.metrics import step_metrics
 from groundstation.control.plant import plant_of_model
 from groundstation.control.programme import Programme
+from groundstation.control.report import flight_lines
 from groundstation.control.step_analysis import analyse
 from groundstation.dynamics.model import (
     THESIS,
@@ -119,6 +120,15 @@ def test_stock_gains_fly_todays_craft_as_predicted(craft):
     brisk = {"pid_attitude.roll_kp": 9.0, "pid_attitude.yaw_kp": 9.0}
     other = analyse(samples, sent, setpoints, "x", plant, brisk, holds_heading=True)
     assert [bool(one.apart) for one in other.axes] == [True, False, True]
+
+
+def test_motors_that_stand_still_are_not_said_to_have_answered():
+    settings = StandInSettings(program="wait", altitude_hold=True, seed=1)
+    samples, sent, setpoints, _ = fly_offline(settings, Programme(repeats=2), jitter_s=0.003)
+    still = replace(samples, duty=np.zeros_like(samples.duty))
+    flown = analyse(still, sent, setpoints)
+    assert (flown.found, flown.edges) == (0, 18)
+    assert "no setpoint is seen in the motors (0 of 18 edges)" in flight_lines(flown)[-1]
 
 
 def test_todays_loop_becomes_unstable_at_its_delay_margin():

@@ -31,6 +31,14 @@ def test_a_fast_flight_is_written_as_it_was_received(tmp_path):
         assert len(stored["truth"]) == pytest.approx(2490, abs=10)
 
 
+def test_it_runs_beside_a_folder_that_is_called_like_the_package(tmp_path):
+    (tmp_path / "groundstation").mkdir()  # a clone has that name
+    command = [sys.executable, "-m", "firmware_sim", "--for", "0.5", "--fast", "-o", "flight.npz"]
+    done = run_program(command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "flight.npz").is_file()
+
+
 def test_real_time_and_fast_give_the_same_bytes(tmp_path):
     fast, real = tmp_path / "fast.npz", tmp_path / "real.npz"
     assert main(["--for", "1.5", "--fast", "-o", str(fast)]) == 0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from installed import COMMAND, RECORDINGS, Daemon, require_failure, until
+from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
 from programs import Program, run_program
 
 from groundstation.cli.commanding import kept
@@ -370,8 +370,31 @@ def test_a_craft_that_is_not_armed_is_told_and_not_measured_on_the_ground(statio
         said = flight.stderr.read()
     assert flight.returncode
     assert "no motor turns" in said
-    assert "armed on the page" in said
+    assert "groundstation motors arm" in said
     assert "pid fly programme" not in station.marks()
+
+
+@pytest.mark.parametrize("craft", ["brushless"])
+def test_the_motors_are_armed_disarmed_and_stopped_from_the_command_line(station):
+    def told(*arguments):
+        done = groundstation("motors", *arguments, socket_path=station.daemon.socket)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    assert told("disarm") == "disarmed"
+    assert told("arm") == "armed"
+    assert told("stop").startswith("stopped")
+    events = ask(station.daemon.socket, "GET", "/events")
+    kinds = [event["kind"] for event in events]
+    assert kinds.index("disarmed") < kinds.index("armed") < kinds.index("stop")
+
+
+def test_firmware_without_arming_and_a_daemon_without_a_craft_say_so(station, tmp_path):
+    said = require_failure(groundstation("motors", "arm", socket_path=station.daemon.socket))
+    assert "knows no arming" in said
+    for word in ("arm", "disarm", "stop"):
+        nobody = groundstation("motors", word, socket_path=tmp_path / "none.sock")
+        assert "groundstation run" in require_failure(nobody)
 
 
 def test_a_craft_without_a_deck_is_not_flown_by_height(station):

@@ -1,0 +1,63 @@
+"""``motors``: what an operator may do to the motors, whoever commands."""
+
+from __future__ import annotations
+
+import typer
+
+from groundstation.cli.command_group import Commands
+from groundstation.cli.terminal import show
+from groundstation.errors import BadInputError
+from groundstation.service.client import ask
+from groundstation.service.config import socket_path
+
+motors = Commands(
+    help=(
+        "Stop, arm or disarm the motors of the craft that the running daemon commands."
+        "\n\nExample: [bold]groundstation motors stop[/bold]"
+    ),
+    no_args_is_help=True,
+)
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.add_typer(motors, name="motors")
+
+
+@motors.command("stop")
+def stop() -> None:
+    """Stop the motors at once, whoever commands, and end that command.
+
+    Example: [bold]groundstation motors stop[/bold]
+    """
+    ask(socket_path(), "POST", "/command/stop")
+    show("stopped; whoever commanded commands no more")
+
+
+@motors.command("arm")
+def arm(
+    yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft is armed."),
+) -> None:
+    """Arm the motors of a craft that needs it, and wait for its answer.
+
+    The motors of a Brushless idle as soon as they are armed. Firmware of 2014 knows no arming, and
+    a Crazyflie 2.1 arms itself.
+
+    Example: [bold]groundstation motors arm[/bold]
+    """
+    command = ask(socket_path(), "GET", "/status")["command"]
+    if command is not None and not command["uri"].startswith("udp://") and not yes:
+        question = f"{command['uri']}: clear of people, propellers may turn; arm its motors?"
+        if not typer.confirm(question):
+            raise BadInputError("not armed")
+    ask(socket_path(), "POST", "/command/arm", {"on": True})
+    show("armed")
+
+
+@motors.command("disarm")
+def disarm() -> None:
+    """Disarm the motors, whoever commands, and wait for the craft's answer.
+
+    Example: [bold]groundstation motors disarm[/bold]
+    """
+    ask(socket_path(), "POST", "/command/arm", {"on": False})
+    show("disarmed")
