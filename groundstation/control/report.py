@@ -188,8 +188,8 @@ def flight_lines(flown: Flown) -> list[str]:
 def _effect(flown: Flown) -> str:
     if not flown.found:
         return (
-            f"no setpoint is seen in the motors (0 of {flown.edges} edges): when they took effect is"
-            " not known, the moment of sending is taken for it"
+            f"no setpoint is seen in the motors (0 of {flown.edges} edges): when they took effect"
+            " is not known, the moment of sending is taken for it"
         )
     return (
         f"setpoints took effect {_delay(flown)} (middle half within {1e3 * flown.spread_s:.1f} ms),"

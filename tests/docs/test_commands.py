@@ -59,6 +59,7 @@ ELSEWHERE = {
         *("a craft on the bench", "tests/system/test_bench_motor.py", '"bench", "motor"'),
     ),
     "groundstation page": ("a daemon with a page", "tests/page/test_browser.py", '"page"'),
+    "groundstation motors": ("a craft to command", "tests/system/test_pid_fly.py", 'told("stop")'),
     "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
