@@ -5,7 +5,8 @@ from __future__ import annotations
 import typer
 
 from groundstation.cli.command_group import Commands
-from groundstation.cli.terminal import show
+from groundstation.cli.model_files import AS_JSON
+from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
@@ -24,18 +25,19 @@ def add_commands(app: typer.Typer) -> None:
 
 
 @motors.command("stop")
-def stop() -> None:
+def stop(as_json: bool = AS_JSON) -> None:
     """Stop the motors at once, whoever commands, and end that command.
 
     Example: [bold]groundstation motors stop[/bold]
     """
     ask(socket_path(), "POST", "/command/stop")
-    show("stopped; whoever commanded commands no more")
+    _report("stopped", "; whoever commanded commands no more", as_json)
 
 
 @motors.command("arm")
 def arm(
     yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft is armed."),
+    as_json: bool = AS_JSON,
 ) -> None:
     """Arm the motors of a craft that needs it, and wait for its answer.
 
@@ -50,14 +52,21 @@ def arm(
         if not typer.confirm(question):
             raise BadInputError("not armed")
     ask(socket_path(), "POST", "/command/arm", {"on": True})
-    show("armed")
+    _report("armed", "", as_json)
 
 
 @motors.command("disarm")
-def disarm() -> None:
+def disarm(as_json: bool = AS_JSON) -> None:
     """Disarm the motors, whoever commands, and wait for the craft's answer.
 
     Example: [bold]groundstation motors disarm[/bold]
     """
     ask(socket_path(), "POST", "/command/arm", {"on": False})
-    show("disarmed")
+    _report("disarmed", "", as_json)
+
+
+def _report(state: str, more: str, as_json: bool) -> None:
+    if as_json:
+        show_json({"motors": state})
+    else:
+        show(state + more)

@@ -382,6 +382,7 @@ def test_the_motors_are_armed_disarmed_and_stopped_from_the_command_line(station
         return done.stdout.strip()
 
     assert told("disarm") == "disarmed"
+    assert json.loads(told("disarm", "--json")) == {"motors": "disarmed"}
     assert told("arm") == "armed"
     assert told("stop").startswith("stopped")
     events = ask(station.daemon.socket, "GET", "/events")
