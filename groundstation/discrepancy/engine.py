@@ -34,7 +34,7 @@ from groundstation.discrepancy.slow_disturbance import with_wind
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import open_delay_s
+from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
 from groundstation.identification.division import hold_out
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import in_plane_hz
@@ -257,7 +257,9 @@ def _findings(
     effects: list[FoundEffect] = []
     # measured rotor speeds know what the controller did within a row
     modelled = [flight for flight in problem.flights if not flight.rotor_measured]
-    open_s = max((open_delay_s(flight.period_s) for flight in modelled), default=0.0)
+    open_s = max(
+        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
+    )
     for one in outcome.accepted:
         keys = (*keys, *one.variant.keys)
         why = refusal(Stage.NAMED, Trial(one.variant, final, open_s=open_s))

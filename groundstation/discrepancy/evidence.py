@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.screening import sizes_at
+from groundstation.identification.body.certainty import unseen_delay_s
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.parameters import Variant
+from groundstation.identification.likelihood.linearisation import Linear
+from groundstation.identification.likelihood.parameters import BODY_KEYS, Variant, value
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import Spectrum
+from groundstation.identification.likelihood.spectra import Noise, Spectrum
 
 Array = NDArray[np.float64]
 
@@ -24,6 +27,8 @@ INFORMED = 0.05
 small fault of a strong one looks like a disagreement."""
 TOUCHED = 0.02
 """Share of an effect's power in its strongest channel, from which it touches a channel."""
+BANDS_AN_OCTAVE = 3.0
+"""In which an effect is weighed against settings that no row shows: wide enough for a mean."""
 LEAST_INFORMATION = 9.0
 """A part that knows the size to a third of it, or better, takes part in the comparison."""
 
@@ -35,7 +40,8 @@ class Evidence:
     what shows in another, and what was known before the flights promises nothing). t: by blocks.
     parts: (flight, channel) -> size relative to the joint fit, and its standard error. gap:
     whitened RMS on held-out rows before and after, over the channels it touches. recordings: names
-    by number of the flight."""
+    by number of the flight. beyond: what it does (drop of -2 log L) more than settings of the
+    motors that no row shows can do; infinite where rows show all of them."""
 
     drop: float
     held_out: float
@@ -45,6 +51,7 @@ class Evidence:
     gap: tuple[float, float]
     channels: tuple[int, ...]
     recordings: tuple[str, ...] = ()
+    beyond: float = math.inf
 
     def sizes(self, by: int) -> dict[int, tuple[float, float]]:
         """(size relative to the joint fit, its weight) as recordings (by 0) or channels (by 1) tell
@@ -90,7 +97,8 @@ def gather(
         )
     t, parts = by_parts(problem, after, variant)
     names = tuple(flight.run.name for flight in problem.flights)
-    return Evidence(drop, held, expected, t, parts, gap, channels, names)
+    beyond = beyond_unseen(problem, after, variant)
+    return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
 
 
 def touched(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
@@ -118,15 +126,8 @@ def by_parts(
     joint fit; what the other unknowns can imitate of it is taken out.
     """
     linear = problem.linear(fit.point, fit.keys, problem.flights)
-    total = problem.with_prior(linear)
     own = linear.place(variant.sizes)
-    rest = [i for i, key in enumerate(linear.keys) if key not in variant.keys]
-    sizes = sizes_at(variant, linear.point)
-    weights = np.zeros(len(linear.keys))
-    weights[own] = sizes
-    normal = total.normal
-    imitated = inverse(normal[np.ix_(rest, rest)]) @ (normal[np.ix_(rest, own)] @ sizes)
-    weights[rest] = -imitated
+    weights = _alone(problem, linear, variant)
     information, variance = 0.0, 0.0
     parts: dict[tuple[int, int], tuple[float, float]] = {}
     scores: dict[int, list[Array]] = {}
@@ -149,6 +150,52 @@ def by_parts(
         return 0.0, parts
     # Scores have mean zero at the optimum: their sum of squares is the variance of their sum.
     return information / max(variance, information) ** 0.5, parts
+
+
+def beyond_unseen(problem: Problem, fit: Fit, variant: Variant) -> float:
+    """``Evidence.beyond``: summed over flights, channels and bands."""
+    unseen = [0.0 if f.rotor_measured else unseen_delay_s(f.run) for f in problem.flights]
+    if not any(unseen):
+        return math.inf
+    linear = problem.linear(fit.point, fit.keys, problem.flights)
+    weights = _alone(problem, linear, variant)
+    torque = np.array([value(fit.point, k) if k in BODY_KEYS else 0.0 for k in linear.keys])
+    return sum(
+        power_beyond(
+            weights[s.place] @ s.columns,
+            torque[s.place] @ s.columns,
+            s,
+            problem.noise[s.channel],
+            unseen[s.flight],
+        )
+        for s in linear.spectra
+        if len(s.place)
+    )
+
+
+def power_beyond(effect: Array, answer: Array, s: Spectrum, noise: Noise, late_s: float) -> float:
+    """Power beside noise that an effect (2 m,) has in a channel beyond what a late answer to the
+    motors has, summed over bands. answer: (2 m,) of the channel to the motors."""
+    scale = s.weight / noise.at(s.hz)
+    late = 2.0 * np.pi * s.hz * late_s * answer
+    least = s.hz[s.hz > 0.0].min()
+    band = (BANDS_AN_OCTAVE * np.log2(np.maximum(s.hz, least) / least)).astype(np.int64)
+    powers = (np.bincount(band, scale * column**2) for column in (effect, late))
+    own, can_be = powers
+    return float(np.maximum(own - can_be, 0.0).sum())
+
+
+def _alone(problem: Problem, linear: Linear, variant: Variant) -> Array:
+    """Weights (p,) of the columns that make an effect one column, without what the other unknowns
+    can imitate of it."""
+    own = linear.place(variant.sizes)
+    rest = [i for i, key in enumerate(linear.keys) if key not in variant.keys]
+    sizes = sizes_at(variant, linear.point)
+    weights = np.zeros(len(linear.keys))
+    weights[own] = sizes
+    normal = problem.with_prior(linear).normal
+    weights[rest] = -inverse(normal[np.ix_(rest, rest)]) @ (normal[np.ix_(rest, own)] @ sizes)
+    return weights
 
 
 def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) -> Array:

@@ -39,6 +39,8 @@ class Reason(StrEnum):
     """Chance can do it."""
     NOT_HELD_OUT = "not_held_out"
     """Rows that no fit has seen are not predicted better."""
+    BETWEEN_ROWS = "between_rows"
+    """Settings of the motors that no row shows can do as much."""
     TRIED_BEFORE = "tried_before"
     """The same set of effects has been accepted before."""
     SUPERFLUOUS = "superfluous"

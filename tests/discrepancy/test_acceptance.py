@@ -129,6 +129,21 @@ def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():
 
 
 @pytest.mark.parametrize(
+    ("drop", "beyond", "reason"),
+    [
+        (700.0, 25.0, Reason.BETWEEN_ROWS),  # battery_reading_lag, clean flights at 100 rows/s
+        (25.0, 15.0, Reason.BETWEEN_ROWS),
+        (700.0, 650.0, None),
+        (700.0, np.inf, None),
+    ],
+)
+def test_what_settings_that_no_row_shows_can_do_as_well_has_no_name(drop, beyond, reason):
+    one = replace(evidence(drop=drop), beyond=beyond)
+    place = fit(rate_damping__damping_n_m_s=1e-6)
+    assert said(Stage.WEIGHED, fit=place, evidence=one) is reason
+
+
+@pytest.mark.parametrize(
     ("rows_hz", "delay_s", "reason"),
     [
         (250.0, 0.0005, Reason.NEGLIGIBLE),

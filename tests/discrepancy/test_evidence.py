@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
-from groundstation.discrepancy.evidence import gather
+from groundstation.discrepancy.evidence import beyond_unseen, gather, power_beyond
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
+from groundstation.identification.likelihood.spectra import Noise, Spectrum
 
 DAMPING = next(one for one in VARIANTS if one.effect == "rate_damping")
+DELAY = next(one for one in VARIANTS if one.effect == "dead_time")
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +39,57 @@ def test_what_was_known_before_promises_nothing_of_held_out_rows(problem):
     again = gather(problem, problem.flights, *surely, DAMPING)
     assert again.drop > found.drop + 500.0
     assert again.expected == pytest.approx(found.expected)
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    hz = np.tile(np.linspace(0.1, 50.0, 500), 2)
+    generator = np.random.default_rng(3)
+    return Spectrum(
+        0, 0, hz, np.full(1000, 2.0), np.zeros(1000), generator.normal(size=(1, 1000)), np.zeros(1)
+    )
+
+
+def test_a_late_answer_to_the_motors_is_not_beyond_what_settings_between_rows_can_do(spectrum):
+    answer, noise = spectrum.columns[0], Noise(np.array([1.0]), np.array([0.5]))
+    late = 2.0 * np.pi * spectrum.hz * 0.004 * answer
+    assert power_beyond(late, answer, spectrum, noise, 0.008) == 0.0
+    whole = float((spectrum.weight / 0.5 * late**2).sum())
+    assert power_beyond(late, answer, spectrum, noise, 0.002) > 0.7 * whole
+    assert power_beyond(late, 0.0 * answer, spectrum, noise, 0.008) == pytest.approx(whole)
+
+
+def test_what_acts_slowly_is_beyond_what_settings_between_rows_can_do(spectrum):
+    noise = Noise(np.array([1.0]), np.array([0.5]))
+    slowly = np.where(spectrum.hz < 1.0, 0.1, 0.0)
+    whole = float((spectrum.weight / 0.5 * slowly**2).sum())
+    answer = np.full(len(spectrum.hz), 1.0)
+    assert power_beyond(slowly, answer, spectrum, noise, 0.008) > 0.8 * whole
+
+
+def every_fifth(run):
+    """What a log of a fifth of the rows has: one setting of five."""
+    columns = (
+        "duty", "supply_v", "gyro", "accelerometer", "attitude", "rotor_rev_s", "debug_s",
+        "duty_step",
+    )  # fmt: skip
+    return replace(run, period_s=0.01, **{name: getattr(run, name)[::5] for name in columns})
+
+
+def test_rows_that_show_one_setting_of_five_leave_a_delay_open_and_tell_a_damping(problem):
+    keys = ("c0", "c1", "c2", "thrust_per_mass", *DAMPING.keys)
+    after = problem.fit(problem.start, keys)
+    assert beyond_unseen(problem, after, DAMPING) == np.inf  # they are all there
+    slow = Problem(
+        prepare([every_fifth(flown(20.0, seed, "rate_damping")[0]) for seed in (1, 2)]),
+        BASE,
+        point_of(BASE),
+    )
+    slow.learn_noise(slow.linear(slow.start, slow.every_key, slow.flights))
+    before, after = slow.fit(slow.start, keys[:4]), slow.fit(slow.start, keys)
+    found = gather(slow, (), before, after, DAMPING)
+    assert found.drop > 100.0
+    assert found.beyond > 0.5 * found.drop
+    late = {**slow.start, **dict.fromkeys(DELAY.keys, 0.004)}
+    delayed = slow.fit(late, (*keys[:4], *DELAY.keys), steps=0)
+    assert beyond_unseen(slow, delayed, DELAY) < 20.0

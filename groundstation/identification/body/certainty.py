@@ -66,6 +66,13 @@ def open_delay_s(period_s: float) -> float:
     return 0.0 if is_fast(period_s) else 0.5 * (period_s - 1.0 / CONTROL_HZ)
 
 
+def unseen_delay_s(run: Run) -> float:
+    """How much later than its row shows it a setting of the motors may have come, 0 where rows
+    show all of them: a row holds several, and which of them it shows says nothing of the others.
+    """
+    return 0.0 if settings_a_row(run) == 1.0 else run.period_s - 1.0 / CONTROL_HZ
+
+
 def settings_a_row(run: Run) -> float:
     """How many settings of the motors stand behind each that a row holds, 1 where it is all there
     are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
