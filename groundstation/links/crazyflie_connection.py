@@ -96,6 +96,8 @@ class Connection:
         self._complete: asyncio.Future[bool] | None = None
         self._console = ""
         self._blocks: list[Any] = []
+        self._between = 0
+        self._stamps: dict[int, int] = {}
 
     @property
     def craft(self) -> Any:
@@ -248,7 +250,8 @@ class Connection:
         from cflib.crazyflie.log import LogConfig
 
         craft, loop = self.craft, asyncio.get_running_loop()
-        stamps: dict[int, int] = {}
+        stamps = self._stamps = {}
+        self._between = between
         running = threading.Event()  # nothing is passed on before the last block has its period
         for number, variables in enumerate(blocks):
             block = LogConfig(f"block {number}", max(period_ms, LEAST_CFLIB_MS))
@@ -283,20 +286,25 @@ class Connection:
                     " and 128 variables; ask for fewer with --log"
                 ) from error
             await self._within(started, "did not start a log block")
-        await self._set_period(period_ms, self._blocks)
-        if between and self.protocol >= 0:
-            await self._stagger(self._blocks[between], period_ms, stamps, between)
+        await self.pace_log(period_ms)
         running.set()
 
-    async def _stagger(
-        self, block: Any, period_ms: int, stamps: dict[int, int], number: int
-    ) -> None:
+    async def pace_log(self, period_ms: int) -> None:
+        """Let the blocks that run come every ``period_ms``; commands go on meanwhile.
+
+        Raises LinkError where the craft does not confirm it.
+        """
+        await self._set_period(period_ms, self._blocks)
+        if self._between and self.protocol >= 0:
+            await self._stagger(self._blocks[self._between], period_ms, self._between)
+
+    async def _stagger(self, block: Any, period_ms: int, number: int) -> None:
         """Start a block again until it comes half a period after the first one.
 
         When a packet arrives in the craft is chance, by some ms. Where it does not succeed, the
         block is merely of another moment.
         """
-        near_ms = (period_ms - 1) // 4
+        near_ms, stamps = (period_ms - 1) // 4, self._stamps
 
         async def both() -> None:
             while not {0, number} <= stamps.keys():

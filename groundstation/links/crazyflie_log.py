@@ -10,9 +10,10 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from groundstation.clock import HostClock
-from groundstation.errors import BadInputError, LinkLostError
+from groundstation.errors import BadInputError, LinkError, LinkLostError
 from groundstation.links.base import Link
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.crazyflie_connection import Connection, Identity
@@ -32,6 +33,11 @@ CONSOLE_LINES = 200
 """Of the craft's console, until the link is read."""
 RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 """Whole ms, and not below what identification needs."""
+WATCH_S, MOST_LOST = 2.5, 0.1
+"""Two such spans in turn with more lost than that share, and the link does not bear the rate: users
+report up to 4 % on a link that does, and who walks between is gone after a second."""
+LEAST_HZ = 100
+"""At 200 packets a second any dongle keeps up: what is lost there is the distance."""
 SETTING_MS = 2
 """How often today's firmware sets the motors."""
 DEVICES = {
@@ -42,8 +48,24 @@ DEVICES = {
 """What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Watched:
+    """Rows that had come by ``since_s``; lossy: too many were lost before."""
+
+    since_s: float = 0.0
+    came: int = 0
+    lost: int = 0
+    lossy: bool = False
+
+    def later(self, now_s: float, counts: DecoderCounts) -> tuple[_Watched, float]:
+        """The same by now, and the share of the rows since then that were lost."""
+        lost, came = counts.lost - self.lost, counts.samples - self.came
+        share = lost / max(lost + came, 1)
+        return _Watched(now_s, counts.samples, counts.lost, share > MOST_LOST), share
+
+
 class CrazyflieTelemetry(Link):
-    """Samples of a stock Crazyflie, ``rate_hz`` a second.
+    """Samples of a stock Crazyflie, ``rate_hz`` a second or, where the link loses many, fewer.
 
     wanted: further log variables.
     """
@@ -76,6 +98,8 @@ class CrazyflieTelemetry(Link):
         self._arrival = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._heard_s = self._due_s = 0.0
+        self._watched = _Watched()
+        self._pacing: asyncio.Task[None] | None = None
 
     def sample_counts(self) -> DecoderCounts | None:
         return self._rows.counts() if self._rows is not None else None
@@ -102,6 +126,7 @@ class CrazyflieTelemetry(Link):
         self.vehicle = DEVICES.get(identity.device) if identity.protocol > 0 else "crazyflie1"
         self._found = self._introduction(identity, plan)
         self._heard_s = self._loop.time()
+        self._watched, _ = _Watched().later(self._heard_s, self._rows.counts())
 
     async def _read(self) -> SampleBatch:
         loop, rows = self._loop, self._rows
@@ -131,6 +156,7 @@ class CrazyflieTelemetry(Link):
             if dropped:
                 self.emit("loss", f"{dropped} packets dropped: nobody read the link for too long")
             samples = rows.add(packets)
+            self._bear(loop.time(), rows)
             if len(samples):
                 if self._found:
                     self.emit("found", self._found)
@@ -138,8 +164,40 @@ class CrazyflieTelemetry(Link):
                 return samples
 
     async def _close(self) -> None:
+        if self._pacing is not None:
+            self._pacing.cancel()
+            await asyncio.gather(self._pacing, return_exceptions=True)
+            self._pacing = None
         await self.commands.close()
         await self._connection.close()
+
+    def _bear(self, now_s: float, rows: LogRows) -> None:
+        """Log more slowly where the link has lost too much."""
+        watched = self._watched
+        if now_s < watched.since_s + WATCH_S:
+            return
+        self._watched, share = watched.later(now_s, rows.counts())
+        rate_hz = 1000 // self._period_ms
+        slower = [rate for rate in RATES_HZ if LEAST_HZ <= rate < rate_hz]
+        pacing = self._pacing is not None and not self._pacing.done()
+        if slower and watched.lossy and self._watched.lossy and not pacing:
+            told = f"{100.0 * share:.0f} % of {rate_hz} rows a second lost"
+            self._pacing = asyncio.create_task(self._slow_down(slower[0], told, rows))
+
+    async def _slow_down(self, rate_hz: int, told: str, rows: LogRows) -> None:
+        """Rows that follow are another segment; commands do not notice."""
+        try:
+            await self._connection.pace_log(1000 // rate_hz)
+        except LinkError as error:
+            self.emit("loss", f"{told}, and they cannot be made fewer: {error}")
+            return
+        self._period_ms = 1000 // rate_hz
+        with self._lock:
+            self._packets.clear()
+        rows.restart(rows.plan, self._period_ms)
+        self._watched, _ = self._watched.later(asyncio.get_running_loop().time(), rows.counts())
+        self._watched = replace(self._watched, lossy=False)
+        self.emit("loss", f"{told}: {rate_hz} from now on; --rate {rate_hz} asks for so many")
 
     def _require_heard(self, now_s: float) -> None:
         if self._lost:

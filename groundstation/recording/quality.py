@@ -177,9 +177,14 @@ def _steps(samples: SampleBatch) -> _Steps:
         if len(moving) == 0 or single.mean() > _SINGLE_STEPS:
             period_s = SAMPLE_PERIOD_S
     lost = np.zeros(len(rows), np.int64)
-    if period_s > 0:
-        lost = np.maximum(np.rint(step_s / period_s).astype(np.int64) - 1, 0)
-        lost[step_s <= 1.5 * period_s] = 0
+    for own in np.unique(samples.segment[rows]):  # a radio may have gone on more slowly
+        part = samples.segment[rows] == own
+        step = step_s[part]
+        period = period_s
+        if samples.tick_s != TICK_S and (step > 0).any():
+            period = float(np.median(step[step > 0]))
+        if period > 0:
+            lost[part] = np.where(step > 1.5 * period, np.rint(step / period) - 1, 0)
     return _Steps(rows, step_s, lost, period_s)
 
 

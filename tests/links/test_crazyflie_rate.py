@@ -1,0 +1,59 @@
+"""A radio that does not bear the rate that was asked for: fewer rows, and all of them."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+from narrow_radio import narrow
+from served_craft import served
+
+from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from groundstation.recording.quality import _steps
+from groundstation.telemetry.samples import SampleBatch, empty_samples
+
+FAST_HZ = 250
+
+
+async def heard(link: CrazyflieTelemetry, seconds: float) -> tuple[SampleBatch, list[str]]:
+    told: list[str] = []
+    link.on_event = lambda event: told.append(f"{event.kind}: {event.text}")
+    batches = []
+    async with link:
+        end = asyncio.get_running_loop().time() + seconds
+        while asyncio.get_running_loop().time() < end:
+            batches.append(await link.read())
+            if any("from now on" in line for line in told) and seconds > 0:
+                end, seconds = asyncio.get_running_loop().time() + 2.0, 0.0
+    return SampleBatch.concatenate(batches), told
+
+
+def test_a_link_that_loses_a_third_is_asked_for_fewer_rows_in_a_segment_of_their_own() -> None:
+    with (
+        served(craft="crazyflie21") as craft,
+        narrow(craft.server.port, most_hz=340.0) as radio,
+    ):
+        samples, told = asyncio.run(heard(CrazyflieTelemetry(radio.uri, rate_hz=FAST_HZ), 30.0))
+    stepped = [line for line in told if line.startswith("loss: ")]
+    assert len(stepped) == 1
+    assert "% of 250 rows a second lost: 200 from now on" in stepped[0]
+    before, after = (samples[samples.segment == number] for number in np.unique(samples.segment))
+    for part, period in ((before, 0.004), (after, 0.005)):
+        steps = np.diff(part.ticks) * part.tick_s
+        assert np.median(steps) == period
+
+
+def test_a_link_that_bears_its_rate_keeps_it() -> None:
+    with served(craft="crazyflie21") as craft:
+        samples, told = asyncio.run(heard(CrazyflieTelemetry(craft.uri, rate_hz=FAST_HZ), 6.0))
+    assert not [line for line in told if "from now on" in line]
+    assert len(np.unique(samples.segment)) == 1
+
+
+def test_rows_that_come_more_slowly_in_a_later_segment_are_not_taken_for_gaps() -> None:
+    samples = empty_samples(200, 1e-6)
+    samples.segment[120:] = 1
+    steps_us = np.where(samples.segment == 0, 4000, 10_000)
+    steps_us[[50, 150]] *= 3  # two rows of each are missing
+    samples.ticks[:] = np.cumsum(steps_us)
+    assert _steps(samples).lost.sum() == 4
