@@ -27,7 +27,8 @@ from groundstation.dynamics.model import Model, load_model
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.identification.recordings import flights_of, without_gaps
 from groundstation.identification.runs import Run
-from groundstation.prediction.prediction import drive_run, predict_ahead
+from groundstation.prediction.drive import drive_run
+from groundstation.prediction.prediction import predict_ahead
 from groundstation.recording.open_recording import open_recording
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
-from groundstation.prediction.prediction import predict_ahead
+from groundstation.prediction.prediction import noise_of_angles, predict_ahead
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -92,7 +92,8 @@ def ahead_errors(
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
     driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
-    ahead = predict_ahead(model, driven, counts, stride=1)
+    noise = noise_of_angles(model, driven)
+    ahead = predict_ahead(model, driven, counts, stride=1, noise=noise)
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
     made = ahead.errors(driven)

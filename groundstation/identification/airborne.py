@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
+from groundstation.prediction.drive import TURNING
 from groundstation.prediction.height import heights_of, low_at_the_end, rise_of
-from groundstation.prediction.prediction import TURNING
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]

@@ -40,7 +40,8 @@ class Noise:
 
     torque: (3,) rad/s^2 and force: m/s^2, white at ``period_s``. gyro: (3,) rad/s, accelerometer:
     m/s^2, attitude: rad, per sample. speed: m/s, how fast the craft usually flies: what the
-    velocity is pulled back to where nothing measures it.
+    velocity is pulled back to where nothing measures it. walk: (3,) rad in a second, how far the
+    reported angles wander off the gyro's integral, about the body's axes.
     """
 
     torque: tuple[float, float, float] = (2.0, 2.0, 0.5)
@@ -49,6 +50,7 @@ class Noise:
     accelerometer: float = 0.1
     attitude: float = 3.6e-4
     speed: float = 0.7
+    walk: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def scaled(self, torque: float, sensor: float) -> Noise:
         """The same with more of either."""
@@ -61,6 +63,7 @@ class Noise:
             sensor * self.accelerometer,
             sensor * self.attitude,
             self.speed,
+            self.walk,
         )
 
 
@@ -104,6 +107,7 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
         [torque * (0.5 * period_s) ** 2 + LEAST, torque, np.full(3, LEAST), np.full(3, felt)]
     )
     process[9:] *= period_s**2
+    process[:3] += period_s * np.square(noise.walk)
     # A first-order process keeps its variance: what fades in a row comes anew.
     driven = craft[0]["body_noise"][craft[0]["body_noise"] > 0.0]
     fades = np.diag(a)[ERRORS : ERRORS + len(driven)]
@@ -144,6 +148,7 @@ def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains
     Raises BadInputError for a model that predicts no number.
     """
     craft, sensor = craft_of_model(model), sensors_of_model(model)
+    period_s = float(f"{period_s:.4g}")  # flights differ by what clocks drift, gains do not
     return _settled(craft.tobytes() + sensor.tobytes(), period_s, noise or Noise())
 
 

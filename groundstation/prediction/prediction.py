@@ -9,83 +9,29 @@ never see those of the future, so a live stream can be fed in pieces.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.dynamics.craft import SENSOR_STATES, Crafts, acting, craft_of_model
-from groundstation.dynamics.hover import settled_rev_s
+from groundstation.dynamics.craft import SENSOR_STATES, acting
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.rotations import quaternion_of_attitude
-from groundstation.dynamics.sensors import FILTER, sensors_of_model
+from groundstation.dynamics.sensors import FILTER
 from groundstation.dynamics.state import QUATERNION, STATES
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.height import heights_of, rise_of
+from groundstation.prediction.attitude_walk import AHEAD_S, walk_of
+from groundstation.prediction.drive import Drive, Flown, drive_run, flying_rows, height_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
-from groundstation.spans import spans
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-TURNING = 0.1
-"""Duty above which a motor turns."""
-LANDED = 0.85
-"""Thrust over weight at which a craft has come back to the ground."""
+JUDGED = 4
+"""Every so manyth row tells which of two observers suits a run."""
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
-REST_S, TOUCH_DOWN_S = 3.0, 0.5
-"""The accelerometer's offset is judged by so much of the rest before a flight, or after it and the
-touch-down."""
-
-
-class Flown(Protocol):
-    """The channels of a run (``identification.runs.Run`` is one); see there for units."""
-
-    @property
-    def period_s(self) -> float: ...
-    @property
-    def duty(self) -> Array: ...
-    @property
-    def settings(self) -> Array: ...
-    @property
-    def supply_v(self) -> Array: ...
-    @property
-    def gyro(self) -> Array: ...
-    @property
-    def accelerometer(self) -> Array: ...
-    @property
-    def attitude(self) -> Array: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A model on a run's inputs: all that does not depend on what was measured.
-
-    speed: (2 n - 1, 4) rev/s at every row less the dead time and half-way between. push: (2 n - 1,
-    5) what they do to the craft at rest at these points: specific force along z far from the
-    ground and on it, m/s^2, and angular acceleration, rad/s^2.
-    """
-
-    craft: Crafts
-    sensor: NDArray[np.void]
-    period_s: float
-    speed: Array
-    push: Array
-
-    @property
-    def rotor_rev_s(self) -> Array:
-        """Rotor speeds (n, 4) behind each row."""
-        return np.ascontiguousarray(self.speed[::2])
-
-    def since(self, row: int) -> Drive:
-        """The same from a row on."""
-        return replace(
-            self,
-            speed=self.speed[2 * row :],
-            push=self.push[2 * row :],
-        )
+"""From a take-off on the state is known; where a run begins in the air it takes the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +53,11 @@ class Observed:
     innovations: Array
     flying: Mask
     fresh: Mask
+
+    @property
+    def leans(self) -> bool:
+        """Whether the model says by a filter of its own how reported angles leave the true ones."""
+        return bool(self.drive.sensor[0]["gains"][0] > 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +123,7 @@ def noise_of(model: Model, run: Flown) -> Noise:
     """
     drive = drive_run(model, run)
     steps = np.diff(run.gyro, axis=0) - run.period_s * drive.push[1::2, 2:]
-    flying = _flying(run, drive)
+    flying = flying_rows(run, drive)
     used = flying[1:] & np.asarray(np.isfinite(steps).all(axis=1))
     if used.sum() * run.period_s < 1.0:
         raise BadInputError("less than a second in the air: the noise cannot be judged from it")
@@ -195,29 +146,37 @@ def noise_of(model: Model, run: Flown) -> Noise:
     )
 
 
-def drive_run(model: Model, run: Flown) -> Drive:
-    """The motors of a model on a run's inputs.
+def noise_of_angles(model: Model, run: Flown) -> Noise | None:
+    """The usual noise with angles that wander as this run's do (``attitude_walk``).
 
-    They start settled at the first row's voltage, which is forgotten after half a second.
+    None where they do not, or where what the model says of the sensors foretells them better as it
+    is. The whole run is used: for a live stream, take an earlier flight's.
 
-    Raises BadInputError where PWM or battery voltage are missing.
+    Raises BadInputError as ``observe_run``.
     """
-    from groundstation.prediction.kernels import drives, spin
+    usual, still = Noise(), observe_run(model, run)
+    if still.leans:  # its filter says how far they are off
+        return None
+    shown = np.where(still.fresh[:, None], run.attitude, np.nan)
+    noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
+    walk = walk_of(shown, run.gyro, still.flying, run.period_s, **noises)
+    if not any(walk):
+        return None
+    other = replace(usual, walk=walk)
+    known = observe_run(model, run, noise=other)
+    return other if _attitude_error(run, known) < _attitude_error(run, still) else None
 
-    for name in ("duty", "supply_v"):
-        if not np.isfinite(getattr(run, name)).all():
-            raise BadInputError(f"{name} is missing in some rows; a model cannot fly on them")
-    if len(run.duty) < 2:
-        raise BadInputError("a run of one row cannot be flown; give at least two")
-    craft, sensor = craft_of_model(model), sensors_of_model(model)
-    supply = np.ascontiguousarray(1000.0 * run.supply_v, np.float64)
-    duty = np.ascontiguousarray(run.settings, np.float64)
-    start = settled_rev_s(craft, run.duty[0], float(supply[0]))
-    speed = np.empty((2 * len(supply) - 1, 4))
-    spin(craft[0], duty, supply, run.period_s, float(sensor[0]["delay"]), start, speed)
-    push = np.empty((len(speed), 5))
-    drives(craft[0], speed, run.period_s, push)
-    return Drive(craft, sensor, run.period_s, speed, push)
+
+def _attitude_error(run: Flown, seen: Observed) -> float:
+    """Mean squared error of the angles ``AHEAD_S`` ahead, rad^2."""
+    new = np.flatnonzero(seen.fresh)
+    every = int(np.median(np.diff(new))) if len(new) > 1 else 1
+    steps = every * max(round(AHEAD_S / (every * run.period_s)), 1)
+    rows = airborne(seen, steps)
+    rows = rows[seen.fresh[rows] & seen.fresh[rows + steps]][::JUDGED]
+    turn = fly_ahead(run, seen, rows, [steps]).errors(run)[:, 0, 6:]
+    known = np.isfinite(turn).all(axis=1)
+    return float(np.square(turn[known]).mean()) if known.any() else 0.0
 
 
 def observe_run(
@@ -230,15 +189,14 @@ def observe_run(
     if not np.isfinite(run.gyro).any():
         raise BadInputError("the gyro is missing; the craft's state cannot be followed without it")
     drive = drive_run(model, run)
-    flying = _flying(run, drive)
+    flying = flying_rows(run, drive)
     fresh = fresh_rows(run.attitude)
     if height_m is None:
         near = any("height" in effect.unmeasured for effect, _ in acting(model))
         height_m = height_of(run, flying) if near else np.full(len(run.duty), np.nan)
-    seen, _ = observe_part(
-        run, drive, gains_of(model, run.period_s, noise), flying, fresh, height_m=height_m
-    )
-    return seen
+
+    gains = gains_of(model, run.period_s, noise)
+    return observe_part(run, drive, gains, flying, fresh, height_m=height_m)[0]
 
 
 def observe_part(
@@ -320,10 +278,7 @@ def fly_ahead(run: Flown, seen: Observed, rows: ArrayLike, horizons: ArrayLike) 
 
 
 def airborne(seen: Observed, rows_ahead: int) -> Rows:
-    """Rows from which ``rows_ahead`` more are flown, and whose state has settled.
-
-    From a take-off on the state is known; where a run starts in the air it takes ``SETTLE_S``.
-    """
+    """Rows from which ``rows_ahead`` more are flown, and whose state has settled."""
     flying = seen.flying
     settle = round((SETTLE_S if flying[0] else LIFT_OFF_S) / seen.drive.period_s)
     flown = np.concatenate([[0], np.cumsum(flying)])
@@ -331,39 +286,3 @@ def airborne(seen: Observed, rows_ahead: int) -> Rows:
     first = np.maximum(rows - settle, 0)
     full = flown[rows + rows_ahead + 1] - flown[first] == rows + rows_ahead + 1 - first
     return np.asarray(rows[full & (rows >= settle)], np.int64)
-
-
-def height_of(run: Flown, flying: Mask) -> Array:
-    """Height above ground (n,) in m; infinite in flight where a recording cannot tell it."""
-    height = np.where(flying, np.inf, 0.0)
-    rise = rise_of(run.attitude, run.accelerometer)
-    still = ~np.asarray((run.duty > 0.0).any(axis=1))
-    for start, stop in spans(_turning(run)):
-        known = np.maximum(heights_of(rise, still, start, stop, run.period_s), 0.0)
-        height[start:stop] = np.where(flying[start:stop], known, 0.0)
-    return height
-
-
-def _flying(run: Flown, drive: Drive) -> Mask:
-    """Rows in the air: from the first thrust above the weight until thrust has gone for good."""
-    turning = _turning(run)
-    one = drive.craft[0]
-    lift, low_lift = drive.push[::2, 0] / one["gravity"], drive.push[::2, 1] / one["gravity"]
-    flying = np.zeros(len(turning), np.bool_)
-    for first, last in spans(turning):
-        if first > 0:
-            up = np.flatnonzero(low_lift[first:last] > 1.0)
-            if len(up) == 0:
-                continue
-            first += up[0]
-        if last < len(turning):
-            low = np.flatnonzero(lift[first:last] < LANDED)
-            high = np.flatnonzero(lift[first:last] > LANDED)
-            if len(low) and len(high):
-                last = first + high[-1] + 1
-        flying[first:last] = True
-    return flying
-
-
-def _turning(run: Flown) -> Mask:
-    return np.asarray((run.duty > TURNING).all(axis=1))

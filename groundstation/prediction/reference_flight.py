@@ -26,7 +26,7 @@ from groundstation.dynamics.sensors import FILTER, resting_sensors
 from groundstation.dynamics.simulation import simulate, with_states
 from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, attitude_of, craft_state
 from groundstation.errors import BadInputError
-from groundstation.prediction.prediction import Drive, drive_run
+from groundstation.prediction.drive import Drive, drive_run
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S, STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

@@ -12,11 +12,11 @@ from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import CHANNELS as CHANNELS_OF_RUNS
 from groundstation.prediction.attitude_rhythm import fresh_rows
+from groundstation.prediction.drive import height_of
 from groundstation.prediction.observer import Noise, gains_of
 from groundstation.prediction.prediction import (
     airborne,
     fly_ahead,
-    height_of,
     noise_of,
     observe_run,
     predict_ahead,

@@ -16,7 +16,8 @@ from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.dynamics.simulation import accelerations, simulate
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
-from groundstation.prediction.prediction import drive_run, fly_ahead, observe_run
+from groundstation.prediction.drive import drive_run
+from groundstation.prediction.prediction import fly_ahead, observe_run
 
 CRAFT = [name for name, one in EFFECTS.items() if one.stage in ("supply", "motor", "rotor", "body")]
 SHORT_S, SUPPLY_MV = 1e-5, 3700.0

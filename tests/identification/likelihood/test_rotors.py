@@ -17,7 +17,7 @@ from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import rotor_squares
-from groundstation.prediction.prediction import drive_run
+from groundstation.prediction.drive import drive_run
 
 ROWS = 2500
 SAME = ("supply_v", "gyro", "accelerometer", "attitude", "rotor_rev_s", "debug_s")

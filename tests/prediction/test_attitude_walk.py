@@ -1,0 +1,79 @@
+"""Angles that an estimator corrects by positions wander off the gyro's integral."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from affected_flights import BASE, affected, flown
+
+from groundstation.prediction.attitude_walk import walk_of
+from groundstation.prediction.observer import Noise
+from groundstation.prediction.prediction import noise_of_angles, observe_run, predict_ahead
+
+HORIZONS = (10, 25)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    run, _ = flown(40.0, 1)
+    return run
+
+
+def wandering(run, size, seed=5):
+    """The run with reported yaw on a random walk: size rad in a second."""
+    steps = np.random.default_rng(seed).normal(0.0, size * run.period_s**0.5, len(run))
+    attitude = run.attitude.copy()
+    held = np.repeat(np.cumsum(steps)[::2], 2)[: len(run)]
+    attitude[:, 2] += held
+    return replace(run, attitude=attitude)
+
+
+def walk(run):
+    seen = observe_run(BASE, run, noise=Noise())
+    shown = np.where(seen.fresh[:, None], run.attitude, np.nan)
+    usual = Noise()
+    noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
+    return walk_of(shown, run.gyro, seen.flying, run.period_s, **noises)
+
+
+def test_a_clean_flight_has_none(clean):
+    assert walk(clean) == (0.0, 0.0, 0.0)
+
+
+def test_its_size_is_told_to_a_factor_of_two_on_the_axis_that_wanders(clean):
+    roll, pitch, yaw = walk(wandering(clean, 0.02))
+    assert (
+        max(roll, pitch) <= 0.002
+    )  # a yaw that wanders turns a tilted craft's other axes a little
+    assert 0.01 <= yaw <= 0.04
+
+
+def test_a_biased_gyro_is_none(clean):
+    assert walk(replace(clean, gyro=clean.gyro + 0.03)) == (0.0, 0.0, 0.0)
+
+
+def test_lost_rows_are_none(clean):
+    gyro, attitude = clean.gyro.copy(), clean.attitude.copy()
+    lost = np.random.default_rng(1).random(len(clean)) < 0.02
+    gyro[lost], attitude[lost] = np.nan, np.nan
+    assert walk(replace(clean, gyro=gyro, attitude=attitude)) == (0.0, 0.0, 0.0)
+
+
+def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean):
+    run = wandering(clean, 0.02)
+
+    def yaw_error(noise):
+        return predict_ahead(BASE, run, HORIZONS, noise=noise).errors(run)[..., 8].std()
+
+    assert yaw_error(noise_of_angles(BASE, run)) < 0.7 * yaw_error(None)
+
+
+def test_a_clean_flight_is_observed_as_in_still_air(clean):
+    assert noise_of_angles(BASE, clean) is None
+
+
+def test_angles_that_the_model_explains_do_not_wander():
+    run, _ = flown(40.0, 3, "gyro_low_pass")
+    assert any(walk(run))
+    assert noise_of_angles(BASE, run) is not None
+    assert noise_of_angles(affected("gyro_low_pass"), run) is None
