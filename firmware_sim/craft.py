@@ -76,7 +76,6 @@ class StandIn:
 
     def __init__(self, settings: StandInSettings | None = None) -> None:
         from firmware_sim.bridge import Bridge
-        from firmware_sim.effects.catalogue import added_by_plant
         from firmware_sim.flight import fly
         from firmware_sim.physics import (
             craft_of,
@@ -85,6 +84,7 @@ class StandIn:
             hover_thrust,
             parameters,
         )
+        from firmware_sim.present import added_by_plant
         from firmware_sim.programme import Sticks, load_programme
         from firmware_sim.radio import transmit
 

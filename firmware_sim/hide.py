@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.effects.catalogue import EFFECTS, draw, present_effects
+from firmware_sim.effects.catalogue import EFFECTS, draw
 from firmware_sim.physics import craft_of
+from firmware_sim.present import present_effects
 from firmware_sim.settings import load_settings, parse_settings
 from groundstation.text import printable
 

@@ -34,8 +34,8 @@ from firmware_sim.settings import Sensor, StandInSettings
 from groundstation.dynamics.arx import of_rates, turning_of
 from groundstation.dynamics.craft import Acting
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
+from groundstation.dynamics.own_effects import find_effect
 from groundstation.dynamics.registry import EFFECTS as LISTED
-from groundstation.dynamics.registry import find_effect
 from groundstation.dynamics.vehicle import BUILT_IN, Vehicle, load_vehicle, rotor_positions_m
 
 G = 9.80665

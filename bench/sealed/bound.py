@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.sealed.signals import DT, Array, Columns, G, Signals, base_signals, effect_signals
-from firmware_sim.effects.catalogue import present_effects
 from firmware_sim.physics import parameters
+from firmware_sim.present import present_effects
 from firmware_sim.settings import StandInSettings
 
 VERTICAL_M_S2 = 2e-3

@@ -24,8 +24,9 @@ from bench.sealed.hidden import planted, scaled
 from bench.sealed.radio_log import logged
 from firmware_sim.contents import TODAY
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.catalogue import draw, present_effects
+from firmware_sim.effects.catalogue import draw
 from firmware_sim.physics import parameters
+from firmware_sim.present import present_effects
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.recording_file import RecordingFile, session_metadata
 from groundstation.telemetry.decoder import decode_all

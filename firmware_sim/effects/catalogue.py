@@ -11,14 +11,10 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
 
-import msgspec
 import numpy as np
 
 import firmware_sim.effects
 from firmware_sim.effects.effect import Effect
-from firmware_sim.settings import StandInSettings
-from groundstation.dynamics.arx import arx_labels, turning_of
-from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.registry import EFFECTS as NAMED
 
 _PACKAGE = firmware_sim.effects
@@ -76,42 +72,3 @@ def draw(name: str, generator: np.random.Generator) -> dict[str, float]:
     """Parameters of an effect from the ranges that a craft may have: log-uniform size, random sign
     or direction."""
     return EFFECTS[name].draw(generator)
-
-
-def present_effects(settings: StandInSettings) -> dict[str, dict[str, float]]:
-    """Every listed effect that the stand-in contains, hidden or always there: name -> parameter ->
-    true value. The answer that a search is judged by."""
-    from firmware_sim.physics import parameters
-
-    p = parameters(settings)[0]
-    found = {name: one.present(p) for name, one in EFFECTS.items() if one.listed}
-    return {name: values for name, values in found.items() if values is not None}
-
-
-def added_by_plant(settings: StandInSettings) -> str:
-    """In a line, what the plant adds to a fitted model that flies in it; empty for nothing."""
-    from firmware_sim.physics import craft_of, parameters
-
-    _, model = craft_of(settings)
-    if model is None:
-        return ""
-    plain = msgspec.structs.replace(settings, effects={})
-    known = {term.name for term in model.effects}
-    added = [
-        repr(EffectTerm(name, {k: Estimate(v, unit=_unit(name, k)) for k, v in values.items()}))
-        for name, values in present_effects(plain).items()
-        if name not in known
-    ]
-    if model.origin.get("body") == "profile":
-        added.insert(0, f"body constants of the profile {model.vehicle}")
-    if parameters(plain)[0]["shake"].any():
-        added.append("vibration")
-    beside = f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
-    if turning_of(model, settings.attitude) == "body":
-        return beside
-    turns = f"the craft turns by its ARX polynomials ({arx_labels(model)}), thrust is the body's"
-    return f"{turns}; {beside}" if beside else turns
-
-
-def _unit(name: str, parameter: str) -> str:
-    return EFFECTS[name].parameters[parameter][1]

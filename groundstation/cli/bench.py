@@ -101,21 +101,14 @@ def motor(
         return
     report = _drive(planned, yes)
     require_ended(report, "bench")
-    recording = Path(report["recording"])
     if output is None:
         if as_json:
             show_json(report)
         else:
-            show(f"recording: {recording}; 'groundstation fit motor' fits it")
+            show(f"recording: {report['recording']}; 'groundstation fit motor' fits it")
         return
-    if not recording.exists():
-        raise BadInputError(
-            f"driven and recorded to {recording}, which is not there: start bench motor where it"
-            " can read the daemon's recordings"
-        )
-    say(f"recording: {recording}", error=True)
     fit_motor(
-        recordings=[recording],
+        recordings=[_recorded(report)],
         output=output,
         validate=None,
         vehicle=vehicle,
@@ -129,6 +122,18 @@ def motor(
         rerun=None,
         as_json=as_json,
     )
+
+
+def _recorded(report: dict[str, Any]) -> Path:
+    """The recording of what was driven. Raises BadInputError where it cannot be read from here."""
+    recording = Path(report["recording"])
+    if not recording.exists():
+        raise BadInputError(
+            f"driven and recorded to {recording}, which is not there: start bench motor where it"
+            " can read the daemon's recordings"
+        )
+    say(f"recording: {recording}", error=True)
+    return recording
 
 
 def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:

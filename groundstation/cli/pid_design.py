@@ -74,17 +74,7 @@ def design(
         if path is not None:
             require_new(path)
     axes = tuple(axis or AXES)
-    for one in axes:
-        if one not in AXES:
-            raise BadInputError(f"--axis {one}: there are {', '.join(AXES)}")
-    if not 1.1 <= sensitivity <= 10.0:
-        raise BadInputError(f"--sensitivity {sensitivity}: must be 1.1..10")
-    if not 0.0 <= spare_ms <= 100.0:
-        raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
-    if draws < 0:
-        raise BadInputError(f"--draws {draws}: must not be negative")
-    if loop and loop not in FORMS:
-        raise BadInputError(f"--loop {loop}: there are {', '.join(FORMS)}")
+    _require_sense(axes, sensitivity, spare_ms, draws, loop)
     form = FORMS[loop] if loop else form
     loaded = fitted_model(model, attitude=form != "firmware" and attitude != "body")
     loaded, turning = turned_model(loaded, attitude, form == "firmware")
@@ -121,6 +111,24 @@ def design(
     elif output is not None:
         show(f"{output}: 'pid convert --to firmware' makes of them what a craft flies")
     say_written(html)
+
+
+def _require_sense(
+    axes: tuple[str, ...], sensitivity: float, spare_ms: float, draws: int, loop: str
+) -> None:
+    from groundstation.control.pid import AXES
+
+    for one in axes:
+        if one not in AXES:
+            raise BadInputError(f"--axis {one}: there are {', '.join(AXES)}")
+    if not 1.1 <= sensitivity <= 10.0:
+        raise BadInputError(f"--sensitivity {sensitivity}: must be 1.1..10")
+    if not 0.0 <= spare_ms <= 100.0:
+        raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
+    if draws < 0:
+        raise BadInputError(f"--draws {draws}: must not be negative")
+    if loop and loop not in FORMS:
+        raise BadInputError(f"--loop {loop}: there are {', '.join(FORMS)}")
 
 
 def _design_firmware(

@@ -88,10 +88,8 @@ def fly(
 
     Example: [bold]groundstation pid fly --gains gains.toml --model body.json --restore[/bold]
     """
-    from groundstation.control.firmware_loop import require_gains
     from groundstation.control.firmwares import require_release
-    from groundstation.control.gains_file import load_gains
-    from groundstation.control.pid import AXES, PidGains
+    from groundstation.control.pid import AXES
     from groundstation.control.plant import plant_of_model
     from groundstation.control.programme import Programme, require_flyable
 
@@ -107,15 +105,7 @@ def fly(
         repeats=repeat,
     )
     require_flyable(planned)
-    wanted: dict[str, float] = {}
-    if gains is not None:
-        for name, value in load_gains(gains).items():
-            if isinstance(value, PidGains):
-                raise BadInputError(
-                    f"gains {gains}: the thesis's form cannot be flown, only the firmware's"
-                )
-            wanted[name] = value
-        require_gains(wanted, f"gains {gains}")
+    wanted = {} if gains is None else _firmware_gains(gains)
     if firmware is not None:
         require_release(firmware)
     if model is not None:
@@ -132,6 +122,23 @@ def fly(
     report = _flight(planned, wanted, _Whose(gains, model, firmware), restore, thrust, yes)
     require_ended(report, "flight")
     _judge(report, planned, model, html, as_json)
+
+
+def _firmware_gains(path: Path) -> dict[str, float]:
+    """The firmware's gains of a file. Raises BadInputError for others, which cannot be flown."""
+    from groundstation.control.firmware_loop import require_gains
+    from groundstation.control.gains_file import load_gains
+    from groundstation.control.pid import PidGains
+
+    wanted: dict[str, float] = {}
+    for name, value in load_gains(path).items():
+        if isinstance(value, PidGains):
+            raise BadInputError(
+                f"gains {path}: the thesis's form cannot be flown, only the firmware's"
+            )
+        wanted[name] = value
+    require_gains(wanted, f"gains {path}")
+    return wanted
 
 
 def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None:

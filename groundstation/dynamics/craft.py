@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from groundstation.dynamics.effect import FORCE, GYRO, Effect, Stage
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
 from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
-from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage, find_effect
+from groundstation.dynamics.own_effects import find_effect
+from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage
 from groundstation.dynamics.vehicle import (
     MotorConstants,
     Motors,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from groundstation.fleet.findings import FALSE_SHARE, Fleet, Series, drawn_crafts, told
 from groundstation.fleet.flight_fit import QUANTITIES, RELATIVE, WORDS
 from groundstation.fleet.parts import Row
-from groundstation.viewer.channels import APPLICATION
-from groundstation.viewer.new_rrd import fresh_rrd
+from groundstation.rerun_log.channels import APPLICATION
+from groundstation.rerun_log.new_rrd import fresh_rrd
 
 DATE, FLIGHT = "date", "flight"
 FOUND, MAP, EVENTS, TRENDS = "/found", "/crafts", "/events", "/trends"
@@ -161,7 +161,7 @@ def _blueprint(fleet: Fleet) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from groundstation.viewer.blueprint import layout_of
+    from groundstation.rerun_log.blueprint import layout_of
 
     all_time = rr.VisibleTimeRange(
         DATE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()

@@ -9,18 +9,15 @@ from __future__ import annotations
 import asyncio
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import LinkEndedError, LinkError, LinkLostError
+from groundstation.links.command import CommandLink
+from groundstation.links.event import EventSink, LinkEvent
 from groundstation.telemetry.decoder import DecoderCounts
 from groundstation.telemetry.samples import RawBatch, SampleBatch
-
-if TYPE_CHECKING:
-    from groundstation.links.command import CommandLink
 
 LinkBatch = RawBatch | SampleBatch
 """What a link delivers: packets, or samples where the source never had packets (microSD)."""
@@ -39,21 +36,6 @@ class LinkState(enum.StrEnum):
     """The device went away."""
     ENDED = "ended"
     """A finite source has delivered everything."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkEvent:
-    """Something worth telling the operator and the recording."""
-
-    time_ns: int
-    link: str
-    kind: str
-    """One word: opened, streaming, silent, lost, ended, closed, fault, restart ..."""
-    text: str
-    details: dict[str, Any] = field(default_factory=dict)
-
-
-EventSink = Callable[[LinkEvent], None]
 
 
 class Link(ABC):

@@ -14,7 +14,7 @@ from typing import Any
 
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.base import EventSink, LinkEvent
+from groundstation.links.event import EventSink, LinkEvent
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""

@@ -17,8 +17,7 @@ from groundstation.documents import require_shallow
 from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
 from groundstation.recording.rrd_columns import Columns, read_columns
 from groundstation.recording.session import Recording, Table
-from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
-from groundstation.viewer.channels import (
+from groundstation.rerun_log.channels import (
     APPLICATION,
     COMMANDS,
     DEVICE_TIME,
@@ -34,8 +33,9 @@ from groundstation.viewer.channels import (
     SEQUENCE,
     unscaled,
 )
-from groundstation.viewer.device_clock import RecordedClock
-from groundstation.viewer.new_rrd import fresh_rrd
+from groundstation.rerun_log.device_clock import RecordedClock
+from groundstation.rerun_log.new_rrd import fresh_rrd
+from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
 
 SCHEMA_VERSION = 1
 SESSION = "/session"
@@ -108,8 +108,8 @@ def _recording(path: Path, entities: dict[str, Columns]) -> Recording:
 def _write(recording: Recording, path: Path) -> None:
     import rerun as rr
 
-    from groundstation.viewer.blueprint import pilot_blueprint
-    from groundstation.viewer.log import ViewerLog
+    from groundstation.rerun_log.blueprint import pilot_blueprint
+    from groundstation.rerun_log.log import ViewerLog
 
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
     clock = RecordedClock(recording.samples)
@@ -217,7 +217,7 @@ def _entries(entities: dict[str, Columns], entity: str) -> list[dict[str, Any]]:
 
 
 def _loads(text: str) -> Any:
-    """JSON as ``viewer.log`` writes it: with NaN, and file names that are not UTF-8."""
+    """JSON as ``rerun_log.log`` writes it: with NaN, and file names that are not UTF-8."""
     require_shallow(text.encode("utf-8", "surrogatepass"))
     return json.loads(text)
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import RecordingError
-from groundstation.viewer.channels import HOST_TIME, OWN_PREFIX, SCALARS, SEQUENCE
+from groundstation.rerun_log.channels import HOST_TIME, OWN_PREFIX, SCALARS, SEQUENCE
 
 Columns = dict[str, NDArray[Any]]
 """Component or timeline name -> the values of all rows, one after the other."""

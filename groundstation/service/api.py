@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.links.factory import STAND_IN, is_stand_in, split_name
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import overview, requests
@@ -41,8 +41,11 @@ class Operation:
 
 def operations(station: Station) -> list[Operation]:
     """Everything a client can ask of ``station``."""
-    commander = station.commander
+    parts = (_telemetry, _jobs, _settings, _command)
+    return [one for part in parts for one in part(station)]
 
+
+def _telemetry(station: Station) -> list[Operation]:
     async def status(_: None) -> Any:
         return overview.status(station)
 
@@ -70,11 +73,94 @@ def operations(station: Station) -> list[Operation]:
         await station.switch_link(name, model)
         return overview.status(station)
 
+    async def thumbnail(body: requests.RecordingName) -> Any:
+        return requests.Thumbnail(svg=await station.thumbnails.of(body.file))
+
+    async def devices(_: None) -> Any:
+        return await station.devices.look()
+
+    return [
+        Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
+        Operation("GET", "/events", "The latest events, oldest first", events,
+                  answer=list[LinkEvent]),
+        Operation("POST", "/record/start", "Begin a new recording", record_start),
+        Operation("POST", "/record/stop", "Finish the recording", record_stop),
+        Operation("POST", "/record/mark", "Put a note into the recording", record_mark,
+                  requests.Mark, requests.Done),
+        Operation("GET", "/recordings", "The folder's recordings by name", recordings,
+                  answer=list[CatalogueEntry]),
+        Operation("POST", "/recordings/thumbnail", "A recording as a small picture", thumbnail,
+                  requests.RecordingName, requests.Thumbnail),
+        Operation("POST", "/link", "Receive from another link, recording on", switch,
+                  requests.LinkName, Status),
+        Operation("GET", "/devices", "What is plugged in or in reach", devices,
+                  answer=Devices),
+    ]  # fmt: skip
+
+
+def _jobs(station: Station) -> list[Operation]:
+    async def jobs(_: None) -> Any:
+        return await asyncio.to_thread(station.jobs.entries)
+
+    async def job_start(body: requests.NewJob) -> Any:
+        return station.jobs.add(body.kind, body.recordings, body.validate, body.model)
+
+    async def job_log(body: requests.JobName) -> Any:
+        return requests.JobLog(text=await asyncio.to_thread(station.jobs.log, body.id))
+
+    async def job_cancel(body: requests.JobName) -> Any:
+        return await station.jobs.cancel(body.id)
+
+    async def models(_: None) -> Any:
+        return await asyncio.to_thread(station.models.entries)
+
+    async def watch(body: requests.Watched) -> Any:
+        model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
+        station.twin.configure(model)
+        return overview.status(station)
+
+    return [
+        Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
+        Operation("POST", "/jobs/start", "Begin a job, or let it wait for its turn", job_start,
+                  requests.NewJob, Job),
+        Operation("POST", "/jobs/log", "The end of a job's log", job_log,
+                  requests.JobName, requests.JobLog),
+        Operation("POST", "/jobs/cancel", "End a job that waits or runs", job_cancel,
+                  requests.JobName, Job),
+        Operation("GET", "/models", "The models that jobs have made, and the built-in one", models,
+                  answer=list[ModelEntry]),
+        Operation("POST", "/models/watch", "Watch the craft with a model, or with none", watch,
+                  requests.Watched, Status),
+    ]  # fmt: skip
+
+
+def _settings(station: Station) -> list[Operation]:
     async def configuration(_: None) -> Any:
         return {each.name: each.value for each in settings(station.config)}
 
     async def reload(_: None) -> Any:
         return station.reload()
+
+    async def page_address(_: None) -> Any:
+        return requests.PageAddress(url=station.page.address())
+
+    async def page_admit(body: requests.PageToken) -> Any:
+        station.page.admit(body.token)
+        return requests.Done()
+
+    return [
+        Operation("POST", "/page/address", "A new address of the operator's page", page_address,
+                  answer=requests.PageAddress),
+        Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,
+                  requests.PageToken, requests.Done),
+        Operation("GET", "/config", "Every key of the configuration in force", configuration),
+        Operation("POST", "/config/reload", "Read the configuration again", reload,
+                  answer=requests.Reloaded),
+    ]  # fmt: skip
+
+
+def _command(station: Station) -> list[Operation]:
+    commander = station.commander
 
     async def acquire(body: requests.Acquire) -> Any:
         return commander.acquire(body.client)
@@ -113,79 +199,13 @@ def operations(station: Station) -> list[Operation]:
         await station.craft.connect_command(body.uri)
         return overview.status(station)
 
-    async def thumbnail(body: requests.RecordingName) -> Any:
-        return requests.Thumbnail(svg=await station.thumbnails.of(body.file))
-
-    async def devices(_: None) -> Any:
-        return await station.devices.look()
-
     async def parameters(_: None) -> Any:
         return requests.Values(values=commander.parameters())
 
     async def write_parameters(body: requests.Parameters) -> Any:
         return requests.Values(values=await commander.write_parameters(body.token, body.values))
 
-    async def jobs(_: None) -> Any:
-        return await asyncio.to_thread(station.jobs.entries)
-
-    async def job_start(body: requests.NewJob) -> Any:
-        return station.jobs.add(body.kind, body.recordings, body.validate, body.model)
-
-    async def job_log(body: requests.JobName) -> Any:
-        return requests.JobLog(text=await asyncio.to_thread(station.jobs.log, body.id))
-
-    async def job_cancel(body: requests.JobName) -> Any:
-        return await station.jobs.cancel(body.id)
-
-    async def models(_: None) -> Any:
-        return await asyncio.to_thread(station.models.entries)
-
-    async def watch(body: requests.Watched) -> Any:
-        model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
-        station.twin.configure(model)
-        return overview.status(station)
-
-    async def page_address(_: None) -> Any:
-        return requests.PageAddress(url=station.page.address())
-
-    async def page_admit(body: requests.PageToken) -> Any:
-        station.page.admit(body.token)
-        return requests.Done()
-
     return [
-        Operation("GET", "/status", "What the daemon is doing", status, answer=Status),
-        Operation("GET", "/events", "The latest events, oldest first", events,
-                  answer=list[LinkEvent]),
-        Operation("POST", "/record/start", "Begin a new recording", record_start),
-        Operation("POST", "/record/stop", "Finish the recording", record_stop),
-        Operation("POST", "/record/mark", "Put a note into the recording", record_mark,
-                  requests.Mark, requests.Done),
-        Operation("GET", "/recordings", "The folder's recordings by name", recordings,
-                  answer=list[CatalogueEntry]),
-        Operation("POST", "/recordings/thumbnail", "A recording as a small picture", thumbnail,
-                  requests.RecordingName, requests.Thumbnail),
-        Operation("POST", "/link", "Receive from another link, recording on", switch,
-                  requests.LinkName, Status),
-        Operation("GET", "/devices", "What is plugged in or in reach", devices,
-                  answer=Devices),
-        Operation("GET", "/jobs", "Work on recordings, the oldest first", jobs, answer=list[Job]),
-        Operation("POST", "/jobs/start", "Begin a job, or let it wait for its turn", job_start,
-                  requests.NewJob, Job),
-        Operation("POST", "/jobs/log", "The end of a job's log", job_log,
-                  requests.JobName, requests.JobLog),
-        Operation("POST", "/jobs/cancel", "End a job that waits or runs", job_cancel,
-                  requests.JobName, Job),
-        Operation("GET", "/models", "The models that jobs have made, and the built-in one", models,
-                  answer=list[ModelEntry]),
-        Operation("POST", "/models/watch", "Watch the craft with a model, or with none", watch,
-                  requests.Watched, Status),
-        Operation("POST", "/page/address", "A new address of the operator's page", page_address,
-                  answer=requests.PageAddress),
-        Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,
-                  requests.PageToken, requests.Done),
-        Operation("GET", "/config", "Every key of the configuration in force", configuration),
-        Operation("POST", "/config/reload", "Read the configuration again", reload,
-                  answer=requests.Reloaded),
         Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
                   requests.Acquire, requests.Lease),
         Operation("POST", "/command/release", "Stop the motors and give the lease back", release,

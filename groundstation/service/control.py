@@ -186,7 +186,6 @@ def control_app(station: Station) -> Starlette:
     for what another client holds, 413 and 429 beyond the limits, 500 for a fault of its own,
     which is an event too."""
     table = operations(station)
-    schema = openapi(table)
     rate = RateLimit(REQUESTS_HZ, REQUESTS_BURST)
 
     def guarded(
@@ -226,6 +225,30 @@ def control_app(station: Station) -> Starlette:
             methods=[operation.method],
         )
 
+    async def nowhere(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        text = f"{request.method} {request.url.path}: {error.detail}; see GET /openapi.json"
+        refusal = _refusal(error.status_code, text)
+        refusal.headers.update(error.headers or {})
+        return refusal
+
+    return Starlette(
+        routes=[
+            *(route(operation) for operation in table),
+            *(
+                Route(path, guarded(f"GET {path}", work))
+                for path, work in _others(station, openapi(table)).items()
+            ),
+        ],
+        exception_handlers={HTTPException: nowhere},
+    )
+
+
+def _others(
+    station: Station, schema: dict[str, Any]
+) -> dict[str, Callable[[Request], Awaitable[Response]]]:
+    """What is asked by GET and answers something else than an operation, by path."""
+
     async def health(request: Request) -> Response:
         found = station.health.status(overview.problems(station))
         return _Json(found, status_code=200 if found["healthy"] else 503)
@@ -248,23 +271,8 @@ def control_app(station: Station) -> Starlette:
 
         return StreamingResponse(messages(), media_type="text/event-stream")
 
-    others = {"/health": health, "/metrics": scrape, "/openapi.json": schema_of_all,
-              "/stream": stream}  # fmt: skip
-
-    async def nowhere(request: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
-        text = f"{request.method} {request.url.path}: {error.detail}; see GET /openapi.json"
-        refusal = _refusal(error.status_code, text)
-        refusal.headers.update(error.headers or {})
-        return refusal
-
-    return Starlette(
-        routes=[
-            *(route(operation) for operation in table),
-            *(Route(path, guarded(f"GET {path}", work)) for path, work in others.items()),
-        ],
-        exception_handlers={HTTPException: nowhere},
-    )
+    return {"/health": health, "/metrics": scrape, "/openapi.json": schema_of_all,
+            "/stream": stream}  # fmt: skip
 
 
 class _TooLargeError(GroundStationError):

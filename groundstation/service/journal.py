@@ -9,7 +9,7 @@ from dataclasses import replace
 import structlog
 
 from groundstation.clock import HostClock
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.service.twin import BEGAN
 from groundstation.text import printable
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.paths import dated
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata

@@ -14,7 +14,8 @@ import msgspec
 
 from groundstation.clock import steady_clock
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.base import Link
+from groundstation.links.event import LinkEvent
 from groundstation.service.batteries import Batteries
 from groundstation.service.commander import Commander
 from groundstation.service.config import (
@@ -75,15 +76,7 @@ class Station:
         self._source = source
         self.journal = Journal(clock, self._is_repetition)
         link = telemetry_link(config, config.link.name, self.journal, clock, port=config.command)
-        self.commander = Commander(
-            command_link(config, link, clock),
-            config.dead_man,
-            note=lambda kind, text: self.journal.note(
-                kind, text, source=self.craft.command_uri or "command"
-            ),
-            telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
-            motors=lambda: None if self.craft.no_craft() else self.newest.motors(),
-        )
+        self.commander = self._commanding(link)
         self.receiver = Receiver(
             link,
             self.journal,
@@ -103,17 +96,7 @@ class Station:
         )
         self.newest = Newest(self.receiver.now_ns)
         self.stream = Stream()
-        self.sessions = Sessions(
-            Path(config.recording.folder),
-            {
-                "vehicle": self.craft.metadata,
-                "configuration": _recorded_configuration(config),
-            },
-            low_space_bytes=round(config.recording.low_space_mb * MEBIBYTE),
-            ros2_hz=config.recording.ros2_hz,
-            on_fault=self._recorder_fault,
-            clock=clock,
-        )
+        self.sessions = self._recorded()
         self.recordings = RecordingManager(
             self.sessions,
             config.recording,
@@ -152,6 +135,31 @@ class Station:
         self._recording_ended = False  # with a replay, not by an operator
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
+
+    def _commanding(self, link: Link) -> Commander:
+        return Commander(
+            command_link(self.config, link, self.clock),
+            self.config.dead_man,
+            note=lambda kind, text: self.journal.note(
+                kind, text, source=self.craft.command_uri or "command"
+            ),
+            telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
+            motors=lambda: None if self.craft.no_craft() else self.newest.motors(),
+        )
+
+    def _recorded(self) -> Sessions:
+        recording = self.config.recording
+        return Sessions(
+            Path(recording.folder),
+            {
+                "vehicle": self.craft.metadata,
+                "configuration": _recorded_configuration(self.config),
+            },
+            low_space_bytes=round(recording.low_space_mb * MEBIBYTE),
+            ros2_hz=recording.ros2_hz,
+            on_fault=self._recorder_fault,
+            clock=self.clock,
+        )
 
     def stop(self) -> None:
         """Ask ``run`` to finish."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.errors import TakenError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
 from groundstation.telemetry.samples import SampleBatch
 

@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.background import in_background
 from groundstation.dynamics.model import Model, load_model
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:

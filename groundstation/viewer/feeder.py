@@ -18,10 +18,10 @@ from typing import NoReturn
 
 import rerun as rr
 
-from groundstation.viewer.blueprint import LIVE_WINDOW_S, pilot_blueprint
-from groundstation.viewer.channels import APPLICATION, EVENTS
-from groundstation.viewer.device_clock import LiveClock
-from groundstation.viewer.log import ViewerLog
+from groundstation.rerun_log.blueprint import LIVE_WINDOW_S, pilot_blueprint
+from groundstation.rerun_log.channels import APPLICATION, EVENTS
+from groundstation.rerun_log.device_clock import LiveClock
+from groundstation.rerun_log.log import ViewerLog
 from groundstation.viewer.messages import (
     MAX_BYTES,
     Acknowledgement,

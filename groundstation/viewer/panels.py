@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from groundstation.identification.fit_record import Panel
-from groundstation.viewer.channels import APPLICATION, DEVICE_TIME
-from groundstation.viewer.new_rrd import fresh_rrd
+from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME
+from groundstation.rerun_log.new_rrd import fresh_rrd
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255), (120, 220, 160))
 """On the viewer's dark ground."""
@@ -70,7 +70,7 @@ def _blueprint(panels: Sequence[Panel]) -> Any:
     import rerun as rr
     import rerun.blueprint as rrb
 
-    from groundstation.viewer.blueprint import layout_of
+    from groundstation.rerun_log.blueprint import layout_of
 
     ends = rr.TimeRangeBoundary.infinite()
     whole = rr.VisibleTimeRange(DEVICE_TIME, start=ends, end=ends)

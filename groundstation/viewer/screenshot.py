@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import GroundStationError
-from groundstation.viewer.channels import DEVICE_TIME
+from groundstation.rerun_log.channels import DEVICE_TIME
 from groundstation.viewer.child import Child
 from groundstation.viewer.viewer import free_port, rerun_program
 

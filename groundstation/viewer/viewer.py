@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (

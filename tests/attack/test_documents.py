@@ -11,8 +11,8 @@ from firmware_sim.settings import load_settings
 from groundstation.control.gains_file import load_gains
 from groundstation.documents import DEPTH_MOST, decode_json, decode_toml
 from groundstation.dynamics.model import load_model
+from groundstation.dynamics.own_effects import load_effects
 from groundstation.dynamics.reference import load_reference
-from groundstation.dynamics.registry import load_effects
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import RecordingError
 from groundstation.recording.column_map import load_column_map

@@ -8,7 +8,7 @@ from installed import groundstation, require_failure
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import THESIS, load_model
-from groundstation.dynamics.registry import load_effects
+from groundstation.dynamics.own_effects import load_effects
 from groundstation.errors import BadInputError
 from groundstation.service.config import Config, TwinConfig
 from groundstation.service.station import Station

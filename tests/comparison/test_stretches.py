@@ -12,7 +12,7 @@ from groundstation.comparison.comparison import compare
 from groundstation.comparison.stretches import Marked, by_hand, by_twin, within
 from groundstation.discrepancy.report_json import stretch_report
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.service.twin import BEGAN, ENDED, SOURCE
 
 

@@ -31,8 +31,9 @@ from bench.sealed.signals import Signals, effect_signals
 from bench.sealed.tables import tables
 from bench.sealed.worker import names_alone
 from bench.sealed.zero import table as clean_table
-from firmware_sim.effects.catalogue import EFFECTS, draw, present_effects
+from firmware_sim.effects.catalogue import EFFECTS, draw
 from firmware_sim.layout import TRUTH
+from firmware_sim.present import present_effects
 from firmware_sim.settings import StandInSettings
 from groundstation.comparison.regimes import motion_of, regimes_of
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, save_model

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from graphlib import CycleError, TopologicalSorter
 
 import pytest
 from pages import ROOT
@@ -74,6 +75,61 @@ def test_a_pure_package_does_not_touch_the_world(package):
 def test_small_modules_import_nothing_of_ours_but_each_other():
     for name in SMALL:
         assert set(ours(ROOT / "groundstation" / f"{name}.py")) <= SMALL, name
+
+
+def test_no_way_leads_back_to_the_package_where_it_began():
+    """``cli``, which may import everything, is imported by nobody."""
+    arrows = {package: allowed(package) - {package} for package in PACKAGES}
+    assert not any("cli" in arrows[package] for package in PACKAGES)
+    assert_no_circle(arrows)
+
+
+def test_no_way_leads_back_to_the_module_where_it_began():
+    """Wherever in a module the import stands."""
+    modules = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+        for package in ("", "firmware_sim")
+        for path in sources(package)
+        if path.name != "__init__.py"
+    }
+    arrows = {name: set(named(path)) & set(modules) for name, path in modules.items()}
+    assert_no_circle(arrows)
+
+
+def named(path):
+    """What a file imports, modules and what it takes from them alike, by full name."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def assert_no_circle(arrows):
+    try:
+        TopologicalSorter(arrows).prepare()
+    except CycleError as error:
+        pytest.fail(" <- ".join(error.args[1]))
+
+
+def functions(package):
+    """File, function, and whether it is a kernel, which numba compiles: that one may be long."""
+    for path in sources(package):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                decorators = " ".join(ast.unparse(one) for one in node.decorator_list)
+                yield path, node, bool(re.search(r"\b(kernel|inner|njit)\b", decorators))
+
+
+@pytest.mark.parametrize("package", ["", "firmware_sim"])
+def test_a_function_has_at_most_80_lines_unless_it_is_a_kernel(package):
+    long = [
+        f"{path.relative_to(ROOT)}: {function.name}"
+        for path, function, kernel in functions(package)
+        if not kernel and function.end_lineno - function.lineno >= 80
+    ]
+    assert not long
 
 
 def test_only_one_link_knows_the_software_craft():

@@ -8,7 +8,7 @@ from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
-from groundstation.dynamics.registry import load_effects
+from groundstation.dynamics.own_effects import load_effects
 from groundstation.dynamics.simulation import accelerations, simulate, specific_force
 from groundstation.dynamics.state import craft_state
 from groundstation.errors import BadInputError

@@ -9,8 +9,8 @@ import pytest
 from stand_in_flights import recorded
 
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.catalogue import present_effects
 from firmware_sim.hide import HIDEABLE, main
+from firmware_sim.present import present_effects
 from firmware_sim.settings import load_settings
 from groundstation.dynamics.model import (
     EffectTerm,

@@ -6,7 +6,7 @@ import pytest
 from stand_in_flights import CARRYING_GAINS, recorded
 
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.catalogue import present_effects
+from firmware_sim.present import present_effects
 from groundstation.comparison.gap import ahead_errors, pooled_rms
 from groundstation.dynamics.model import ArxAxis, EffectTerm, Estimate, save_model, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.effects.catalogue import EFFECTS, present_effects
+from firmware_sim.effects.catalogue import EFFECTS
+from firmware_sim.present import present_effects
 
 SIZES = {
     "centre_of_gravity_offset": {"x_m": 5e-4, "y_m": 0.0},

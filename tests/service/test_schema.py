@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from served_station import serve
 
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client

@@ -5,7 +5,7 @@ import pytest
 from flights import COPIES, assert_same_samples, flight
 
 from groundstation.errors import BadInputError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.sessions import Sessions
 

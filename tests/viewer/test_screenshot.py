@@ -13,9 +13,9 @@ from PIL import Image
 from groundstation.errors import GroundStationError
 from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
+from groundstation.rerun_log.channels import DEVICE_TIME, FLIGHT_TIME, GROUPS, MOTORS, STATISTICS
+from groundstation.rerun_log.device_clock import RecordedClock
 from groundstation.telemetry.samples import empty_samples
-from groundstation.viewer.channels import DEVICE_TIME, FLIGHT_TIME, GROUPS, MOTORS, STATISTICS
-from groundstation.viewer.device_clock import RecordedClock
 from groundstation.viewer.screenshot import hidden_viewer, software_driver
 
 pytestmark = [

@@ -18,7 +18,7 @@ import pytest
 from programs import Program, run_program
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.recording.rrd import read_rrd
 from groundstation.telemetry.samples import COLUMNS, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -47,7 +47,7 @@ from groundstation.identification.fit_record import (
 )
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
-from groundstation.identification.stretches import LEAST_S, stretches_of
+from groundstation.identification.stretches import LEAST_S, Stretch, stretches_of
 from groundstation.identification.torque import AXES
 
 Array = NDArray[np.float64]
@@ -80,29 +80,17 @@ def identify_arx(
     beside each other, instead of all.
     """
     motors = rotor_motors(before)
-    fit_on, apart = stretches_of(runs, motors, selection=selection), ""
-    if held:
-        validate_on = stretches_of(held, motors, selection=selection)
-    else:
-        least_s = max((LEAST_ROWS + LONGEST_ROWS) * decimate * fit_on[0].run.period_s, LEAST_S)
-        fit_on, validate_on, apart = divided(fit_on, vehicle.configuration, least_s)
-    data = {
-        axis: tuple(
-            [
-                arx_data(
-                    one.run[one.rows],
-                    axis,
-                    motors,
-                    vehicle.configuration,
-                    channel=channel,
-                    decimate=decimate,
-                )
-                for one in part
-            ]
-            for part in (fit_on, validate_on)
-        )
-        for axis in AXES
-    }
+    fit_on, validate_on, apart = _parts(runs, held, before, vehicle, selection, decimate)
+
+    def rows_of(part: Sequence[Stretch], axis: str) -> list[ArxData]:
+        runs = [one.run[one.rows] for one in part]
+        plus_or_x = vehicle.configuration
+        return [
+            arx_data(run, axis, motors, plus_or_x, channel=channel, decimate=decimate)
+            for run in runs
+        ]
+
+    data = {axis: (rows_of(fit_on, axis), rows_of(validate_on, axis)) for axis in AXES}
     found: dict[str, ArxAxis] = {}
     report: dict[str, Any] = {}
     warnings: list[str] = []
@@ -110,16 +98,15 @@ def identify_arx(
     traces: list[Trace] = []
     tests: list[ResidualTest] = []
     steps: list[Step] = []
-    for axis in AXES:
-        for part in (*data[axis][0], *data[axis][1]):
-            require_usable(part, data[axis][0][0].period_s, LONGEST_ROWS)
+    for one, other in data.values():
+        for part in (*one, *other):
+            require_usable(part, one[0].period_s, LONGEST_ROWS)
     for number, (axis, (one, other)) in enumerate(data.items()):
         progress(number / 3, f"searching models of {axis}")
         shown = _require_shown(axis, one)
         search = search_arx(one, other, criterion=criterion, among=orders)
-        chosen = search.chosen.axis
-        found[axis] = chosen
-        estimates[f"{axis} {search.chosen.label}"] = arx_estimates(chosen, one)
+        found[axis] = search.chosen.axis
+        estimates[f"{axis} {search.chosen.label}"] = arx_estimates(found[axis], one)
         beside = _beside(search, orders)
         fitted_rows = sum(len(part.outputs) for part in one)
         residual_tests = [_tested(axis, channel, c, other[0], fitted_rows) for c in beside]
@@ -127,19 +114,14 @@ def identify_arx(
         tests += residual_tests
         traces += [_trace(axis, channel, c.axis, other[0]) for c in beside]
         steps += _steps(axis, search, beside)
-        if not search.chosen.plausible:
-            warnings.append(f"{axis}: the step response of the chosen model is not plausible")
-        if not test.cross.passes:
-            warnings.append(f"{axis}: the residuals of the chosen model follow its input")
+        warnings += _warnings(axis, search.chosen, test)
         report[axis] = {
             "chosen": search.chosen.label,
             "input_shows_f": shown,
             "estimates": estimates[f"{axis} {search.chosen.label}"].as_dict(),
-            **_ahead("identification", chosen, one, UNITS[channel][0]),
-            **_ahead("validation", chosen, other, UNITS[channel][0]),
+            **_judged(search, one, other, UNITS[channel][0]),
             **test.as_dict(),
             **_named(beside, residual_tests),
-            "table": _table(search, one, other, UNITS[channel][0]),
         }
     account = {
         "what": "arx",
@@ -161,6 +143,30 @@ def identify_arx(
     return Identified(model, account, Evidence(estimates, traces, tests, steps))
 
 
+def _parts(
+    runs: Sequence[Run],
+    held: Sequence[Run],
+    before: Model,
+    vehicle: Vehicle,
+    selection: Selection,
+    decimate: int,
+) -> tuple[list[Stretch], list[Stretch], str]:
+    """What is fitted on, what no fit sees, and in words how the two were divided."""
+    motors = rotor_motors(before)
+    stretches = stretches_of(runs, motors, selection=selection)
+    if held:
+        return stretches, stretches_of(held, motors, selection=selection), ""
+    least_s = max((LEAST_ROWS + LONGEST_ROWS) * decimate * stretches[0].run.period_s, LEAST_S)
+    return divided(stretches, vehicle.configuration, least_s)
+
+
+def _warnings(axis: str, chosen: ArxCandidate, test: ResidualTest) -> Iterator[str]:
+    if not chosen.plausible:
+        yield f"{axis}: the step response of the chosen model is not plausible"
+    if not test.cross.passes:
+        yield f"{axis}: the residuals of the chosen model follow its input"
+
+
 def _require_shown(axis: str, data: Sequence[ArxData]) -> float:
     shown = input_shows(data)
     if shown < LEAST_F:
@@ -179,6 +185,18 @@ def _ahead(part: str, axis: ArxAxis, data: Sequence[ArxData], unit: str) -> dict
             axis, data, max(1, round(horizon / axis.ts))
         )
         for horizon in AHEAD_S
+    }
+
+
+def _judged(
+    search: ArxSearch, one: Sequence[ArxData], other: Sequence[ArxData], unit: str
+) -> dict[str, Any]:
+    """How well the chosen structure predicts either part, and the table of all."""
+    chosen = search.chosen.axis
+    return {
+        **_ahead("identification", chosen, one, unit),
+        **_ahead("validation", chosen, other, unit),
+        "table": _table(search, one, other, unit),
     }
 
 

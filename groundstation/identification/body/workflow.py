@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -82,14 +82,7 @@ def identify_body(
     """
     if by:
         require_grouping(by)
-    pointless = [name for name in effects if name in OF_THE_MOTORS]
-    if pointless and measured:
-        raise BadInputError(
-            f"--with {', '.join(pointless)}: with measured rotor speeds it does not matter what"
-            " drives the motors"
-        )
-    known = [name for name in FIT_WITH if not (measured and name in OF_THE_MOTORS)]
-    names = fitted_effects(effects, before, known)
+    names = _names(effects, before, measured)
     supplied = [name for name in names if name in SUPPLY_EFFECTS]
     left_out = [] if measured else [one.name for one in runs if mostly_saturated(one)]
     if len(left_out) < len(runs):
@@ -109,23 +102,11 @@ def identify_body(
     fit = fit_body(fit_on, vehicle, names, tie_roll_pitch, covariance, known_motor)
     validate_on = [paced(one, fit.pace[0]) for one in validate_on]
     progress(0.8, "judging it on held-out data")
-    naive = fit_free_run(fit_on, vehicle)
     rows = sum(len(stretch) for stretch in fit_on)
     traces, residuals = _pictures(validate_on, fit, rows)
     warnings = [*judged.lines, *fit.warnings]
     warnings += [f"{name}: left out, a motor is saturated in most rows" for name in left_out]
-    if fit.pace[0] != 1.0:
-        percent, doubt = 100.0 * (fit.pace[0] - 1.0), 100.0 * fit.pace[1]
-        warnings.append(
-            f"the motors answer {abs(percent):.0f} +- {doubt:.1f} %"
-            f" {'faster' if percent > 0 else 'slower'} than the profile's: a0, a1, a2 of the model"
-            " are changed by as much, which leaves their steady speeds"
-        )
-    if covariance is None and not measured:
-        warnings.append(
-            "the motor's constants are taken as exact: give a --model whose motor was fitted, and"
-            " its uncertainty counts as well"
-        )
+    warnings += _of_the_motors(fit, exact=covariance is None and not measured)
     account: dict[str, Any] = {
         "what": "body",
         "method": "prediction error, each flight's own noise spectrum",
@@ -135,30 +116,21 @@ def identify_body(
         "held_out": apart,
         "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
-        "fitted_along": {
-            key: {"value": found, "stderr": error} for key, (found, error) in fit.nuisances.items()
-        },
-        "motor_pace": {"value": fit.pace[0], "stderr": fit.pace[1]},
+        "fitted_along": {key: _stated(*found) for key, found in fit.nuisances.items()},
+        "motor_pace": _stated(*fit.pace),
         "not_identified": fit.not_identified,
         "variance_share_of_motor": fit.motor_share.tolist(),
         "identification": validate_body(fit_on, fit),
         "validation": validate_body(validate_on, fit),
         "roll_and_pitch_swapped": _swapped(validate_on, fit),
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
-        "naive_free_run": dict(zip(("c0", "c1", "c2"), naive.tolist(), strict=True)),
-        "supply": [
-            {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
-        ],
+        "naive_free_run": _naive(fit_on, vehicle),
+        "supply": [one.as_dict() for one in supplies],
         "warnings": warnings,
     }
-    terms = [*_terms(fit), *supply_terms(supplied, supplies, _profile(before, vehicle))]
-    model = with_motor(before, quicker(before.motor, fit.pace[0]))
-    before = msgspec.structs.replace(
-        before, effects=tuple(term for term in before.effects if term.name not in ON_BOARD)
+    model = _fitted(
+        before, vehicle, fit, supply_terms(supplied, supplies, _profile(before, vehicle))
     )
-    if fit.setup.problem.frame.gyro_filter_hz > 0.0:
-        terms += filter_terms(filters_of(vehicle, fit.setup.problem.flights))
-    model = msgspec.structs.replace(model, body=fit.body, effects=with_effects(before, terms))
     if not measured:
         account["free_run_angles"] = _free_run_angles(model, fit_on, validate_on)
     if by:
@@ -168,6 +140,34 @@ def identify_body(
     prepared = flight_preparation(fit_on, vehicle.configuration)
     evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
+
+
+def _names(effects: Sequence[str], before: Model, measured: bool) -> tuple[str, ...]:
+    """The effects that are fitted along. Raises BadInputError for one that cannot be."""
+    pointless = [name for name in effects if name in OF_THE_MOTORS]
+    if pointless and measured:
+        raise BadInputError(
+            f"--with {', '.join(pointless)}: with measured rotor speeds it does not matter what"
+            " drives the motors"
+        )
+    known = [name for name in FIT_WITH if not (measured and name in OF_THE_MOTORS)]
+    return fitted_effects(effects, before, known)
+
+
+def _of_the_motors(fit: BodyFit, exact: bool) -> Iterator[str]:
+    """Warnings of what was done with the motor's constants, or not known of them."""
+    if fit.pace[0] != 1.0:
+        percent, doubt = 100.0 * (fit.pace[0] - 1.0), 100.0 * fit.pace[1]
+        yield (
+            f"the motors answer {abs(percent):.0f} +- {doubt:.1f} %"
+            f" {'faster' if percent > 0 else 'slower'} than the profile's: a0, a1, a2 of the model"
+            " are changed by as much, which leaves their steady speeds"
+        )
+    if exact:
+        yield (
+            "the motor's constants are taken as exact: give a --model whose motor was fitted, and"
+            " its uncertainty counts as well"
+        )
 
 
 def _free_run_angles(
@@ -188,6 +188,27 @@ def _free_run_angles(
                     rms = angle_rms(model, flown, window)
                     found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
     return found
+
+
+def _naive(stretches: Sequence[Stretch], vehicle: Vehicle) -> dict[str, float]:
+    return dict(zip(("c0", "c1", "c2"), fit_free_run(stretches, vehicle).tolist(), strict=True))
+
+
+def _stated(value: float, stderr: float) -> dict[str, float]:
+    return {"value": value, "stderr": stderr}
+
+
+def _fitted(before: Model, vehicle: Vehicle, fit: BodyFit, supply: Sequence[EffectTerm]) -> Model:
+    """The model before with what was fitted, and with the filters on board that the fit used."""
+    terms = [*_terms(fit), *supply]
+    if fit.setup.problem.frame.gyro_filter_hz > 0.0:
+        terms += filter_terms(filters_of(vehicle, fit.setup.problem.flights))
+    kept = tuple(term for term in before.effects if term.name not in ON_BOARD)
+    return msgspec.structs.replace(
+        with_motor(before, quicker(before.motor, fit.pace[0])),
+        body=fit.body,
+        effects=with_effects(msgspec.structs.replace(before, effects=kept), terms),
+    )
 
 
 def motor_covariance(model: Model) -> Array | None:

@@ -19,7 +19,8 @@ from groundstation.dynamics.model import (
     require_body,
     with_motor,
 )
-from groundstation.dynamics.registry import EFFECTS, find_effect, load_effects
+from groundstation.dynamics.own_effects import find_effect, load_effects
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.unknowns import Key, to_point, to_stderr, to_values, variants
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError

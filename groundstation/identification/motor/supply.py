@@ -53,6 +53,9 @@ class SupplyEstimate:
     cell_ohm: float
     rms_v: float
 
+    def as_dict(self) -> dict[str, float]:
+        return {"lag_s": self.lag_s, "cell_ohm": self.cell_ohm, "report_rms_v": self.rms_v}
+
 
 def estimate_supply(
     run: Run, motor: MotorConstants | Motors, vehicle: Vehicle, effects: Sequence[str] = (LAG, SAG)

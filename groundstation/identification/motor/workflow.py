@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, with_motor
-from groundstation.dynamics.vehicle import Vehicle
+from groundstation.dynamics.vehicle import MotorConstants, Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import turning_parts
 from groundstation.identification.division import LAST, hold_out
@@ -33,7 +33,7 @@ from groundstation.identification.motor.fit import (
     simulate_run,
     validate_motor,
 )
-from groundstation.identification.motor.problem import EFFECTS
+from groundstation.identification.motor.problem import EFFECTS, MotorRun
 from groundstation.identification.motor.supply import (
     LAG,
     SAG,
@@ -72,21 +72,13 @@ def identify_motor(
     held: what no fit sees (none: the last third). motor: which one carries the bench's gate;
     where speeds were recorded in flight, each rotor is fitted.
     """
-    unknown = sorted(set(effects) - set(KNOWN))
-    if unknown:
-        raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
     fit_on, apart = _turning(runs, selection), ""
     if held:
         validate_on = _turning(held, selection)
     else:
         (fit_on, validate_on), apart = hold_out(fit_on), LAST
     measured = any(np.isfinite(run.rotor_rev_s).any() for run in fit_on)
-    pointless = [name for name in effects if name in (LAG, SAG)]
-    if pointless and measured:
-        raise BadInputError(
-            f"--with {', '.join(pointless)}: needs bench recordings, on which all motors are"
-            " driven alike"
-        )
+    _require_known(effects, measured)
     if measured:
         from groundstation.identification.motor.flown import identify_rotors
 
@@ -100,14 +92,9 @@ def identify_motor(
     supplies: list[SupplyEstimate] = []
     if supplied:
         fit, supplies = fit_motor_and_supply(fit_on, vehicle, motor, names)
-        driven = []
-        for run in validate_on:
-            supply = estimate_supply(run, fit.motor, vehicle, supplied)
-            voltage = 1000.0 * run.duty[:, motor] * supply.motors_v
-            driven.append(replace(bench_run(run, motor), voltage_mv=voltage))
     else:
         fit = fit_motor([bench_run(run, motor) for run in fit_on], names)
-        driven = [bench_run(run, motor) for run in validate_on]
+    driven = [_driven(run, fit.motor, vehicle, motor, supplied) for run in validate_on]
     progress(0.8, "judging it on held-out data")
     delay = fit.estimates["delay_s"]
     figures = [(run.name, *validate_motor(run, fit.motor, delay, fit.values)) for run in driven]
@@ -132,9 +119,7 @@ def identify_motor(
             for name, percent, error in figures
         ],
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
-        "supply": [
-            {"lag_s": s.lag_s, "cell_ohm": s.cell_ohm, "report_rms_v": s.rms_v} for s in supplies
-        ],
+        "supply": [one.as_dict() for one in supplies],
         "findings": [delay_in_words(fit.estimates)],
         "warnings": [*judged.lines, *fit.warnings, *([SUPPLY_DOUBT] if supplied else [])],
     }
@@ -144,6 +129,31 @@ def identify_motor(
     prepared = bench_preparation(fit_on, motor)
     evidence = Evidence({"motor": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
+
+
+def _require_known(effects: Sequence[str], measured: bool) -> None:
+    """Raises BadInputError for an effect that cannot be fitted along."""
+    unknown = sorted(set(effects) - set(KNOWN))
+    if unknown:
+        raise BadInputError(f"--with {', '.join(unknown)}: the motor fit knows {', '.join(KNOWN)}")
+    pointless = [name for name in effects if name in (LAG, SAG)]
+    if pointless and measured:
+        raise BadInputError(
+            f"--with {', '.join(pointless)}: needs bench recordings, on which all motors are"
+            " driven alike"
+        )
+
+
+def _driven(
+    run: Run, constants: MotorConstants, vehicle: Vehicle, motor: int, supplied: Sequence[str]
+) -> MotorRun:
+    """A bench run at the voltage that drives the motor: duty times the battery's, reported, or as
+    the effects ``supplied`` say it is at the motors."""
+    bench = bench_run(run, motor)
+    if not supplied:
+        return bench
+    supply = estimate_supply(run, constants, vehicle, supplied)
+    return replace(bench, voltage_mv=1000.0 * run.duty[:, motor] * supply.motors_v)
 
 
 def _turning(runs: Sequence[Run], selection: Selection) -> list[Run]:

@@ -11,7 +11,7 @@ from programs import run_program
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
-from groundstation.dynamics.registry import load_effects
+from groundstation.dynamics.own_effects import load_effects
 from groundstation.dynamics.simulation import accelerations, simulate
 from groundstation.dynamics.state import RATE, craft_state
 

@@ -12,8 +12,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import quaternion_of_attitude
-from groundstation.telemetry.samples import SampleBatch
-from groundstation.viewer.channels import (
+from groundstation.rerun_log.channels import (
     CRAFT,
     DEVICE_TIME,
     ENTRY_ARCHETYPE,
@@ -28,8 +27,9 @@ from groundstation.viewer.channels import (
     STATISTICS,
     scaled,
 )
-from groundstation.viewer.craft import craft_drawing
-from groundstation.viewer.device_clock import Clock
+from groundstation.rerun_log.craft import craft_drawing
+from groundstation.rerun_log.device_clock import Clock
+from groundstation.telemetry.samples import SampleBatch
 
 _LEVELS = {
     "lost": rr.TextLogLevel.ERROR,

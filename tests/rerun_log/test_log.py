@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from groundstation.rerun_log.channels import CRAFT, GROUPS, PACKET, scaled, unscaled
+from groundstation.rerun_log.log import quaternions, sample_columns
 from groundstation.telemetry.samples import empty_samples
-from groundstation.viewer.channels import CRAFT, GROUPS, PACKET, scaled, unscaled
-from groundstation.viewer.log import quaternions, sample_columns
 
 BY_COLUMN = {group.column: group for group in GROUPS}
 ANGLES = st.floats(-3.125, 3.125, width=32)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from groundstation.viewer.channels import CRAFT, MOTORS
+from groundstation.rerun_log.channels import CRAFT, MOTORS
 
 NOSE = (255, 64, 129)
 

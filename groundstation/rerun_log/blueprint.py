@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
-from groundstation.viewer.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK
+from groundstation.rerun_log.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK
 
 LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""
@@ -46,21 +46,8 @@ def pilot_blueprint(
             plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
         )
 
-    craft = rrb.Spatial3DView(
-        name="Craft",
-        origin="/",
-        contents=[f"{CRAFT}/**", "/world/**"],
-        background=rrb.Background(color=(21, 24, 30)),
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=(-0.14, -0.105, 0.155),
-            look_target=(0.0, 0.0, -0.022),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-    )
     left = rrb.Vertical(
-        craft,
+        _craft_view(),
         rrb.Horizontal(
             plot("Battery (V)", "/telemetry/battery", low=2.9, high=4.3),
             plot("Samples per second", f"{LINK}/rate_hz"),
@@ -95,6 +82,22 @@ def pilot_blueprint(
         right = rrb.Tabs(beside, right, active_tab=0)
     return layout_of(
         rrb.Horizontal(left, right, column_shares=[4, 5]), timeline, follow=not from_take_off
+    )
+
+
+def _craft_view() -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        name="Craft",
+        origin="/",
+        contents=[f"{CRAFT}/**", "/world/**"],
+        background=rrb.Background(color=(21, 24, 30)),
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=(-0.14, -0.105, 0.155),
+            look_target=(0.0, 0.0, -0.022),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
     )
 
 

@@ -1,0 +1,1 @@
+"""Flights as rerun shows them: entities, clocks, layouts, and files of them."""

@@ -1,0 +1,3 @@
+from wobbling_flights import flight, wobble
+
+__all__ = ["flight", "wobble"]
