@@ -17,16 +17,16 @@ from typing import Any, get_type_hints
 
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import carray, cfunc, types
+from numba import carray, types
 from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic, register_jitable
 
 from groundstation.dynamics import law as laws
-from groundstation.dynamics.compiled import called, inner, spliced
+from groundstation.dynamics.compiled import callback, called, inner, spliced
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS, Body, Craft, Motor, Reading, Supply
-from groundstation.dynamics.registry import COMPILED, at_stage
+from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage
 from groundstation.errors import BadInputError
 
 for function in (
@@ -259,8 +259,11 @@ def own_address(stage: str, effects: tuple[Effect, ...], first: tuple[int, ...])
         numbers = (f"values[{first[index] + i}]" for i in range(len(effects[index].parameters)))
         return f"({', '.join(numbers)},)"
 
+    # A chain of listed effects is cached, under a name that tells it from every other.
+    listed = all(EFFECTS.get(effect.name) is effect for effect in effects)
+    entry = "_".join(("own", stage, *(effect.name for effect in effects), *map(str, first)))
     source = [
-        "def entry(v, given_at, x_at):",
+        f"def {entry}(v, given_at, x_at):",
         f"    values, a = carray(v, {VALUE_SLOTS}), carray(given_at, {size + more + states})",
         f"    b = carray(x_at, {NUMBERS[stage] + states})",
         f"    craft, given, z = {craft}, {given}, a[{size + more}:]",
@@ -272,11 +275,11 @@ def own_address(stage: str, effects: tuple[Effect, ...], first: tuple[int, ...])
     ]
     pieces = {f"law{i}": inner(effect.law) for i, effect in enumerate(effects)}
     names = {**vars(laws), "carray": carray, "summed": summed, "reckoned": reckoned, **pieces}
-    exec("\n".join(source), names)
+    exec(compile("\n".join(source), __file__, "exec"), names)
     pointer = types.CPointer(types.float64)
     try:
         signature = types.void(pointer, pointer, pointer)
-        compiled = cfunc(signature, error_model="numpy")(names["entry"])
+        compiled = callback(names[entry], signature, cached=listed)
     except NumbaError as error:
         said = ", ".join(effect.name for effect in effects)
         reason = str(error).strip().splitlines()[-1]

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core import sigutils
 from numba.core.caching import FunctionCache
+from numba.core.ccallback import CFunc
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -52,6 +54,17 @@ def kernel(function: Callable[..., Any]) -> Any:
     """
     compiled: Any = njit(nogil=True, error_model="numpy")(function)
     compiled._cache = _StampedCache(function)
+    return compiled
+
+
+def callback(function: Callable[..., Any], signature: Any, cached: bool) -> Any:
+    """Code to call by address. cached: on disk, as kernels are, under the function's own name; only
+    for what ``source_stamp`` covers."""
+    options = {"error_model": "numpy"}
+    compiled: Any = CFunc(function, sigutils.normalize_signature(signature), {}, options)
+    if cached:
+        compiled._cache = _StampedCache(function)
+    compiled.compile()
     return compiled
 
 

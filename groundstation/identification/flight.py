@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.rotations import attitude_of_matrix, rotation_matrix
+from groundstation.dynamics.rotations import (
+    attitude_of_matrix,
+    quaternion_of_attitude,
+    rotation_matrix,
+)
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import REST_S, TOUCH_DOWN_S, flights_in
 from groundstation.identification.attitude_rows import AttitudeRows, Gaps, attitude_rows
@@ -36,7 +40,8 @@ class Flight:
     mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
     None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
     accelerometer, None without attitude. force_between: rows of the accelerometer are means of
-    readings half a row before and half a row after.
+    readings half a row before and half a row after. orientation: (4, n) quaternions of the reported
+    attitude, and upward: (last - first, 3) the vertical in sensor axes; level without attitude.
     """
 
     run: Run
@@ -53,6 +58,14 @@ class Flight:
     up: tuple[Array, float] | None
     carried: Array | None
     force_between: bool
+    orientation: Array = field(init=False)
+    upward: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        angles = np.zeros_like(self.run.gyro) if self.attitude is None else self.run.attitude
+        turned = np.ascontiguousarray(quaternion_of_attitude(angles).T)
+        object.__setattr__(self, "orientation", turned)
+        object.__setattr__(self, "upward", rotation_matrix(angles[self.rows])[:, 2])
 
     @property
     def period_s(self) -> float:

@@ -160,7 +160,7 @@ class Setup:
         found = []
         slow = self.slow_moments(point)
         for flight, moment in zip(self.problem.flights, slow, strict=True):
-            series = evaluate(flight, self.problem.frame, point, ())
+            series = evaluate(flight, self.problem.frame, point, (), range(3))
             left = -moment
             for axis in range(3):
                 left[:, axis] += series.residual.get(axis, 0.0)

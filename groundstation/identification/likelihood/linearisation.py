@@ -62,7 +62,8 @@ def linearise(
     verticals: list[Vertical] = []
     extra = nuisances or {}
     for number, flight in enumerate(flights):
-        series = evaluate(flight, frame, point, [key for key in keys if key not in extra])
+        own = [key for key in keys if key not in extra]
+        series = evaluate(flight, frame, point, own, channels)
         for key in extra:
             series.columns[key] = extra[key][number]
             for channel, column in extra[key][number].items():

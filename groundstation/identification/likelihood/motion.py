@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
-from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
@@ -82,13 +81,12 @@ class Motion:
         self.flight, self.period = flight, run.period_s
         self._rates, self.news = np.zeros((count, 3)), np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))
-        attitude = np.zeros((count, 3)) if flight.attitude is None else run.attitude
         if flight.up is not None:
             self.velocity = self._velocity(force @ turn, leaning) @ turn.T
         height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
         rows: Any = (
             np.minimum(height, FAR_M),
-            _rows(quaternion_of_attitude(attitude)),
+            tuple(flight.orientation),
             _rows(self.velocity),
             *(STILL, _FOUR, _FOUR, 0.0, STILL, STILL),
         )

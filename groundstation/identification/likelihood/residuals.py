@@ -15,7 +15,7 @@ velocity uses one that was predicted from earlier rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.effect import Stage
 from groundstation.dynamics.law import SPIN, Craft
-from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.attitude_rows import FIRMWARE_GAIN
 from groundstation.identification.flight import Flight
@@ -91,10 +90,18 @@ class Series:
 
 
 def evaluate(
-    flight: Flight, frame: Frame, point: Mapping[str, float], keys: Sequence[str]
+    flight: Flight,
+    frame: Frame,
+    point: Mapping[str, float],
+    keys: Sequence[str],
+    channels: Container[int] = range(9),
 ) -> Series:
-    """Residuals of a flight at ``point`` and the columns of ``keys``."""
-    return _Evaluation(flight, frame, point).series(keys)
+    """Residuals of a flight at ``point`` and the columns of ``keys``.
+
+    channels: what is asked for; the vertical rows belong to the accelerometer's. A sensor of which
+    no channel is wanted is left out, one axis more of a wanted one may come along.
+    """
+    return _Evaluation(flight, frame, point, channels).series(keys)
 
 
 def rate_errors(
@@ -113,9 +120,22 @@ def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) ->
 class _Evaluation:
     """One flight at one point; every array here covers all rows of the run."""
 
-    def __init__(self, flight: Flight, frame: Frame, point: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        flight: Flight,
+        frame: Frame,
+        point: Mapping[str, float],
+        channels: Container[int] = range(9),
+    ) -> None:
         self.flight, self.frame, self.point = flight, frame, point
         run = flight.run
+        rates, forces, angles = (
+            any(first + axis in channels for axis in range(3))
+            for first in (GYRO, ACCELEROMETER, ATTITUDE)
+        )
+        forces = forces and flight.has_accelerometer
+        self.parts = [part for part, one in ((RATES, rates), (FORCES, forces)) if one]
+        self.rows_of_attitude = flight.attitude if angles else None
         self.period = run.period_s
         self.there = frame.acting(point)
         self._moved: dict[str, tuple[Moved, Moved, float]] = {}
@@ -260,13 +280,14 @@ class _Evaluation:
     # Residuals.
 
     def series(self, keys: Sequence[str]) -> Series:
-        flight = self.flight
         residual: Columns = {}
-        measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
-        self._put(RATES, residual, measured - self.gyro_model)
-        self._put(FORCES, residual, self.force - self._as_read(FORCES, self.force_model))
+        if RATES in self.parts:
+            measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
+            self._put(RATES, residual, measured - self.gyro_model)
+        if FORCES in self.parts:
+            self._put(FORCES, residual, self.force - self._as_read(FORCES, self.force_model))
         lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
-        rows = flight.attitude
+        rows = self.rows_of_attitude
         if rows is not None:
             turning = np.einsum("nij,nj->ni", rows.to_euler, self._turning(self.sensors, self.lean))
             euler = rows.where_told(rows.rate - turning)
@@ -274,7 +295,7 @@ class _Evaluation:
             told = rows.where_told(rows.to_euler)
             lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
         columns = {key: self._column(key) for key in keys}
-        up = self._vertical(keys), self._lift(columns)
+        up = (self._vertical(keys), self._lift(columns)) if FORCES in self.parts else (None, None)
         return Series(residual, columns, *up, self.rate_error, lasting)
 
     def _vertical(self, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
@@ -296,7 +317,7 @@ class _Evaluation:
         if self.flight.up is None:
             return None
         rows = self.flight.rows
-        up = rotation_matrix(self.flight.run.attitude[rows])[:, 2] @ self.sensors.turn.T
+        up = self.flight.upward @ self.sensors.turn.T
         mean = float(np.einsum("ni,ni->n", up, self.force_model[rows]).mean())
         slopes = {
             key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
@@ -313,8 +334,6 @@ class _Evaluation:
     def _put(self, part: slice, out: Columns, values: Array, step: float = math.inf) -> None:
         """Store rows (n, 3) of the gyro's (RATES) or the accelerometer's channels (FORCES), but
         not what is only the rounding of a difference over ``step``."""
-        if part == FORCES and not self.flight.has_accelerometer:
-            return
         gaps, rows = self.flight.gaps, values[self.flight.rows]
         rows = gaps.spread(rows) if part == RATES else gaps.bridge(rows)
         least = ROUNDING * (self.angular_peak if part == RATES else STANDARD_GRAVITY) / abs(step)
@@ -324,7 +343,7 @@ class _Evaluation:
                 out[part.start + axis] = one.copy()
 
     def _put_attitude(self, out: Columns, rates: Array, step: float = math.inf) -> None:
-        rows, least = self.flight.attitude, ROUNDING / abs(step)
+        rows, least = self.rows_of_attitude, ROUNDING / abs(step)
         assert rows is not None
         euler = rows.where_told(np.einsum("nij,nj->ni", rows.to_euler, rates))
         for axis in range(3):
@@ -342,8 +361,8 @@ class _Evaluation:
         out: Columns = {}
         stage = self._stage(key)
         if key == TIMING:
-            if self.flight.attitude is not None:
-                self._put_attitude(out, self.flight.attitude.timing)
+            if self.rows_of_attitude is not None:
+                self._put_attitude(out, self.rows_of_attitude.timing)
         elif key in BODY_KEYS:
             self._craft_column(key, out)
         elif key == SENSOR_LAG:
@@ -388,10 +407,11 @@ class _Evaluation:
     def _put_change(self, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
         """Store the difference of two models over a step."""
         count = len(self.gyro)
-        turns = zip(high[0].angular, low[0].angular, strict=True)
-        pushes = zip(high[1].force, low[1].force, strict=True)
-        for part, pairs in ((RATES, turns), (FORCES, pushes)):
-            change = tuple((a - b) / step for a, b in pairs)
+        for part in self.parts:
+            above, below = (
+                both[0].angular if part == RATES else both[1].force for both in (high, low)
+            )
+            change = tuple((a - b) / step for a, b in zip(above, below, strict=True))
             if any(np.ndim(rows) or rows for rows in change):
                 rows = self.sensors.answer(stacked(change, count), part, self.moving)
                 self._put(part, out, self._as_read(part, rows), step)
@@ -407,7 +427,7 @@ class _Evaluation:
         ]
         high, low = (self._body(True, craft=craft) for craft in crafts)
         above, below = self.row, self.row
-        if crafts[0].thrust != crafts[1].thrust:
+        if FORCES in self.parts and crafts[0].thrust != crafts[1].thrust:
             above, below = (self._body(False, craft=craft) for craft in crafts)
         self._put_change(out, (high, above), (low, below), 2.0 * step)
 
@@ -416,10 +436,15 @@ class _Evaluation:
             return
         moved = {**self.point, key: value(self.point, key) + step}
         inputs = self._inputs(moved)
-        moving, passing = self._sensed(*self._bodies(inputs=inputs))
+        middle, row = self._body(True, inputs=inputs), self.row
+        if FORCES in self.parts or self.sensors.effects:
+            row = self._body(False, inputs=inputs)
+        moving, passing = self._sensed(middle, row)
         angular, force = self.sensors.in_body(passing[-1], moving)
-        self._put(RATES, out, (angular - self.gyro_model) / step, step)
-        self._put(FORCES, out, self._as_read(FORCES, force - self.force_model) / step, step)
+        if RATES in self.parts:
+            self._put(RATES, out, (angular - self.gyro_model) / step, step)
+        if FORCES in self.parts:
+            self._put(FORCES, out, self._as_read(FORCES, force - self.force_model) / step, step)
 
     def _delay_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         """By the slope: rotors a row earlier, rates as they are."""
@@ -459,7 +484,8 @@ class _Evaluation:
             passed(moved[label], self.craft, self.passing[behind], self.moving)
             for moved in (high, low)
         ]
-        for part, field in ((RATES, "angular"), (FORCES, "force")):
+        for part in self.parts:
+            field = "angular" if part == RATES else "force"
             above, below = (getattr(one, field) for one in shown)
             if above is not below:
                 rows = tuple((a - b) / step for a, b in zip(above, below, strict=True))
@@ -468,12 +494,12 @@ class _Evaluation:
                 rows_of = self.sensors.answer(change, part, self.moving, after)
                 self._put(part, out, self._as_read(part, rows_of), step)
         ends = [self._sensors(moved) for moved in (high, low)]
-        if self.flight.attitude is not None and not ends[0].alike(ends[1]):
+        if self.rows_of_attitude is not None and not ends[0].alike(ends[1]):
             turning = [self._turning(sensors, self.lean) for sensors in ends]
             self._put_attitude(out, (turning[0] - turning[1]) / step, step)
 
     def _attitude_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
-        if self.flight.attitude is not None:
+        if self.rows_of_attitude is not None:
             gains = (_gain(self.effects("attitude", moved)) for moved in (high, low))
             turning = [self._turning(self.sensors, gain) for gain in gains]
             self._put_attitude(out, (turning[0] - turning[1]) / step, step)
