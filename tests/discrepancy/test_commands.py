@@ -12,6 +12,7 @@ from affected_flights import BASE
 from installed import COMMAND, groundstation, require_failure
 from programs import run_program
 from stand_in_flights import CARRYING_GAINS, recorded
+from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.comparison.channels import CHANNELS
@@ -123,11 +124,9 @@ def test_the_improved_model_is_judged_at_the_floor_by_compare(searched):
     improved = load_model(folder / "improved.json")
     assert [term.name for term in improved.effects] == ["mass_change", "velocity_moment"]
     assert improved.fit["discrepancy"]["verdict"] == "effects_found"
-    done = groundstation(
-        "compare", "clean.mcap", "hidden.mcap", "--model", "improved.json", "--json", cwd=folder
-    )
-    assert done.returncode == 0, done.stderr
-    report = msgspec.json.decode(done.stdout, type=CompareReport)
+    flights = folder / "clean.mcap", folder / "hidden.mcap"
+    said = told("compare", *flights, "--model", folder / "improved.json", "--json")
+    report = msgspec.json.decode(said, type=CompareReport)
     assert report.gap.validation.after is None
     # The effect is in one of the two flights only: the model that has it is wrong on the other.
     assert report.gap.channels["gyro_x"].before > 1.2
@@ -159,6 +158,13 @@ def test_the_rerun_file_holds_measured_before_and_after_of_every_channel(searche
             assert rows[entity] > 1000
 
 
+def told(*arguments):
+    """What a command prints that does its work; in this process, where it is loaded already."""
+    done = CliRunner().invoke(app, [str(one) for one in arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
 def said_no(*arguments):
     """Why the command line refuses, in one line; in this process, where it is loaded already."""
     with pytest.raises(BadInputError) as refused:
@@ -168,11 +174,9 @@ def said_no(*arguments):
 
 
 def test_the_report_is_printed_where_no_file_is_wanted(folder):
-    done = groundstation(
-        "discrepancy", "clean.mcap", "--model", "base.json", "--json", "-", cwd=folder
-    )
-    assert done.returncode == 0, done.stderr
-    report = msgspec.json.decode(done.stdout, type=DiscrepancyReport)
+    model = folder / "base.json"
+    said = told("discrepancy", folder / "clean.mcap", "--model", model, "--json", "-")
+    report = msgspec.json.decode(said, type=DiscrepancyReport)
     assert report.verdict == "no_discrepancy"
 
 
@@ -187,13 +191,10 @@ def test_nothing_is_overwritten(searched):
 
 
 def test_compare_says_where_in_words_and_as_a_page(folder, tmp_path):
-    done = groundstation(
-        *("compare", "hidden.mcap", "--model", "base.json", "--html", tmp_path / "where.html"),
-        cwd=folder,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "translation" in done.stdout
-    assert "gap over all channels" in done.stdout
+    flight, model = folder / "hidden.mcap", folder / "base.json"
+    said = told("compare", flight, "--model", model, "--html", tmp_path / "where.html")
+    assert "translation" in said
+    assert "gap over all channels" in said
     assert (tmp_path / "where.html").read_text().count("<svg") >= 4
 
 
@@ -256,8 +257,7 @@ def test_a_gain_that_a_lasting_torque_made_small_is_no_other_vehicle(folder):
     smaller = msgspec.structs.replace(model.body, c0=model.body.c0 / 14)
     save_model(msgspec.structs.replace(model, body=smaller), folder / "absorbed.json")
     write(folder / "unlike.mcap", flight(20.0))
-    done = groundstation("compare", "unlike.mcap", "--model", "absorbed.json", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    told("compare", folder / "unlike.mcap", "--model", folder / "absorbed.json")
 
 
 def test_a_model_that_is_not_for_the_given_vehicle_is_refused(refused):
@@ -275,12 +275,9 @@ def test_a_recording_both_fitted_and_held_out_is_refused(folder, tmp_path):
 
 
 def test_a_stretch_that_was_asked_for_comes_first(folder):
-    done = groundstation(
-        *("compare", "hidden.mcap", "--model", "base.json", "--stretch", "27:31", "--json"),
-        cwd=folder,
-    )
-    assert done.returncode == 0, done.stderr
-    (stretch,) = msgspec.json.decode(done.stdout, type=CompareReport).stretches
+    flight, model = folder / "hidden.mcap", folder / "base.json"
+    said = told("compare", flight, "--model", model, "--stretch", "27:31", "--json")
+    (stretch,) = msgspec.json.decode(said, type=CompareReport).stretches
     assert (stretch.recording, stretch.begin_s, stretch.end_s) == ("hidden.mcap", 27.0, 31.0)
     assert stretch.where[0].channel in ("gyro_x", "gyro_y")
 
