@@ -1,5 +1,6 @@
 """A fleet of the stand-in, in which something becomes of two crafts: catalogue, fits, findings."""
 
+import contextlib
 import json
 import shutil
 import sys
@@ -8,7 +9,9 @@ from pathlib import Path
 import pytest
 from installed import COMMAND, require_failure
 from programs import run_program
+from typer.testing import CliRunner
 
+from groundstation.cli.app import app
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.recordings import bridged
@@ -27,6 +30,14 @@ def fleet(folder, *words):
 def answer(folder, *words):
     done = fleet(folder, *words, "--json")
     assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def answer_here(folder, *words):
+    """The same of a command that takes this process alone, where it is loaded already."""
+    with contextlib.chdir(folder):
+        done = CliRunner().invoke(app, ["fleet", *words, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
     return json.loads(done.stdout)
 
 
@@ -62,7 +73,7 @@ def fitted(flown):
 
 
 def test_what_became_of_whom_is_named_and_nobody_else(fitted):
-    told = answer(fitted, "report", "fleet", "--html", "fleet.html")
+    told = answer_here(fitted, "report", "fleet", "--html", "fleet.html")
     truth = json.loads((fitted / "truth.json").read_text())
     assert {one["kind"] for one in truth} == {"rotor", "load"}
     assert len(told["findings"]) == len(truth)
@@ -84,8 +95,8 @@ def test_what_became_of_whom_is_named_and_nobody_else(fitted):
 
 def test_digits_are_the_same_on_one_process_and_on_two_workers(fitted, tmp_path):
     one_craft = str(fitted / "flights" / "cf02")
-    answer(tmp_path, "index", one_craft, "-o", "alone", "--workers", "1")
-    told = answer(tmp_path, "fit", "alone", "--workers", "1")
+    answer_here(tmp_path, "index", one_craft, "-o", "alone", "--workers", "1")
+    told = answer_here(tmp_path, "fit", "alone", "--workers", "1")
     assert told["fitted"] == FLIGHTS
     alone, both = fits(tmp_path / "alone"), fits(fitted / "fleet")
     assert alone == {address: both[address] for address in alone}
@@ -104,8 +115,8 @@ def sound(fitted, tmp_path_factory):
     ill = {one["craft"] for one in json.loads((fitted / "truth.json").read_text())}
     craft = min({f"cf{number:02d}" for number in range(1, CRAFTS + 1)} - ill)
     folder = tmp_path_factory.mktemp("sound")
-    answer(folder, "index", str(fitted / "flights" / craft), "-o", "one", "--workers", "1")
-    told = answer(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
+    answer_here(folder, "index", str(fitted / "flights" / craft), "-o", "one", "--workers", "1")
+    told = answer_here(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
     assert (told["searched"], told["refused"]) == (1, 0)
     return folder, told["crafts"][0]
 
@@ -130,19 +141,20 @@ def test_a_craft_is_searched_on_its_flights_together_and_whole_flights_are_held_
     delays = [delay_of(address) for address in row["fitted"]]
     assert min(delays) - 1e-4 < sizes["dead_time.delay_s"] < max(delays) + 1e-4
     assert any("yaw steps" in one for one in row["to_fly"])  # so short a flight has none
-    again = answer(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
+    again = answer_here(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
     assert (again["searched"], again["unchanged"]) == (0, 1)
 
 
 def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sound):
     folder, row = sound
     (folder / "found.json").write_text(row["model"])
-    assert answer(folder, "twin", "one", "--model", "found.json", "--workers", "1")["watched"] == (
-        FLIGHTS
-    )
-    told = answer(folder, "twin", "one", "--model", "thesis", "--workers", "1")
+    watched = answer_here(folder, "twin", "one", "--model", "found.json", "--workers", "1")
+    assert watched["watched"] == FLIGHTS
+    told = answer_here(folder, "twin", "one", "--model", "thesis", "--workers", "1")
     assert (told["watched"], told["disagreeing"]) == (FLIGHTS, FLIGHTS)
-    report = answer(folder, "report", "one", "--compare-before", "2026-01-06", "--html", "one.html")
+    report = answer_here(
+        folder, "report", "one", "--compare-before", "2026-01-06", "--html", "one.html"
+    )
     assert [one["craft"] for one in report["effects"]] == [row["craft"]]
     assert len(report["twin"]) == FLIGHTS
     assert set(report["to_fly"]) <= {row["craft"]}
@@ -154,7 +166,7 @@ def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sou
 
 
 def test_a_report_of_what_is_not_fitted_says_what_to_do(flown, tmp_path):
-    answer(tmp_path, "index", str(flown / "flights" / "cf02"), "-o", "fleet", "--workers", "1")
+    answer_here(tmp_path, "index", str(flown / "flights" / "cf02"), "-o", "fleet", "--workers", "1")
     done = fleet(tmp_path, "report", "fleet")
     assert "nothing is fitted: fleet fit first" in done.stdout
     assert "no catalogue" in require_failure(fleet(tmp_path, "fit", "nowhere", "--workers", "1"))
