@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,37 +12,6 @@ from groundstation.dynamics.vehicle import MotorConstants, Motors
 
 Array = NDArray[np.float64]
 REVOLUTION = 2 * math.pi
-
-
-@dataclass(frozen=True, slots=True)
-class DcMotor:
-    """Physical constants of an armature-controlled motor (thesis eq. 3.75-3.80), SI.
-
-    torque_constant: k_T, N m/A. back_emf: k_M, V per rad/s. winding_ohm: R.
-    rotor_inertia: I_r, kg m^2. load: k_L, N m per (rad/s)^2 of the propeller's drag. Eq. 3.79
-    adds the thrust coefficient k to it, which is a force; only the drag b loads the shaft.
-    """
-
-    torque_constant: float
-    back_emf: float
-    winding_ohm: float
-    rotor_inertia: float
-    load: float
-
-    def current_a(self, armature_v: ArrayLike, rotor_rad_s: ArrayLike) -> Array:
-        """Armature current in A (thesis eq. 3.78)."""
-        emf = self.back_emf * np.asarray(rotor_rad_s, np.float64)
-        return np.asarray((np.asarray(armature_v, np.float64) - emf) / self.winding_ohm)
-
-    @property
-    def constants(self) -> MotorConstants:
-        """a0, a1, a2 of eq. 3.82 in rev/s and mV, from eq. 3.81 in rad/s and V."""
-        push = self.torque_constant / (self.winding_ohm * self.rotor_inertia)
-        return MotorConstants(
-            a0=push / REVOLUTION / 1000.0,
-            a1=push * self.back_emf,
-            a2=self.load / self.rotor_inertia * REVOLUTION,
-        )
 
 
 def armature_mv(duty: ArrayLike, supply_v: ArrayLike) -> Array:

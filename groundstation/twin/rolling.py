@@ -8,7 +8,7 @@ this same code: what comes out does not depend on how the samples were cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -381,9 +381,3 @@ def _require_inputs(samples: SampleBatch) -> None:
     ]
     if lacking:
         raise BadInputError(f"the twin cannot fly: the telemetry has no {', '.join(lacking)}")
-
-
-def blocks_of(model: Model, pieces: Sequence[SampleBatch]) -> list[Block]:
-    """All blocks of some pieces of a stream: fast time."""
-    rolling = Rolling(model)
-    return [block for piece in pieces for block in rolling.feed(piece)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from thesis_equations import distribute, mix, output_stage
 
 from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import AntiWindup, PidGains
@@ -13,7 +14,6 @@ from groundstation.control.thesis_loop import (
     whole_loop,
 )
 from groundstation.dynamics.arx import simulate_arx
-from groundstation.dynamics.mixer import distribute, mix, output_stage
 from groundstation.dynamics.model import THESIS, Model
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.errors import BadInputError

@@ -3,14 +3,9 @@
 import msgspec
 import numpy as np
 import pytest
+from thesis_equations import distribute, mix, output_stage, thrust_and_torque
 
-from groundstation.dynamics.mixer import (
-    MIXERS,
-    distribute,
-    mix,
-    output_stage,
-    thrust_and_torque,
-)
+from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
 
 PLUS = BUILT_IN["crazyflie1"]

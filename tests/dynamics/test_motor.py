@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from groundstation.dynamics.motor import DcMotor, armature_mv, simulate_motor
+from groundstation.dynamics.motor import armature_mv, simulate_motor
 from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants
 
 
@@ -58,22 +58,6 @@ def test_without_an_initial_speed_the_motor_is_settled():
 def test_voltages_without_rows_are_refused():
     with pytest.raises(ValueError, match="expected"):
         simulate_motor(THESIS_MOTOR, np.zeros((0, 4)), 0.002)
-
-
-def test_identified_constants_follow_from_physical_ones():
-    """Eq. 3.81 in rad/s and V, integrated as it stands, against 3.82 in rev/s and mV."""
-    motor = DcMotor(
-        torque_constant=0.0012, back_emf=0.0013, winding_ohm=2.3, rotor_inertia=4e-8, load=3e-10
-    )
-    voltage, omega = 2.9, 800.0
-    current = motor.current_a(voltage, omega)
-    acceleration = (motor.torque_constant * current - motor.load * omega**2) / motor.rotor_inertia
-    c = motor.constants
-    n = omega / (2 * np.pi)
-    slope = c.a0 * 1000 * voltage - c.a1 * n - c.a2 * n**2
-    assert slope == pytest.approx(acceleration / (2 * np.pi))
-    steady = MotorConstants(c.a0, c.a1, c.a2).steady_rev_s(2900)
-    assert c.armature_mv(steady) == pytest.approx(2900)
 
 
 def test_armature_voltage_is_duty_times_supply_in_mv():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from euler_lagrange import flown
+from thesis_equations import mix
 
 from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
-from groundstation.dynamics.mixer import mix
 from groundstation.dynamics.model import THESIS, vehicle_model
 from groundstation.dynamics.rotations import matrix_of_quaternion
 from groundstation.dynamics.simulation import simulate, simulate_batch, specific_force

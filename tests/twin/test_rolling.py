@@ -12,10 +12,16 @@ from groundstation.errors import BadInputError
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import fly_ahead, observe_run
 from groundstation.telemetry.samples import SampleBatch
-from groundstation.twin.rolling import blocks_of
+from groundstation.twin.rolling import Rolling
 from groundstation.twin.signals import KINDS
 
 SAMPLES = flight(24.0, 1)
+
+
+def blocks_of(model, pieces):
+    """All blocks of some pieces of a stream: fast time."""
+    rolling = Rolling(model)
+    return [block for piece in pieces for block in rolling.feed(piece)]
 
 
 def pieces(samples, rows):
