@@ -127,6 +127,9 @@ PARAMETERS = np.dtype(
         ("windy", "i8"),
         ("wind", "f8", (6,)),  # rad/s^2 about, m/s^2 along the body's axes
         ("wind_time", "f8"),  # s
+        ("shaking_rotor", "i8"),
+        ("shaking_pull", "f8"),  # N per (rev/s)^2
+        ("shaking_twist", "f8"),  # N m per (rev/s)^2
         # effects whose laws are flown, see effects/own.py
         ("lawful", "i8"),
         ("own", "i8", (5,)),
@@ -138,8 +141,6 @@ PARAMETERS = np.dtype(
         ("arm_gain", "f8"),
         ("arm_damping", "f8"),
         ("arm_rotor", "i8"),
-        ("bent_torque", "f8"),  # N m per (rev/s)^2
-        ("bent_rotor", "i8"),
         ("gust_force", "f8"),
         ("gust_moment", "f8"),
         ("gust_hz", "f8"),

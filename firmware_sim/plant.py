@@ -14,7 +14,6 @@ import math
 from typing import Any
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.bent_propeller import bent_propeller
 from firmware_sim.effects.centre_of_gravity_offset import gravity_offset_torque
 from firmware_sim.effects.climb_inflow import inflow_loss
 from firmware_sim.effects.cracked_arm import cracked_arm
@@ -24,6 +23,7 @@ from firmware_sim.effects.motor_braking_asymmetry import braked
 from firmware_sim.effects.motor_coasting import driven
 from firmware_sim.effects.motor_dead_voltage import armature_mv
 from firmware_sim.effects.own import lawful_body, lawful_motor, lawful_rotors
+from firmware_sim.effects.propeller_imbalance import propeller_imbalance
 from firmware_sim.effects.quadratic_rate_damping import quadratic_damping
 from firmware_sim.effects.rate_damping import linear_damping
 from firmware_sim.effects.rotor_acceleration_torque import acceleration_torque
@@ -179,11 +179,16 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
     if p.states > CORE_STATES:
         for i in range(4):
             dy[PHASE + i] = y[ROTOR + i]
-        if p.bent_torque != 0.0:
-            i = p.bent_rotor
-            on_roll, on_pitch = bent_propeller(p, y[ROTOR + i], y[PHASE + i])
+        if p.shaking_pull != 0.0 or p.shaking_twist != 0.0:
+            i = p.shaking_rotor
+            on_x, on_y, on_roll, on_pitch, on_yaw = propeller_imbalance(
+                p, i, y[ROTOR + i], y[PHASE + i]
+            )
+            force_x += on_x
+            force_y += on_y
             roll += on_roll
             pitch += on_pitch
+            yaw += on_yaw
     if p.windy != 0:
         moment_x += wind(p, time_s, 0)
         moment_y += wind(p, time_s, 1)

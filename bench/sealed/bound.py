@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.sealed.hidden import UNBOUNDED
 from bench.sealed.signals import DT, Array, Columns, G, Signals, base_signals, effect_signals
 from firmware_sim.physics import parameters
 from firmware_sim.present import present_effects
@@ -42,14 +43,15 @@ def significances(
     flights: Sequence[NDArray[np.void]],
     motor_covariance: Array | None = None,
 ) -> dict[str, float]:
-    """Size of every present effect in standard errors of the Cramer-Rao bound.
+    """Size of every present effect in standard errors of the Cramer-Rao bound; 0 where no column
+    shows it, so that no search is asked for it.
 
     settings: of the craft that flew. flights: the truth of each, row by row, 500 rows a second
     heard without loss; slower telemetry tells less. motor_covariance: (3, 3) of the bench's a0,
     a1, a2; None: 1e-3 of each.
     """
     present = present_effects(settings)
-    names = [name for name in present if name != "attitude_filter_lean"]
+    names = [name for name in present if name not in ("attitude_filter_lean", *UNBOUNDED)]
     p = parameters(settings)[0]
     total: Array | None = None
     labels: list[str] = []
@@ -72,7 +74,7 @@ def significances(
     found = {name: _significance(total, labels, name) for name in names}
     if "attitude_filter_lean" in present:
         found["attitude_filter_lean"] = ALWAYS
-    return found
+    return found | {name: 0.0 for name in UNBOUNDED if name in present}
 
 
 def _information(h: Signals, signals: list[Columns], spectra: dict[str, Array]) -> Array:

@@ -6,7 +6,7 @@ from firmware_sim.effects.catalogue import EFFECTS
 
 LATER = ("slung_load", "motor_coasting")
 """Listed since results were kept: last, and in no mixture, so old cases stay what they were."""
-UNBOUNDED = ("wind",)
+UNBOUNDED = ("wind", "propeller_imbalance")
 """Listed, but no bound says how well it can be told: no column of a fit shows it."""
 MIXED = tuple(
     name
@@ -16,6 +16,7 @@ MIXED = tuple(
 LISTED = (*MIXED, *LATER)
 """The names of the design; a changed mass is told by what becomes of the base constants."""
 OUTSIDE = ("cracked_arm", "bent_propeller", "side_gust")
+"""No list has them; of a bent propeller the couple has a name, ``propeller_imbalance``."""
 ROTOR_TORQUES = ("rotor_gyroscopic_torque", "rotor_acceleration_torque")
 ALWAYS_FAITHFUL = (
     "battery_reading_lag",

@@ -1,28 +1,15 @@
-"""A torque that turns with its rotor: outside every list."""
+"""A torque that turns with its rotor, without a force: the couple of ``propeller_imbalance``."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from firmware_sim.compiled import inner
 from firmware_sim.effects.effect import ROTOR, Effect, Values, size
-from firmware_sim.layout import ALL_STATES, Record
-
-
-@inner
-def bent_propeller(p: Record, speed: float, phase: float) -> Any:
-    """A torque (N m on roll and pitch) that turns once with the rotor."""
-    torque = p.bent_torque * speed * speed
-    angle = 2.0 * math.pi * phase
-    return torque * math.cos(angle), torque * math.sin(angle)
+from firmware_sim.effects.propeller_imbalance import put
 
 
 def _apply(p: Any, values: Values) -> None:
-    p["bent_torque"] = values["torque_n_m"] / 250.0**2
-    p["bent_rotor"] = int(values["rotor"]) - 1
-    if values["torque_n_m"] != 0:
-        p["states"] = ALL_STATES
+    put(p, values["rotor"], 0.0, values["torque_n_m"] / 250.0**2)
 
 
 EFFECT = Effect(

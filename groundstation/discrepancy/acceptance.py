@@ -2,7 +2,8 @@
 
 A gate is a question that is asked at one stage of the procedure (``search.py``), a threshold with
 its source, and the reason that a refused candidate carries. Adding a gate is one function and one
-line of ``GATES``, or of ``LASTING_GATES`` for what has no column and only lasts.
+line of ``GATES``, or of ``LASTING_GATES`` and ``SHAKEN_GATES`` for what has no column and only
+lasts, or turns with a rotor.
 """
 
 from __future__ import annotations
@@ -113,6 +114,28 @@ class Lasting:
     t: float
     drop: float
     predicted: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Shaken:
+    """A rotor that shakes the craft, on its way through its gates.
+
+    t: standard errors by which its power is above none; alone: by which it is above that of the
+    three others together. drop: of -2 log L of the windows' spectra. held_out: the same on held-out
+    rows with this size, infinite where there are none; expected: what this size would drop there.
+    recordings: standard errors and share by which one flight tells another size. channels: that
+    show it.
+    """
+
+    effect: Effect
+    parameters: Mapping[str, Estimate]
+    t: float
+    drop: float
+    alone: float
+    held_out: float
+    expected: float
+    recordings: tuple[float, float]
+    channels: tuple[int, ...]
 
 
 def weak(trial: Trial) -> str:
@@ -245,12 +268,11 @@ def does_not_last(lasting: Lasting) -> str:
     return "" if enough else f"not significant: {lasting.t:.1f} standard errors"
 
 
-def implausible_spread(lasting: Lasting) -> str:
-    """No air moves a small craft so."""
-    if lasting.effect.plausible({name: one.value for name, one in lasting.parameters.items()}):
+def implausible_spread(found: Lasting | Shaken) -> str:
+    """No air moves a small craft so, no rotor shakes one so."""
+    if found.effect.plausible({name: one.value for name, one in found.parameters.items()}):
         return ""
-    values = ", ".join(f"{k} {one.value:.3g} {one.unit}" for k, one in lasting.parameters.items())
-    return f"not plausible: {values}"
+    return f"not plausible: {_in_words(found.parameters)}"
 
 
 def predicts_little(lasting: Lasting) -> str:
@@ -259,6 +281,36 @@ def predicts_little(lasting: Lasting) -> str:
         return ""
     percent = 100.0 * max(lasting.predicted, 0.0)
     return f"explains {percent:.0f} % of what is wrong in predictions"
+
+
+def shakes_by_chance(shaken: Shaken) -> str:
+    """Chance can do it."""
+    enough = shaken.t >= LEAST_T and shaken.drop >= LEAST_DROP
+    return "" if enough else f"not significant: {shaken.t:.1f} standard errors"
+
+
+def shakes_no_more(shaken: Shaken) -> str:
+    """Every propeller is a little out of balance."""
+    if shaken.alone >= LEAST_T:
+        return ""
+    return (
+        f"{_in_words(shaken.parameters)} shakes most, but not clearly more than the three others"
+        f" together: {shaken.alone:.1f} standard errors"
+    )
+
+
+def shakes_fitted_rows(shaken: Shaken) -> str:
+    """Rows that no fit saw do not shake as it says."""
+    enough = shaken.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * shaken.expected)
+    return "" if enough else "held-out rows do not show it"
+
+
+def flights_disagree(shaken: Shaken) -> str:
+    """Flights tell different sizes."""
+    errors, share = shaken.recordings
+    if errors <= DISAGREE or share <= DISAGREE_SHARE:
+        return ""
+    return f"recordings disagree on its size by {errors:.0f} standard errors"
 
 
 GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
@@ -283,6 +335,14 @@ LASTING_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Lasting], str]],
     ((Stage.FOLLOWED,), Reason.DROWNED, predicts_little),
 )
 """The same for what noise drives."""
+SHAKEN_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Shaken], str]], ...] = (
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, shakes_by_chance),
+    ((Stage.WEIGHED,), Reason.NOT_ALONE, shakes_no_more),
+    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, shakes_fitted_rows),
+    ((Stage.WEIGHED,), Reason.RECORDINGS_DISAGREE, flights_disagree),
+    ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible_spread),
+)
+"""The same for what turns with a rotor."""
 
 
 def refusal(stage: Stage, trial: Trial) -> Refusal | None:
@@ -295,6 +355,11 @@ def lasting_refusal(stage: Stage, lasting: Lasting) -> Refusal | None:
     return _refusal(LASTING_GATES, stage, lasting)
 
 
+def shaken_refusal(stage: Stage, shaken: Shaken) -> Refusal | None:
+    """The same of what turns with a rotor."""
+    return _refusal(SHAKEN_GATES, stage, shaken)
+
+
 def _refusal(
     gates: Sequence[tuple[tuple[Stage, ...], Reason, Callable[[Asked], str]]],
     stage: Stage,
@@ -304,6 +369,10 @@ def _refusal(
         if stage in where and (words := question(asked)):
             return Refusal(reason, words)
     return None
+
+
+def _in_words(parameters: Mapping[str, Estimate]) -> str:
+    return ", ".join(f"{k} {one.value:.3g} {one.unit}".strip() for k, one in parameters.items())
 
 
 def plausible(variant: Variant, point: Mapping[str, float]) -> bool:

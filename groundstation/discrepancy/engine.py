@@ -26,6 +26,7 @@ from groundstation.discrepancy.findings import (
     Predicted,
     Verdict,
 )
+from groundstation.discrepancy.imbalance import with_imbalance
 from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
@@ -206,7 +207,8 @@ def find_effects(
         search.judge = judge
     outcome = search_effects(search)
     warnings = _require_told(outcome, problem)
-    return _findings(outcome, problem, held, model, known, lost, warnings)
+    findings = _findings(outcome, problem, held, model, known, lost, warnings)
+    return with_imbalance(findings, problem, held, outcome.final.point)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:

@@ -39,6 +39,8 @@ class Reason(StrEnum):
     """Chance can do it."""
     NOT_HELD_OUT = "not_held_out"
     """Rows that no fit has seen are not predicted better."""
+    NOT_ALONE = "not_alone"
+    """Others of its kind do the same, none clearly more than the rest."""
     BETWEEN_ROWS = "between_rows"
     """Settings of the motors that no row shows can do as much."""
     TRIED_BEFORE = "tried_before"
@@ -87,7 +89,8 @@ class FoundEffect:
     (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on the validation
     rows), ``axes`` and ``recordings`` (standard deviations by which parts disagree),
     ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual on held-out
-    rows over the channels the effect touches, 1.0 being noise, before and after it joined.
+    rows over the channels the effect touches, 1.0 being noise, before and after it joined;
+    ``over_others``: standard errors by which a rotor shakes more than the others together.
     model: final constants, with the effects up to this one. adds: its law in words. gap_before,
     gap_after: the gap of predictions over all channels, as in the report; NaN until it is proven.
     """

@@ -56,6 +56,7 @@ CRAFT = np.dtype(
         ("body_states", "i8"),
         ("sensor_states", "i8"),
         ("body_initial", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),
+        ("body_made", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # the same of a made flight
         ("body_noise", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # standard deviation, or 0
         ("sensor_initial", "f8", (SENSOR_STATES,)),
         ("follows", "i8", (SENSOR_STATES,)),  # gyro 0-2, force 3-5, or -1
@@ -221,6 +222,8 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         craft[f"{stage}_states"] = LISTED_STATES[stage]
     for place, (state, there, values) in enumerate(remembered):
         craft[f"{stage}_initial"][place] = state.initial
+        if stage == "body":
+            craft["body_made"][place] = state.initial if state.made is None else state.made
         if there and state.noise and stage == "body":
             craft["body_noise"][place] = values[state.noise]
         # An observer takes the last that follows a channel for what the sensor shows of it.

@@ -137,13 +137,15 @@ class State:
     follows: a channel of ``Reading``'s gyro or accelerometer in body axes that the state is a
     delayed copy of: it begins at that channel's value and an observer corrects the two alike.
     noise: the parameter that is the state's standard deviation, where noise drives it: an observer
-    estimates it.
+    estimates it. made: what it begins with in a made flight, where ``initial`` is no more than what
+    can be expected of a recorded one (of an angle that nobody measures).
     """
 
     name: str
     initial: float = 0.0
     follows: Channel | None = None
     noise: str = ""
+    made: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,10 +218,15 @@ class Effect:
         return any(state.noise for state in self.states)
 
     @property
+    def unphased(self) -> bool:
+        """Whether it has an angle that nobody measures: it is told by its power, by no column."""
+        return any(state.made is not None for state in self.states)
+
+    @property
     def fitted(self) -> bool:
         """Whether a search fits it beside the base: not what is another name for one of its
         constants, what is known of the firmware, or what has no column."""
-        return not (self.renames or self.on_board or self.followed)
+        return not (self.renames or self.on_board or self.followed or self.unphased)
 
     @property
     def choice(self) -> Parameter | None:

@@ -10,7 +10,13 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from groundstation.dynamics.effect import TIME_CONSTANT, Channel, Effect, Law, Parameter, State
+
+LOOP_S = 1e-3
+"""How often the firmware runs it."""
 
 
 def on_board_filter(
@@ -56,6 +62,15 @@ def on_board_filter(
         on_board=f"{name}_hz",
         **more,
     )
+
+
+def power_passed(hz: NDArray[np.float64], corner_hz: float) -> NDArray[np.float64]:
+    """Share of a vibration's power that is left behind such a filter as the firmware runs it, by
+    the bilinear transform (Oppenheim and Schafer); corner 0: all of it."""
+    if corner_hz <= 0.0:
+        return np.ones_like(hz)
+    ratio = np.tan(math.pi * hz * LOOP_S) / math.tan(math.pi * corner_hz * LOOP_S)
+    return np.asarray(1.0 / (1.0 + ratio**4), np.float64)
 
 
 def _fastest(values: Mapping[str, float]) -> float:

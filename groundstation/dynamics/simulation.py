@@ -101,12 +101,14 @@ def simulate_batch(
     return states
 
 
-def with_states(crafts: Crafts, starts: Array) -> Array:
-    """Body states (m, 17) followed by those of the crafts' effects, where these have any."""
+def with_states(crafts: Crafts, starts: Array, made: bool = False) -> Array:
+    """Body states (m, 17) followed by those of the crafts' effects, where these have any; made: of
+    a flight that is no recorded one (``effect.State``)."""
     count = int(crafts["body_states"].max())
     if count == 0 or starts.shape[-1] != STATES:
         return starts
-    extra = np.broadcast_to(crafts["body_initial"][:, :count], (len(crafts), count))
+    begin = crafts["body_made" if made else "body_initial"]
+    extra = np.broadcast_to(begin[:, :count], (len(crafts), count))
     rows = max(len(starts), len(crafts))
     return np.hstack([np.broadcast_to(one, (rows, one.shape[1])) for one in (starts, extra)])
 

@@ -115,7 +115,7 @@ def _closed_loop(
         attitude=(0.0, 0.0, reference.attitude[0, 2]),
         rotor_rev_s=hover,
     )
-    state = with_states(craft, state[None])[0]
+    state = with_states(craft, state[None], made=True)[0]
     n = len(reference)
     duty, states = np.empty((n, 4)), np.empty((n, len(state)))
     duty[0] = duties_for(craft, state[ROTOR], np.zeros(4), supply)

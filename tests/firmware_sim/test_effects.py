@@ -45,6 +45,7 @@ LISTED = {
     "mass_change",
     "slung_load",
     "wind",
+    "propeller_imbalance",
 }
 QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 NEUTRAL = {"motor_braking_asymmetry": {"factor": 1.0}, "rotor_mismatch": {"excess": 0.0}}

@@ -234,9 +234,9 @@ def require_known(names: Sequence[str]) -> None:
                 f"--with {name}: its {', '.join(SOUGHT[name])} has to be looked for, which"
                 " 'groundstation discrepancy' does"
             )
-        if name in EFFECTS and EFFECTS[name].followed:
+        if name in EFFECTS and (EFFECTS[name].followed or EFFECTS[name].unphased):
             raise BadInputError(
-                f"--with {name}: no fit of constants shows it, for only its spread and pace are"
+                f"--with {name}: no fit of constants shows it, for only how large it is can be"
                 " known; 'groundstation discrepancy' finds it"
             )
         if name in EFFECTS:
