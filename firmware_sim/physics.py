@@ -190,6 +190,8 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
         for one in model.effects
         if one.name not in IMPLEMENTED and one.name in terms
     ]
+    # Its telemetry has no rotor speeds that a sensor could show.
+    laws = [effect for effect in laws if not effect.along]
     return [(effect, effect.values(terms[effect.name])) for effect in laws]
 
 

@@ -49,7 +49,8 @@ class SearchState:
         self.candidates = list(candidates)
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]
-        self.fixed = {key: problem.start[key] for one in fixed for key in one.keys}
+        held = (key for one in fixed for key in one.keys if key not in problem.base_keys)
+        self.fixed = {key: problem.start[key] for key in held}
         self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
         self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]

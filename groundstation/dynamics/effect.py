@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from groundstation.errors import BadInputError
 
-Stage = Literal["delay", "supply", "motor", "rotor", "body", "sensor", "attitude"]
+Stage = Literal["delay", "supply", "motor", "rotor", "body", "sensor", "attitude", "tachometer"]
 Channel = Literal[
     "gyro x",
     "gyro y",
@@ -223,10 +223,17 @@ class Effect:
         return any(state.made is not None for state in self.states)
 
     @property
+    def along(self) -> bool:
+        """Whether it is fitted with the base constants wherever rows show it, and no candidate."""
+        return self.stage == "tachometer"
+
+    @property
     def fitted(self) -> bool:
         """Whether a search fits it beside the base: not what is another name for one of its
-        constants, what is known of the firmware, or what has no column."""
-        return not (self.renames or self.on_board or self.followed or self.unphased)
+        constants, what is fitted along with them, what is known of the firmware, or what has no
+        column."""
+        apart = self.followed or self.unphased or self.along
+        return not (self.renames or self.on_board or apart)
 
     @property
     def choice(self) -> Parameter | None:

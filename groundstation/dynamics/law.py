@@ -12,6 +12,7 @@ The stages, in the order in which a flight passes them:
 | rotor | (values, craft, body, wrench) | thrust (N) and torque about x, y, z (N m) |
 | body | (values, craft, body) | ((3,) rad/s^2, (3,) m/s^2), body axes: what it adds |
 | sensor | (values, craft, body, reading) | a ``Reading`` |
+| tachometer | (values) | time constant of the sensor behind recorded rotor speeds, s |
 | attitude | (values) | proportional and integral gain of the attitude filter, 1/s and 1/s^2 |
 
 A body or sensor effect that declares states takes them as a last argument, a tuple, and returns

@@ -39,6 +39,27 @@ def delay_of_model(model: Model) -> float:
     return float(sum(found))
 
 
+def shown_rotors(model: Model, rev_s: Array, period_s: float) -> Array:
+    """What a sensor of rotor speeds shows (n, 4) of true ones at rows ``period_s`` apart."""
+    lags = (e.law(tuple(v.values())) for e, v in acting(model) if e.stage == "tachometer")
+    for lag_s in lags:
+        rev_s = lagged(rev_s, lag_s, period_s)
+    return rev_s
+
+
+def lagged(signals: Array, lag_s: float, period_s: float) -> Array:
+    """First-order lag of signals (n,) or (n, k) that are straight lines between rows; settled at
+    the first row."""
+    from scipy.signal import lfilter
+
+    keep = float(np.exp(-period_s / lag_s))
+    now = 1.0 - lag_s / period_s * (1.0 - keep)
+    before = 1.0 - keep - now
+    start = (before + keep) * signals[:1]
+    filtered, _ = lfilter([now, before], [1.0, -keep], signals, axis=0, zi=start)
+    return np.asarray(filtered)
+
+
 def resting_sensors(craft: np.void) -> Array:
     """What the sensors of a craft at rest remember, (SENSOR_STATES,)."""
     felt = np.array([0.0, 0.0, 0.0, 0.0, 0.0, craft["gravity"]])

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+TOLD = 3.0
+"""Standard errors from which a lag is told from none."""
 Progress = Callable[[float, str], None]
 """(share done, what is being done)."""
 
@@ -169,6 +171,19 @@ def effect_terms(estimates: Estimates, units: Callable[[str, str], str]) -> list
             estimate = Estimate(float(value), float(error), units(effect, parameter))
             found.setdefault(effect, {})[parameter] = estimate
     return [EffectTerm(name, parameters) for name, parameters in found.items()]
+
+
+def along_term(value: float, stderr: float) -> list[EffectTerm]:
+    """The lag of the sensor of rotor speeds, in s, as models hold it; nothing where none is told.
+
+    A fit without a model of the motors (``fit body``) says it after the motors' and in its place.
+    """
+    from groundstation.identification.likelihood.parameters import ALONG
+
+    (size,) = ALONG.definition.sizes
+    if not (value > TOLD * stderr and size.low <= value <= size.high):
+        return []
+    return [EffectTerm(ALONG.effect, {size.name: Estimate(value, stderr, size.unit)})]
 
 
 def unit_of(effect: str, parameter: str) -> str:

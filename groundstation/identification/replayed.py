@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
+from groundstation.dynamics.sensors import shown_rotors
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run
@@ -70,7 +71,8 @@ def simulate_run(
         attitude[at[real]] = done.attitude[real]
         flown[at[real]] = True
     attitude = np.unwrap(attitude, axis=0)
-    return Replayed(gyro, accelerometer, attitude, seen.drive.rotor_rev_s, flown)
+    shown = shown_rotors(model, seen.drive.rotor_rev_s, run.period_s)
+    return Replayed(gyro, accelerometer, attitude, shown, flown)
 
 
 def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:

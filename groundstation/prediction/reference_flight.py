@@ -22,7 +22,7 @@ from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.reference import Reference
 from groundstation.dynamics.rotations import attitude_of_quaternion, quaternion_of_attitude
-from groundstation.dynamics.sensors import FILTER, resting_sensors
+from groundstation.dynamics.sensors import FILTER, resting_sensors, shown_rotors
 from groundstation.dynamics.simulation import simulate, with_states
 from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, attitude_of, craft_state
 from groundstation.errors import BadInputError
@@ -85,6 +85,7 @@ def fly_reference(
     nothing = np.zeros((n, 3))
     run = MadeRun(SAMPLE_PERIOD_S, duty, volts, nothing, nothing, nothing, nothing, states, nothing)
     made = replace(_report(drive_run(model, run), run), reference=reference.attitude[:n])
+    made = replace(made, rotor_rev_s=shown_rotors(model, made.rotor_rev_s, made.period_s))
     if polynomials is None:
         return made
     turned = np.unwrap(attitude_of_quaternion(states[:, QUATERNION]), axis=0)

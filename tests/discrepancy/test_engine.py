@@ -255,11 +255,10 @@ def test_a_craft_heavier_than_its_model_is_told_as_that_and_nothing_else():
     assert findings.model.body.thrust_per_mass == given
 
 
-def test_measured_rotor_speeds_that_lag_leave_the_rotors_inertia_as_it_is():
+def test_measured_rotor_speeds_that_lag_are_told_and_leave_the_rotors_inertia_as_it_is():
     """The sensor follows each speed in 5 ms, first order. A sampled lag is inverted to half a
     millisecond, and no better: so much may be told as a delay."""
-    true_inertia = 8e-8
-    shown = []
+    true_inertia, shown = 8e-8, []
     for number in range(3):
         run, truth = flown(60.0, 40 + number, "rotor_acceleration_torque")
         speeds = truth["rotor_rev_s"].astype(np.float64)
@@ -272,6 +271,14 @@ def test_measured_rotor_speeds_that_lag_leave_the_rotors_inertia_as_it_is():
     found = {effect.name: effect.parameters for effect in findings.effects}
     told = found.pop("rotor_acceleration_torque")["rotor_inertia_kg_m2"].value
     assert told == pytest.approx(true_inertia, rel=0.02)
+    assert found.pop("rotor_speed_sensor")["lag_s"].value == pytest.approx(5e-3, abs=1e-3)
     assert set(found) <= {"dead_time"}
     for delay in found.values():
         assert abs(delay["delay_s"].value) < 1e-3
+    (candidate,) = [one for one in findings.candidates if one.name == "rotor_speed_sensor"]
+    assert candidate.accepted
+    # A model that has it is not told again.
+    again = find_effects(shown[:2], findings.model, shown[2:])
+    assert "rotor_speed_sensor" not in {effect.name for effect in again.effects}
+    (term,) = [one for one in again.model.effects if one.name == "rotor_speed_sensor"]
+    assert term.parameters["lag_s"].value == pytest.approx(5e-3, abs=1e-3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from stand_in_flights import recorded, truth_of
 
-from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.replayed import angle_rms, simulate_run
@@ -34,6 +34,19 @@ def test_without_disturbances_the_model_follows_the_flight(quiet):
     # The reported angle is held for two rows: up to 0.2 deg old at 100 deg/s.
     assert np.degrees(np.abs(done.attitude - run.attitude)[settled].max()) < 0.4
     assert np.abs(done.accelerometer[:, 2] - run.accelerometer[:, 2])[settled].max() < 0.05
+
+
+def test_rotor_speeds_are_those_that_a_sensor_which_lags_would_show(quiet):
+    """What is shown moves by what it is behind, over the lag."""
+    run, _ = quiet
+    sensor = EffectTerm("rotor_speed_sensor", {"lag_s": Estimate(0.008)})
+    lagging = msgspec.structs.replace(MODEL, effects=(sensor,))
+    done, other = simulate_run(MODEL, run), simulate_run(lagging, run)
+    np.testing.assert_array_equal(other.gyro, done.gyro)
+    shown, behind = other.rotor_rev_s[500:], (done.rotor_rev_s - other.rotor_rev_s)[500:]
+    assert np.abs(behind).max() > 1.0
+    moved = 0.008 * np.diff(shown, axis=0) / run.period_s
+    np.testing.assert_allclose(moved, 0.5 * (behind[1:] + behind[:-1]), atol=0.03)
 
 
 def test_longer_windows_drift_further(quiet):

@@ -33,6 +33,7 @@ from groundstation.identification.fit_record import (
     Progress,
     ResidualTest,
     Trace,
+    along_term,
     effect_terms,
     fitted_effects,
     liveliest,
@@ -46,6 +47,7 @@ from groundstation.identification.likelihood.on_board import (
     filter_terms,
     filters_of,
 )
+from groundstation.identification.likelihood.parameters import SENSOR_LAG
 from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
 from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.replayed import angle_rms
@@ -199,8 +201,11 @@ def _stated(value: float, stderr: float) -> dict[str, float]:
 
 
 def _fitted(before: Model, vehicle: Vehicle, fit: BodyFit, supply: Sequence[EffectTerm]) -> Model:
-    """The model before with what was fitted, and with the filters on board that the fit used."""
+    """The model before with what was fitted, the lag of the rotors' sensor among it, and with the
+    filters on board that the fit used."""
     terms = [*_terms(fit), *supply]
+    if SENSOR_LAG in fit.nuisances:
+        terms += along_term(*fit.nuisances[SENSOR_LAG])
     if fit.setup.problem.frame.gyro_filter_hz > 0.0:
         terms += filter_terms(filters_of(vehicle, fit.setup.problem.flights))
     kept = tuple(term for term in before.effects if term.name not in ON_BOARD)

@@ -84,6 +84,8 @@ VARIANTS: tuple[Variant, ...] = tuple(
 """The listed effects'."""
 RENAMES: tuple[Variant, ...] = tuple(one for one in VARIANTS if one.definition.renames)
 """Those that are another name for the change of a base constant, and so no candidates."""
+ALONG: Variant = next(one for one in VARIANTS if SENSOR_LAG in one.keys)
+"""The one that is fitted along with the base constants where rotor speeds were recorded."""
 KEYS: dict[str, Key] = {one.key: one for variant in VARIANTS for one in variant.unknowns}
 ABSENT: dict[str, float] = {key: one.absent for key, one in KEYS.items()}
 

@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.vehicle import Vehicle
-from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, TIMING, Point
+from groundstation.identification.likelihood.parameters import (
+    KEYS,
+    MOTOR_KEYS,
+    SENSOR_LAG,
+    TIMING,
+    Point,
+)
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -17,7 +23,7 @@ Prior = tuple[tuple[str, ...], dict[str, float], Array]
 MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 """Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""
 TIMING_DOUBT = 0.5
-LAG_DOUBT_S, LAG_BOUNDS_S = 0.01, (0.0, 0.02)
+LAG_DOUBT_S = 0.01
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
 TRIM_SHARE = 0.03
 """Of one rotor's moment in hover: the lasting moment that flights of one craft differ by. It is a
@@ -32,10 +38,11 @@ def trim_of(vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 def sensor_lag(model: Model) -> float:
-    """Of measured rotor speeds in s, as the motors' fit found it; 0 where it did not."""
+    """Of measured rotor speeds in s, as the motors' fit found it; 0 where it did not. A model that
+    has the effect says it itself."""
     account = model.fit.get("motor", {}).get("estimates") or {}
     known = dict(zip(account.get("names", ()), account.get("values", ()), strict=False))
-    return float(np.clip(known.get("sensor_lag_s", 0.0), *LAG_BOUNDS_S))
+    return float(np.clip(known.get("sensor_lag_s", 0.0), *KEYS[SENSOR_LAG].bounds))
 
 
 def fitted_along(model: Model) -> Point:

@@ -26,7 +26,6 @@ from groundstation.identification.likelihood.parameters import (
     value,
 )
 from groundstation.identification.likelihood.prior import (
-    LAG_BOUNDS_S,
     LAG_DOUBT_S,
     fitted_along,
     prior_of,
@@ -102,7 +101,8 @@ class Problem:
         self.prior, self.known_motor = prior_of(model, start)
         if measured:
             weight = np.array([[LAG_DOUBT_S**-2]])
-            self.prior.append(((SENSOR_LAG,), lag, weight))
+            centre = {SENSOR_LAG: self.start[SENSOR_LAG]}
+            self.prior.append(((SENSOR_LAG,), centre, weight))
         near = fitted_along(model) if measured else {}
         self.near: Point = {key: number for key, number in near.items() if key not in start}
         """Where columns are evaluated first: what the body's fit saw beside its constants."""
@@ -367,8 +367,6 @@ def _ends(point: Point, keys: Sequence[str], unknowns: Mapping[str, Key]) -> tup
             low[i], high[i] = sorted((0.2 * point[key], 5.0 * point[key]))
         elif key == TIMING:
             low[i], high[i] = TIMING_BOUNDS
-        elif key == SENSOR_LAG:
-            low[i], high[i] = LAG_BOUNDS_S
         elif key in unknowns:
             low[i], high[i] = unknowns[key].bounds
     return low, high

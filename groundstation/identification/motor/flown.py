@@ -17,6 +17,7 @@ from groundstation.identification.fit_record import (
     Evidence,
     Identified,
     Progress,
+    along_term,
     effect_terms,
     unit_of,
     with_effects,
@@ -95,11 +96,12 @@ def identify_rotors(
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
         "warnings": [*dict.fromkeys([*left_out, *held_out]), *_warnings(fit)],
     }
+    terms = [*effect_terms(fit.estimates, unit_of), *along_term(fit.lag_s, fit.lag_stderr_s)]
     model = msgspec.structs.replace(
         before,
         motor=mean_motor(fit.motors),
         motors=fit.motors,
-        effects=with_effects(before, effect_terms(fit.estimates, unit_of)),
+        effects=with_effects(before, terms),
     )
     return Identified(model, account, Evidence({"motor": fit.estimates}, traces, residuals))
 

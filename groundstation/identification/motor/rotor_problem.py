@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import bounded_step, inverse
@@ -352,16 +353,3 @@ def _rows(run: MotorRun, first: int, last: int) -> MotorRun:
         getattr(run, name)[first:last] for name in ("voltage_mv", "rev_s", "age_s", "jitter_s")
     )
     return MotorRun(run.name, run.period_s, *parts)
-
-
-def lagged(signals: Array, lag_s: float, period_s: float) -> Array:
-    """First-order lag of signals (n,) or (n, k) that are straight lines between rows; settled at
-    the first row."""
-    from scipy.signal import lfilter
-
-    keep = float(np.exp(-period_s / lag_s))
-    now = 1.0 - lag_s / period_s * (1.0 - keep)
-    before = 1.0 - keep - now
-    start = (before + keep) * signals[:1]
-    filtered, _ = lfilter([now, before], [1.0, -keep], signals, axis=0, zi=start)
-    return np.asarray(filtered)

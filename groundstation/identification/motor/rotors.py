@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import MotorConstants, Motors, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.estimate import Estimates, fit_percent, inverse, rms, sandwich
@@ -23,7 +24,6 @@ from groundstation.identification.motor.rotor_problem import (
     SETTLE_S,
     RotorProblem,
     constants_of,
-    lagged,
     shape_of,
 )
 
@@ -67,6 +67,10 @@ class RotorFit:
     @property
     def lag_s(self) -> float:
         return self.estimates["sensor_lag_s"]
+
+    @property
+    def lag_stderr_s(self) -> float:
+        return float(self.estimates.stderr[self.estimates.names.index("sensor_lag_s")])
 
     @property
     def values(self) -> dict[str, float]:

@@ -11,10 +11,11 @@ import pytest
 
 from groundstation.dynamics.model import load_model, save_model, vehicle_model
 from groundstation.dynamics.motor import armature_mv, simulate_motor
+from groundstation.dynamics.sensors import lagged
 from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.flown import rotor_runs
-from groundstation.identification.motor.rotor_problem import constants_of, lagged, shape_of
+from groundstation.identification.motor.rotor_problem import constants_of, shape_of
 from groundstation.identification.motor.rotors import fit_rotors
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import Run
@@ -102,6 +103,10 @@ def test_the_model_file_has_four_motors_and_the_account_their_spread(flights, tm
     save_model(model, tmp_path / "motor.json")
     assert load_model(tmp_path / "motor.json").motors == model.motors
     assert mean_motor(model.motors) == model.motor
+    (sensor,) = model.effects
+    assert sensor.name == "rotor_speed_sensor"
+    lag = sensor.parameters["lag_s"]
+    assert lag.value == pytest.approx(LAG_S, abs=3 * lag.stderr)
     assert [one["rotor"] for one in found.account["rotors"]] == [1, 2, 3, 4]
     assert any("they differ by 6." in line for line in found.account["findings"])
     assert found.account["warnings"] == []
@@ -167,12 +172,12 @@ def test_motors_that_coast_are_found_with_their_constants():
     np.testing.assert_allclose(
         [one.a0 for one in found.model.motors], [one.a0 for one in FOUR], rtol=0.06
     )
-    (term,) = found.model.effects
+    term = found.model.effects[0]
     assert term.name == "motor_coasting"
     again = identify_motor(flights, [], found.model, VEHICLE)
     assert again.account["estimates"]["values"] == pytest.approx(estimates["values"], rel=1e-3)
     calm = identify_motor([flight("calm", 9)], [], found.model, VEHICLE)
-    assert calm.model.effects == found.model.effects
+    assert term in calm.model.effects
 
 
 @pytest.mark.parametrize(
@@ -185,7 +190,7 @@ def test_motors_that_do_not_coast_are_told_so(chatter, said):
     found = identify_motor(flights, [], BEFORE, VEHICLE)
     assert said in found.account["findings"][-1]
     assert COASTING not in found.account["estimates"]["names"]
-    assert found.model.effects == ()
+    assert [term.name for term in found.model.effects] == ["rotor_speed_sensor"]
 
 
 def test_swapped_sensors_are_told_as_that(flights):
