@@ -13,6 +13,7 @@ from typing import Any
 from firmware_sim.compiled import inner
 from firmware_sim.effects.imu_lever_arm import lever_arm_acceleration
 from firmware_sim.effects.own import lawful_reading
+from firmware_sim.effects.position_aided_lean import tilt_taken
 from firmware_sim.layout import (
     ACCEL_DLPF,
     GYRO_DLPF,
@@ -205,7 +206,8 @@ def _into_sensor(m: Any, x: float, y: float, z: float) -> Any:
 def _sample_attitude(
     p: Record, s: Record, slot: int, w: float, a: float, b: float, c: float
 ) -> None:
-    """True Euler angles of the sensor (eq. 3.6) plus white noise, deg, firmware convention."""
+    """Euler angles of the sensor (eq. 3.6), true but for what an estimator takes for a tilt, plus
+    white noise, deg, firmware convention."""
     r11, r21 = 1 - 2 * (b * b + c * c), 2 * (a * b + w * c)
     r31, r32, r33 = 2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)
     if p.rotated != 0:
@@ -216,6 +218,10 @@ def _sample_attitude(
         r31, r32, r33 = _into_sensor(m, r31, r32, r33)
     roll = math.atan2(r32, r33)
     pitch = math.asin(min(max(r31, -1.0), 1.0))  # nose up positive
+    if p.aided_strength > 0.0:
+        forward, left = tilt_taken(p, s, 1e-9 * p.sensor_period_ns)
+        roll -= left
+        pitch -= forward
     yaw = math.atan2(r21, r11)
     scale = p.angle_noise
     s.ring_angles[slot, 0] = (roll + scale * normal(s.rng, SENSOR_STREAM)) * DEGREES

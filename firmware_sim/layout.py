@@ -124,6 +124,8 @@ PARAMETERS = np.dtype(
         ("load_length", "f8"),
         ("load_damping", "f8"),  # 1/s
         ("load_below", "f8"),  # m
+        ("aided_strength", "f8"),
+        ("aided_time", "f8"),  # s
         ("windy", "i8"),
         ("wind", "f8", (6,)),  # rad/s^2 about, m/s^2 along the body's axes
         ("wind_time", "f8"),  # s
@@ -255,6 +257,7 @@ STATE = np.dtype(
         ("ring_accel", "i8", (SENSOR_RING, 3)),
         ("ring_angles", "f8", (SENSOR_RING, 3)),
         ("filter", "f8", (10, 2)),  # memory of the filters: gyro, accelerometer, quaternion
+        ("aided", "f8", (4,)),  # of an estimator: tilt taken, velocity unexplained, twice
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),

@@ -191,6 +191,14 @@ def insignificant(trial: Trial) -> str:
     return "" if enough else f"not significant: {evidence.t:.1f} standard errors"
 
 
+def no_longer_significant(trial: Trial) -> str:
+    """Chance can do what is left for it beside those that joined since."""
+    evidence = _evidence(trial)
+    if evidence.t >= LEAST_T:
+        return ""
+    return f"not significant beside the others: {evidence.t:.1f} standard errors"
+
+
 def not_held_out(trial: Trial) -> str:
     """Rows that no fit saw are not predicted better, one row ahead."""
     evidence = _evidence(trial)
@@ -323,6 +331,7 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.WEIGHED,), Reason.TRIED_BEFORE, tried_before),
     ((Stage.JOINED, Stage.SETTLED), Reason.SUPERFLUOUS, superfluous),
+    ((Stage.STABLE,), Reason.INSIGNIFICANT, no_longer_significant),
     ((Stage.STABLE,), Reason.CHANNELS_DISAGREE, channels_disagree),
     ((Stage.STABLE,), Reason.RECORDINGS_DISAGREE, recordings_disagree),
     ((Stage.LEFT,), Reason.DROWNED, drowned),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import FORCE, GYRO, Effect, Stage
+from groundstation.dynamics.effect import ANGLES, FORCE, GYRO, Effect, Stage
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
 from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
 from groundstation.dynamics.own_effects import find_effect
@@ -60,6 +60,9 @@ CRAFT = np.dtype(
         ("body_noise", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # standard deviation, or 0
         ("sensor_initial", "f8", (SENSOR_STATES,)),
         ("follows", "i8", (SENSOR_STATES,)),  # gyro 0-2, force 3-5, or -1
+        # of an effect that turns reported angles: the angle 0-2, 3 for its other states, else -1
+        ("turns", "i8", (SENSOR_STATES,)),
+        ("turning", "i8"),  # 1 where there is one
         ("fastest", "f8"),  # 1/s, of the sensor states
     ]
 )
@@ -114,7 +117,7 @@ def craft_of_motors(
 def craft_of_laws(effects: Sequence[Acting]) -> Crafts:
     """Effects alone as a record, shape (1,), in which all of them act like a user's own."""
     record = np.zeros(1, CRAFT)
-    record["follows"] = -1
+    record["follows"] = record["turns"] = -1
     by_stage: dict[str, list[Acting]] = {}
     for one in effects:
         by_stage.setdefault(one[0].stage, []).append(one)
@@ -168,7 +171,7 @@ def add_effects(craft: np.void, effects: list[Acting]) -> None:
     Raises BadInputError where the own ones have too many parameters or states.
     """
     own: dict[str, list[Acting]] = {}
-    craft["follows"] = -1
+    craft["follows"] = craft["turns"] = -1
     for effect, values in effects:
         if effect.stage not in COMPILED:
             continue
@@ -211,7 +214,7 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
     every = [(effect, bool(craft[effect.name][0]), _given(craft, effect)) for effect in listed]
     every += [(effect, True, values) for effect, values in own]
     remembered = [
-        (state, there, values) for effect, there, values in every for state in effect.states
+        (effect, state, there, values) for effect, there, values in every for state in effect.states
     ]
     theirs = sum(len(effect.states) for effect, _ in own)
     if theirs > STATE_SLOTS:
@@ -220,7 +223,7 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         craft[f"{stage}_states"] = LISTED_STATES[stage] + STATE_SLOTS
     elif any(craft[effect.name][0] for effect in listed):
         craft[f"{stage}_states"] = LISTED_STATES[stage]
-    for place, (state, there, values) in enumerate(remembered):
+    for place, (effect, state, there, values) in enumerate(remembered):
         craft[f"{stage}_initial"][place] = state.initial
         if stage == "body":
             craft["body_made"][place] = state.initial if state.made is None else state.made
@@ -229,6 +232,9 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         # An observer takes the last that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
+        if there and effect.turning:
+            craft["turns"][place] = (*ANGLES, "").index(state.turns)
+            craft["turning"] = 1
 
 
 def _given(craft: np.void, effect: Effect) -> dict[str, float]:

@@ -139,6 +139,7 @@ class State:
     noise: the parameter that is the state's standard deviation, where noise drives it: an observer
     estimates it. made: what it begins with in a made flight, where ``initial`` is no more than what
     can be expected of a recorded one (of an angle that nobody measures).
+    turns: of a sensor, the reported angle that is off by it, in rad.
     """
 
     name: str
@@ -146,6 +147,7 @@ class State:
     follows: Channel | None = None
     noise: str = ""
     made: float | None = None
+    turns: Literal["", "roll", "pitch", "yaw"] = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +228,11 @@ class Effect:
     def along(self) -> bool:
         """Whether it is fitted with the base constants wherever rows show it, and no candidate."""
         return self.stage == "tachometer"
+
+    @property
+    def turning(self) -> bool:
+        """Whether it is no more than a lean of the reported angles, driven by what is measured."""
+        return any(state.turns for state in self.states)
 
     @property
     def fitted(self) -> bool:

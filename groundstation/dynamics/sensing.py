@@ -42,13 +42,54 @@ def sense(p: Any, body: Any, z: Any, dz: Any) -> Any:
 @inner
 def estimated(craft: Any, q: Any, z: Any) -> Any:
     """The attitude q as an estimator on board has it, which turns by what the gyro shows: behind
-    the firmware's filter (``sensors_bmi088_bmp3xx.c`` gives the estimator filtered rates)."""
+    the firmware's filter (``sensors_bmi088_bmp3xx.c`` gives the estimator filtered rates), and by
+    what effects add."""
+    if craft.turning != 0:
+        roll, pitch, yaw = quaternion.angles(q)
+        for i in range(SENSOR_STATES):
+            if craft.turns[i] == 0:
+                roll += z[i]
+            elif craft.turns[i] == 1:
+                pitch += z[i]
+            elif craft.turns[i] == 2:
+                yaw += z[i]
+        q = quaternion.of_angles((roll, pitch, yaw))
     if craft.gyro_filter[0] == 0.0:
         return q
     i = GYRO_FILTER
     state = (z[i], z[i + 1], z[i + 2], z[i + 3], z[i + 4], z[i + 5])
     x, y, w = butterworth_behind(state, craft.gyro_filter[1])
     return quaternion.normalised(quaternion.product(q, (1.0, -0.5 * x, -0.5 * y, -0.5 * w)))
+
+
+@spliced
+def feel(craft: Any, p: Any, body: Any, force: Any, h: float, room: Any) -> None:
+    """Lean by the specific force that was measured over the row before a body, not by its own.
+
+    room: (4, states); the first are the sensors' states, of which those change that turn reported
+    angles.
+    """
+    sense(p, body, room[0], room[1])
+    sense(p, felt_by(body, force), room[0], room[2])
+    for i in range(SENSOR_STATES):
+        if craft.turns[i] >= 0:
+            room[0, i] += h * (room[2, i] - room[1, i])
+
+
+@inner
+def felt_by(body: Any, force: Any) -> Any:
+    """A body with another specific force."""
+    return Body(
+        body.height,
+        body.quaternion,
+        body.velocity,
+        body.rate,
+        body.rotor,
+        body.rotor_slope,
+        body.thrust,
+        body.angular,
+        force,
+    )
 
 
 @inner

@@ -83,6 +83,10 @@ class AttitudeRows:
     lean_as_read: Array
     between: bool
 
+    def euler_rates(self, rates: Array) -> Array:
+        """Euler rates (m, 3) of rates in the body."""
+        return np.asarray(np.einsum("nij,nj->ni", self.to_euler, rates))
+
     def where_told(self, rates: Array) -> Array:
         """Rates (m, ...) of data or model, nothing over a gap."""
         return np.where(self.told.reshape(-1, *(1,) * (rates.ndim - 1)), rates, 0.0)

@@ -24,7 +24,7 @@ from groundstation.dynamics.kernels import four, normalise
 from groundstation.dynamics.law import FAR_M, Body, Reading
 from groundstation.dynamics.motor_kernels import armature_of
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
-from groundstation.dynamics.sensing import begin, estimated, follow, sense
+from groundstation.dynamics.sensing import begin, estimated, feel, follow, sense
 from groundstation.dynamics.sensors import FILTER
 
 NO_BODY = Body(
@@ -379,6 +379,8 @@ def observe(
             then = now
             if leans:
                 _lean(f, sensor, shown, felt, h, fresh[j], since)
+            if craft.turning != 0 and known[1]:
+                feel(craft, p, body, force, h, z)
             new = fresh[j] and not math.isnan(attitude[j, 0])
             if fresh[j]:
                 since = 0.0

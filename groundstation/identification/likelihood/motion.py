@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
+from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
@@ -74,28 +75,32 @@ class Motion:
     news: (n, 3) rad/s^2, what the rows' own measurement says of a disturbance.
     """
 
-    def __init__(self, flight: Flight, force: Array, turn: Array, leaning: bool) -> None:
+    def __init__(
+        self, flight: Flight, force: Array, turn: Array, true: Array | None, leaning: bool
+    ) -> None:
         """force: (n, 3) specific force in body axes. turn: (3, 3), sensor to body axes. leaning:
-        reported angles follow the accelerometer."""
+        reported angles follow the accelerometer. true: (n, 3) rad, the angles behind those that an
+        estimator turns; None: they are the reported ones."""
         run, count = flight.run, len(flight.run)
         self.flight, self.period = flight, run.period_s
         self._rates, self.news = np.zeros((count, 3)), np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))
+        attitude = run.attitude if true is None else true
         if flight.up is not None:
-            self.velocity = self._velocity(force @ turn, leaning) @ turn.T
+            self.velocity = self._velocity(force @ turn, attitude, leaning) @ turn.T
         height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
         rows: Any = (
             np.minimum(height, FAR_M),
-            tuple(flight.orientation),
+            tuple(flight.orientation) if true is None else _rows(quaternion_of_attitude(true)),
             _rows(self.velocity),
             *(STILL, _FOUR, _FOUR, 0.0, STILL, STILL),
         )
         self._still: BodyRows = Body(*rows)
 
-    def _velocity(self, sensed: Array, leaning: bool) -> Array:
+    def _velocity(self, sensed: Array, attitude: Array, leaning: bool) -> Array:
         # A lean turns the attitude until no acceleration is felt, and a filter that takes every
         # second row of the gyro folds vibration into it: over seconds the gyro knows better.
-        flight, attitude = self.flight, self.flight.run.attitude
+        flight = self.flight
         if leaning and flight.carried is not None:
             attitude = flight.carried
         leak = LEANING_LEAK_S if leaning else LEAK_S

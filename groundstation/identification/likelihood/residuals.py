@@ -143,7 +143,10 @@ class _Evaluation:
         self.sensors = self._sensors({})
         self.lean = _gain(self.effects("attitude"))
         self.gyro, self.force = self.sensors.true(run.gyro, run.accelerometer)
-        self.motion = Motion(flight, self.force, self.sensors.turn, leaning=self.lean > 0.0)
+        off = self._off(self.sensors)
+        true = None if off is None else run.attitude - off
+        leans = self.lean > 0.0
+        self.motion = Motion(flight, self.force, self.sensors.turn, true, leaning=leans)
         self.delay = sum(one.law() for one in self.effects("delay"))
         rotors = self._rotors(point)
         self.inputs = Inputs.of(rotors, self.delay, self.period)
@@ -165,6 +168,12 @@ class _Evaluation:
         else:
             self._turn()
         self.angular_peak = float(np.abs(self.gyro_model).max())
+
+    def _off(self, sensors: Sensors) -> Array | None:
+        """How far effects of an estimator turn the reported angles (n, 3), rad; None: not."""
+        if self.flight.attitude is None or not self.flight.has_accelerometer:
+            return None
+        return sensors.lean(self.force, max(self.flight.first - 1, 0), self.period)
 
     def _inputs(self, point: Mapping[str, float]) -> Inputs:
         return Inputs.of(self._rotors(point), self.delay, self.period)
@@ -233,7 +242,7 @@ class _Evaluation:
         return moving, self.sensors.shown(given, moving)
 
     def _turning(self, sensors: Sensors, lean: float) -> Array:
-        """Rates (m, 3) with which the reported angles should turn, on their fresh rows.
+        """Euler rates (m, 3) with which the reported angles should turn, on their fresh rows.
 
         Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured
         slope: the model's lacks what disturbances do, which the controller answers, and the
@@ -245,7 +254,13 @@ class _Evaluation:
         found = sensors.turning(rows.gyro, rows.slope, 1.0 - lean / FIRMWARE_GAIN)
         today = self.frame.vehicle.accelerometer_filter_hz > 0.0
         leaning = rows.lean_as_read if today else rows.lean
-        return found + self.point.get(TIMING, 0.0) * rows.timing + lean * leaning
+        found = found + self.point.get(TIMING, 0.0) * rows.timing + lean * leaning
+        euler = rows.euler_rates(found)
+        off = self._off(sensors)
+        if off is not None:
+            ends = rows.first + rows.stride * np.arange(len(euler))
+            euler += (off[ends] - off[ends - rows.stride]) / (rows.stride * self.period)
+        return euler
 
     def generic(self) -> dict[str, Array]:
         """See ``generic_signals``."""
@@ -289,8 +304,7 @@ class _Evaluation:
         lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
         rows = self.rows_of_attitude
         if rows is not None:
-            turning = np.einsum("nij,nj->ni", rows.to_euler, self._turning(self.sensors, self.lean))
-            euler = rows.where_told(rows.rate - turning)
+            euler = rows.where_told(rows.rate - self._turning(self.sensors, self.lean))
             residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
             told = rows.where_told(rows.to_euler)
             lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
@@ -343,9 +357,10 @@ class _Evaluation:
                 out[part.start + axis] = one.copy()
 
     def _put_attitude(self, out: Columns, rates: Array, step: float = math.inf) -> None:
+        """Store Euler rates (m, 3)."""
         rows, least = self.rows_of_attitude, ROUNDING / abs(step)
         assert rows is not None
-        euler = rows.where_told(np.einsum("nij,nj->ni", rows.to_euler, rates))
+        euler = rows.where_told(rates)
         for axis in range(3):
             if (np.abs(euler[:, axis]) > least).any():
                 out[ATTITUDE + axis] = euler[:, axis]
@@ -361,8 +376,9 @@ class _Evaluation:
         out: Columns = {}
         stage = self._stage(key)
         if key == TIMING:
-            if self.rows_of_attitude is not None:
-                self._put_attitude(out, self.rows_of_attitude.timing)
+            rows = self.rows_of_attitude
+            if rows is not None:
+                self._put_attitude(out, rows.euler_rates(rows.timing))
         elif key in BODY_KEYS:
             self._craft_column(key, out)
         elif key == SENSOR_LAG:
@@ -478,7 +494,8 @@ class _Evaluation:
     def _sensor_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         (label,) = high
         there, one = self.there.get(label), high[label] or low[label]
-        assert one is not None
+        if one is None:  # the shape of an absent one
+            return
         behind = sum(before(e, one) for e in self.sensors.effects)
         shown = [
             passed(moved[label], self.craft, self.passing[behind], self.moving)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.effect import ANGLES
 from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.motion import (
@@ -96,7 +97,10 @@ class Sensors:
     ) -> None:
         """filter_hz: corners of the on-board low-passes of second order behind gyro and
         accelerometer; 0: none."""
-        self.effects, self.craft = effects, craft
+        self.craft = craft
+        self.estimators = tuple(one for one in effects if one.effect.turning)
+        effects = tuple(one for one in effects if not one.effect.turning)
+        self.effects = effects
         self.gyro_filter_hz, self.accelerometer_filter_hz = filter_hz
         self.gain, self.lag, self.offset = np.eye(6), np.zeros((6, 6)), np.zeros(6)
         self.unfelt: Array = np.zeros((6, 6))
@@ -139,6 +143,17 @@ class Sensors:
             found += lagging * slope @ (self.turn.T @ undo @ self.unfelt[RATES, RATES] @ undo).T
         return np.asarray(found)
 
+    def lean(self, force: Array, first: int, period_s: float) -> Array | None:
+        """How far reported roll, pitch and yaw (n, 3) are off by a measured specific force (n, 3),
+        rad; None: not at all. first: the row at which that has settled."""
+        found = None
+        for one in self.estimators:
+            near = _estimator_near_rest(one, self.craft)
+            more = _filtered(near, FORCES, force, first, period_s)
+            more[:first] = 0.0
+            found = more if found is None else found + more
+        return found
+
     def shown(self, given: Passing, moving: Moving) -> list[Passing]:
         """``given``, and what passes each sensor on."""
         found = [given]
@@ -180,7 +195,8 @@ class Sensors:
         matrix = np.eye(3)
         for near in self.linear[behind:]:
             if near.c[part].any():
-                values = _filtered(near, part, _turned(values, matrix), moving)
+                given = _turned(values, matrix)
+                values = _filtered(near, part, given, moving.first, moving.period_s)
                 matrix = np.eye(3)
             else:
                 matrix = near.d[part, part] @ matrix
@@ -203,7 +219,8 @@ class Sensors:
             )
             for x in (self, other)
         )
-        return np.allclose(one, two, rtol=0.0, atol=SAME)
+        same = self.estimators == other.estimators
+        return same and np.allclose(one, two, rtol=0.0, atol=SAME)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,9 +274,22 @@ def _near_rest(one: Acting, craft: Craft) -> Linear:
     return Linear(a, slopes[6:, :6], c, slopes[:6, :6], offset)
 
 
+@lru_cache(maxsize=256)
+def _estimator_near_rest(one: Acting, craft: Craft) -> Linear:
+    """An effect that turns reported angles, which are what it shows of forces."""
+    near = _near_rest(one, craft)
+    shown = np.zeros((6, len(one.effect.states)))
+    for place, state in enumerate(one.effect.states):
+        if state.turns:
+            shown[FORCES][ANGLES.index(state.turns), place] = 1.0
+    return replace(near, c=shown, d=np.zeros((6, 6)), offset=np.zeros(6))
+
+
 def passed(one: Acting | None, craft: Craft, given: Passing, moving: Moving) -> Passing:
     """What a sensor passes on."""
-    return given if one is None else _passed(one, _near_rest(one, craft), craft, given, moving)
+    if one is None or one.effect.turning:
+        return given
+    return _passed(one, _near_rest(one, craft), craft, given, moving)
 
 
 def _passed(one: Acting, near: Linear, craft: Craft, given: Passing, moving: Moving) -> Passing:
@@ -286,7 +316,7 @@ def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
     if near.c[RATES].any():
         angular = _filtered_rates(near, angular, moving)
     if near.c[FORCES].any():
-        force = _filtered(near, FORCES, force, moving)
+        force = _filtered(near, FORCES, force, moving.first, moving.period_s)
     rows = (np.ascontiguousarray(part.T) for part in (rate, angular, force))
     return Passing(*(tuple(part) for part in rows))
 
@@ -294,22 +324,22 @@ def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
 def _filtered_rates(near: Linear, angular: Array, moving: Moving) -> Array:
     """Slopes of rates (n, 3) behind a sensor, which sees those within a row as well."""
     if moving.within is None:
-        return _filtered(near, RATES, angular, moving)
+        return _filtered(near, RATES, angular, moving.first, moving.period_s)
     halves = np.stack([angular - 0.5 * moving.within, angular + 0.5 * moving.within], axis=1)
-    finer = replace(moving, period_s=0.5 * moving.period_s, first=2 * moving.first)
-    return _filtered(near, RATES, halves.reshape(-1, 3), finer).reshape(-1, 2, 3).mean(axis=1)
+    finer = _filtered(near, RATES, halves.reshape(-1, 3), 2 * moving.first, 0.5 * moving.period_s)
+    return finer.reshape(-1, 2, 3).mean(axis=1)
 
 
-def _filtered(near: Linear, part: slice, values: Array, moving: Moving) -> Array:
-    """Rows (n, 3) behind a sensor, exactly, from a settled start."""
+def _filtered(near: Linear, part: slice, values: Array, first: int, period_s: float) -> Array:
+    """Rows (n, 3) behind a sensor, exactly, from a start that has settled at row ``first``."""
     from groundstation.identification.likelihood.kernels import linear_filter
 
-    matrix = _discrete(near, part == RATES, moving.period_s)
+    matrix = _discrete(near, part == RATES, period_s)
     to, of = np.nonzero(np.abs(matrix) > SAME * np.abs(matrix).max())
-    start = _over(near.a, -near.b[:, part] @ values[moving.first])
+    start = _over(near.a, -near.b[:, part] @ values[first])
     found = np.empty_like(values)
     rows = np.ascontiguousarray(values)
-    linear_filter(to, of, matrix[to, of], start, moving.first, rows, found)
+    linear_filter(to, of, matrix[to, of], start, first, rows, found)
     return found
 
 

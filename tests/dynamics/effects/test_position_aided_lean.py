@@ -1,0 +1,83 @@
+"""Angles of an estimator that takes every push for a tilt: as the law and the stand-in have it."""
+
+import msgspec
+import numpy as np
+import pytest
+from affected_flights import BASE, affected, flown
+
+from groundstation.dynamics.law import FAR_M, Body, Reading
+from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.rotations import attitude_of_quaternion
+from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.parameters import point_of
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
+from groundstation.prediction.prediction import predict_ahead
+from groundstation.telemetry.packet import STANDARD_GRAVITY
+
+EFFECT = EFFECTS["position_aided_lean"]
+HIDDEN = {
+    "position_aided_lean": {"strength": 0.9, "time_s": 0.35},
+    "rotor_drag": {"drag_n_s_m": 0.012},
+}
+STRENGTH, TIME = "position_aided_lean.strength", "position_aided_lean.time_s"
+STILL, FOUR = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def leaning():
+    return flown(60.0, 5, effects=HIDDEN)
+
+
+def leant(seconds, force, strength=1.0, time_s=0.4, step=1e-3):
+    """(roll, pitch) in rad after a constant specific force."""
+    state = np.zeros(4)
+    body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), STILL, STILL, FOUR, FOUR, 0.0, STILL, force)
+    for _ in range(round(seconds / step)):
+        _, slopes = EFFECT.law((strength, time_s), None, body, Reading(STILL, force, FOUR), state)
+        state += step * np.array(slopes)
+    return state[0], state[1]
+
+
+def test_a_lasting_push_is_taken_for_the_tilt_that_would_make_it():
+    """Pushed to the left a craft seems to lean left down, pushed forward nose down."""
+    roll, pitch = leant(5.0, (0.5, 0.3, 9.8))
+    assert roll == pytest.approx(-0.3 / STANDARD_GRAVITY, rel=1e-3)
+    assert pitch == pytest.approx(0.5 / STANDARD_GRAVITY, rel=1e-3)
+
+
+def test_it_takes_two_time_constants_for_six_tenths():
+    roll, _ = leant(0.8, (0.0, 1.0, 9.8))
+    assert roll * STANDARD_GRAVITY == pytest.approx(-(1.0 - 3.0 * np.exp(-2.0)), rel=0.01)
+
+
+def test_the_stand_in_leans_in_roll_and_pitch_and_keeps_its_heading(leaning):
+    run, truth = leaning
+    off = run.attitude - attitude_of_quaternion(truth["quaternion"])
+    roll, pitch, yaw = np.sqrt(np.mean(np.angle(np.exp(1j * off)) ** 2, axis=0))
+    assert min(roll, pitch) > 3.0 * yaw
+
+
+def test_its_size_and_pace_are_fitted_to_a_flight(leaning):
+    run, _ = leaning
+    problem = Problem(prepare([run]), BASE, point_of(BASE))
+    problem.settle_filters()
+    keys = (*BASE_KEYS, STRENGTH, TIME, "rotor_drag.drag_n_s_m")
+    start = {**problem.start, STRENGTH: 0.5, TIME: 0.6, "rotor_drag.drag_n_s_m": 0.006}
+    problem.learn_noise(problem.linear(start, keys, problem.flights))
+    fit = problem.fit(start, keys)
+    assert fit.point[STRENGTH] == pytest.approx(0.9, abs=0.03)
+    assert fit.point[TIME] == pytest.approx(0.35, abs=0.03)
+    assert fit.point["rotor_drag.drag_n_s_m"] == pytest.approx(0.012, rel=0.03)
+
+
+def test_angles_are_foretold_from_where_the_estimator_has_them(leaning):
+    run, _ = leaning
+    drag = affected("rotor_drag", HIDDEN["rotor_drag"])
+    lean = affected("position_aided_lean", HIDDEN["position_aided_lean"])
+    both = msgspec.structs.replace(drag, effects=(*drag.effects, *lean.effects))
+
+    def error(model):
+        found = predict_ahead(model, run, (10, 25)).errors(run)
+        return np.sqrt(np.mean(found[..., 6:8] ** 2))
+
+    assert error(both) < 0.8 * error(drag)
