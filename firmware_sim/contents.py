@@ -14,6 +14,7 @@ from functools import cache, cached_property
 
 from firmware_sim.craft import HEIGHT_DECK, CraftState, StandIn
 from firmware_sim.physics import PARAMETER_NAMES
+from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED
 
 U8, U16, U32, I8, I16, I32, FLOAT, HALF = range(1, 9)
 PARAM_FLOAT, PARAM_U8, READ_ONLY = 0x06, 0x08, 0x40
@@ -131,12 +132,13 @@ def _variables_of_today(
 
 
 def supervisor_bits(state: CraftState) -> int:
-    """Can be armed, is armed, arms itself, can fly, flies, ..., locked."""
-    flying = any(state.motors)
-    return (
-        (not state.stopped) | state.armed << 1 | (state.armed and not state.stopped) << 3
-        | flying << 4 | state.stopped << 6
+    """Can be armed, is armed, arms itself, can fly, flies, has tumbled, is locked, has crashed."""
+    at = state.supervisor
+    bits = (
+        at == PASSED, state.armed, state.arms_itself, at in CAN_FLY, at in (FLYING, LEVEL_OUT),
+        state.tumbled, at == LOCKED, at == CRASHED,
     )  # fmt: skip
+    return sum(bit << place for place, bit in enumerate(bits))
 
 
 def _quaternion_part(index: int) -> Callable[[CraftState], float]:

@@ -45,7 +45,7 @@ class CraftState:
     time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
     firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
     the firmware uses them. motors: 16-bit. height_m: the firmware's estimate, range_m: what a
-    Z-ranger measures; 0 without one.
+    Z-ranger measures; 0 without one. supervisor: state of ``supervisor``.
     """
 
     time_s: float
@@ -60,7 +60,9 @@ class CraftState:
     battery_v: float
     power_state: int
     armed: bool
-    stopped: bool
+    arms_itself: bool
+    supervisor: int
+    tumbled: bool
     calibrated: bool
     position_m: tuple[float, float, float]
     rotor_rev_s: tuple[float, float, float, float]
@@ -157,7 +159,9 @@ class StandIn:
                 battery_v=float(fw["battery_filter"]),
                 power_state=int(fw["power_state"]),
                 armed=bool(fw["armed"]),
-                stopped=bool(fw["stopped"]),
+                arms_itself=bool(fw["arms_itself"]),
+                supervisor=int(fw["supervisor"]),
+                tumbled=bool(fw["tumbled"]),
                 calibrated=bool(fw["bias_found"]),
                 position_m=_floats(s["y"][:3]),
                 rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
@@ -226,14 +230,26 @@ class StandIn:
             fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
 
     def arm(self, armed: bool) -> bool:
-        """Arm the motors, or disarm them; whether they are armed. Brushed ones always are."""
-        from firmware_sim.today import needs_arming
+        """Arm the motors, or disarm them; whether it was done. Brushed craft arm themselves again
+        as soon as their checks are passed."""
+        from firmware_sim.supervisor import PASSED
 
         with self._lock:
             fw = self._firmware[0]
-            if needs_arming(self._vehicle) and not fw["stopped"]:
-                fw["armed"] = armed
-            return bool(fw["armed"])
+            if armed and not fw["armed"] and fw["supervisor"] != PASSED:
+                return False
+            fw["armed"] = armed
+            return True
+
+    def recover(self) -> bool:
+        """What a crashed craft that was set upright again is asked; whether it has not crashed."""
+        from firmware_sim.supervisor import CRASHED, NOT_PASSED
+
+        with self._lock:
+            fw = self._firmware[0]
+            if fw["supervisor"] == CRASHED and not fw["tumbled"]:
+                fw["supervisor"] = NOT_PASSED
+            return bool(fw["supervisor"] != CRASHED)
 
     def emergency_stop(self) -> None:
         """Today's firmware stops its motors until it is switched off and on."""
@@ -370,8 +386,8 @@ class StandIn:
         now = s["now_ns"]
         s["y"] = 0.0
         s["y"][POSITION + 2] = -p["gravity"] / GROUND_PULSATION**2
-        s["y"][QUATERNION] = 1.0
-        s["y"][ACCEL_DLPF + 2] = p["gravity"]
+        s["y"][QUATERNION + self.settings.upside_down] = 1.0
+        s["y"][ACCEL_DLPF + 2] = -p["gravity"] if self.settings.upside_down else p["gravity"]
         s["y"][LAW_BODY:] = p["own_initial"]
         s["boot_ns"], s["off_ns"], s["overload_ns"] = now, -1, 0
         s["landing"], s["landed_ns"] = 0, now

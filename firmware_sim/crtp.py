@@ -26,6 +26,7 @@ from firmware_sim.contents import (
     supervisor_bits,
 )
 from firmware_sim.craft import CraftState, StandIn
+from firmware_sim.supervisor import CRASHED, LOCKED
 
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
 LOCALIZATION, GENERIC, SUPERVISOR, PLATFORM, LINK = 6, 7, 9, 13, 15
@@ -56,6 +57,10 @@ LEGACY_Z_DISTANCE, Z_DISTANCE = 2, 9
 CREATE, APPEND, DELETE, START, STOP, RESET, CREATE_V2, APPEND_V2, START_V2 = range(9)
 """Commands of the log; those of version 2 are today's."""
 
+SAID = {
+    LOCKED: "SUP: Locked, reboot required\n",
+    CRASHED: "SUP: Crashed, recovery required\n",
+}
 RELEASES = {7: "2023.11", 8: "2024.10", 9: "2025.02", 10: "2025.09", 12: "2026.04"}
 """Firmware releases by the protocol that they brought."""
 
@@ -78,6 +83,7 @@ class Conversation:
         self._today = craft.protocol >= TODAY
         self._boots = craft.boots
         self._blocks: dict[int, LogBlock] = {}
+        self._supervisor = craft.state().supervisor
 
     def answer(self, packet: bytes) -> list[bytes]:
         """The packets that answer ``packet``; none for what the firmware would ignore.
@@ -112,6 +118,7 @@ class Conversation:
         """Log packets due before a time of the firmware's clock, ms, in order of time.
 
         What is due at that very time would hold the pass before: the one of that time is to come.
+        What the supervisor says goes before them.
         """
         if self._craft.boots != self._boots:  # a firmware that starts anew has no blocks
             self._boots = self._craft.boots
@@ -125,7 +132,7 @@ class Conversation:
             while block.next_ms < uptime_ms:
                 moments.append((block.next_ms, number))
                 block.next_ms += block.period_ms
-        out = []
+        out = self._said_by_supervisor()
         states: dict[int, CraftState] = {}
         for moment, number in sorted(moments, key=lambda each: each[0]):
             if moment not in states:
@@ -136,6 +143,11 @@ class Conversation:
             ]
             out.append(bytes([LOG << 4 | 2, number]) + stamp + b"".join(values))
         return out
+
+    def _said_by_supervisor(self) -> list[bytes]:
+        before, self._supervisor = self._supervisor, self._craft.state().supervisor
+        text = SAID.get(self._supervisor, "") if self._supervisor != before else ""
+        return _console(text)
 
     def _setpoint(self, data: bytes) -> None:
         if len(data) != _SETPOINT.size:
@@ -163,9 +175,12 @@ class Conversation:
         if asked == ((SUPERVISOR, 1, 3) if supervised else (LOCALIZATION, 1, 3)):
             self._craft.emergency_stop()
         elif asked == ((SUPERVISOR, 1, 1) if supervised else (PLATFORM, 0, 1)) and len(data) > 1:
-            armed = self._craft.arm(bool(data[1]))
-            done = armed == bool(data[1])
+            done = self._craft.arm(bool(data[1]))
+            armed = self._craft.state().armed
             return [bytes([0x81, done, armed])] if supervised else [bytes([1, done])]
+        elif asked == ((SUPERVISOR, 1, 2) if supervised else (PLATFORM, 0, 2)):
+            done = self._craft.recover()
+            return [bytes([0x82, done, done])] if supervised else [bytes([2, done])]
         elif asked == (SUPERVISOR, 0, 0x0C) and supervised:
             return [b"\x8c" + supervisor_bits(self._craft.state()).to_bytes(2, "little")]
         return []

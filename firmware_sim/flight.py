@@ -33,6 +33,7 @@ from firmware_sim.polynomials import turn
 from firmware_sim.random_numbers import normal, uniform
 from firmware_sim.stabilizer import angle_loops, stabilize
 from firmware_sim.stabilizer_today import stabilize_today
+from firmware_sim.supervisor import EVERY_PASSES, supervise
 from groundstation.telemetry.packet import FULL_16_BIT
 
 FULL_COMPARE = 512.0
@@ -145,6 +146,8 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
                 fw.setpoint_thrust = hold_height(fw, index)
         watch(fw, s.now_ns)
         if fw.today != 0:
+            if index % EVERY_PASSES == 0:
+                supervise(fw, s.now_ns)
             stabilize_today(fw)
         else:
             if index % 2 == 0:

@@ -180,7 +180,14 @@ FIRMWARE = np.dtype(
         # today's firmware
         ("today", "i8"),
         ("armed", "i8"),
+        ("arms_itself", "i8"),
         ("stopped", "i8"),  # by an emergency: until it is switched off
+        ("protocol", "i8"),
+        ("supervisor", "i8"),  # its state, see ``supervisor``
+        ("supervised_ns", "i8"),  # since when it is in that state
+        ("tumbled", "i8"),
+        ("tilted_ns", "i8"),  # since when, -1: it is not
+        ("turned_ns", "i8"),  # when a motor last ran, -1: never
         ("thrust_curve", "f8", (4,)),  # N from V
         ("thrust_most_n", "f8"),
         ("heading", "f8"),  # deg, that is held

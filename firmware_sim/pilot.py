@@ -29,6 +29,7 @@ from firmware_sim.layout import (
     THRUST_HEIGHT,
     Record,
 )
+from firmware_sim.supervisor import PASSED
 
 TICK_S = PILOT_PASSES * PASS_NS * 1e-9
 DEGREES = 180.0 / math.pi
@@ -81,7 +82,8 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
         thrust = wanted
     elif height_held:
         thrust = hold_height(p, fw, s, wanted, push, hover)
-    fw.armed = 1  # a pilot arms before he flies
+    if fw.supervisor == PASSED:
+        fw.armed = 1  # a pilot arms before he flies
     accept(fw, now_ns, roll, pitch, yaw, thrust)
 
 

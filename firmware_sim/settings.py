@@ -127,6 +127,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         speaks its own.
     rotor_speed_deck: today's craft measures its rotor speeds.
     height_deck: today's craft has a Z-ranger and takes setpoints of height.
+    upside_down: it lies on its back when it is switched on.
     substeps: Runge-Kutta steps per pass.
     truth: keep the log of what really happened.
     """
@@ -158,6 +159,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     protocol: int = 10
     rotor_speed_deck: bool = False
     height_deck: bool = False
+    upside_down: bool = False
     substeps: int = 4
     truth: bool = False
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from firmware_sim.compiled import inner
 from firmware_sim.layout import Record
+from firmware_sim.supervisor import may_run
 from groundstation.telemetry.packet import FULL_16_BIT
 
 DT = 0.002
@@ -27,7 +28,7 @@ NEWTON_STEPS = 6
 @inner
 def stabilize_today(fw: Record) -> None:
     """One pass: leaves 16-bit PWM in ``fw.pwm``."""
-    if fw.thrust <= 0.0 or fw.armed == 0 or fw.stopped != 0:
+    if fw.thrust <= 0.0 or not may_run(fw):
         for axis in range(3):
             fw.rate_integral[axis] = 0.0
             fw.rate_previous[axis] = 0.0

@@ -43,7 +43,8 @@ def await_connection(path: Path) -> None:
 def require_ready(pilot: Pilot) -> dict[str, Any]:
     """The telemetry of a craft that may begin; its motors stay off.
 
-    Raises GroundStationError where none comes in or the battery is low.
+    Raises GroundStationError where none comes in, the battery is low or the craft says that it
+    cannot fly.
     """
     from groundstation.control.programme import AbortLimits
 
@@ -61,6 +62,8 @@ def require_ready(pilot: Pilot) -> dict[str, Any]:
         raise GroundStationError(
             f"no telemetry is coming in (link {answer['link_state']}); nothing was flown"
         )
+    if answer["hindrance"]:
+        raise GroundStationError(f"{answer['hindrance']}; nothing was flown")
     battery = telemetry["battery_v"]
     if battery is None or battery < LEAST_REST_V:
         raise GroundStationError(

@@ -7,9 +7,12 @@ import typer
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
+
+STOPPED = "stopped"
+"""What the daemon answers where the craft's telemetry says so."""
 
 motors = Commands(
     help=(
@@ -28,10 +31,14 @@ def add_commands(app: typer.Typer) -> None:
 def stop(as_json: bool = AS_JSON) -> None:
     """Stop the motors at once, whoever commands, and end that command.
 
+    Fails where the craft's telemetry does not say within 3 s that they stand.
+
     Example: [bold]groundstation motors stop[/bold]
     """
-    ask(socket_path(), "POST", "/command/stop")
-    _report("stopped", "; whoever commanded commands no more", as_json)
+    told = ask(socket_path(), "POST", "/command/stop")["motors"]
+    if told != STOPPED:
+        raise GroundStationError(f"{told}; whoever commanded commands no more")
+    _report(STOPPED, "; whoever commanded commands no more", as_json)
 
 
 @motors.command("arm")

@@ -89,9 +89,11 @@ def stop_motors(pilot: Pilot) -> str:
                 break
             time.sleep(0.05)
     except GroundStationError as error:
-        asks = "the dead man asks for it where the daemon still reaches the craft"
-        say(f"stopping: {error}; {asks}", error=True)
-        return "nothing says that the motors stopped"
+        return (
+            f"nothing says that the motors stopped ({error}): the daemon's dead man asks for it"
+            " where it still reaches the craft, whose own firmware stops them 2 s after the last"
+            " setpoint"
+        )
     return "motors were told to stop, no telemetry shows it"
 
 

@@ -156,6 +156,8 @@ def reason_to_abort(
     age = telemetry["age_s"]
     if not age <= limits.silent_s:
         return f"no telemetry for {age:.2f} s"
+    if answer.get("hindrance"):
+        return str(answer["hindrance"])
     tilt = _largest((telemetry["roll_deg"], telemetry["pitch_deg"]))
     if not tilt <= limits.tilt_deg:
         return f"tilt of {tilt:.0f} deg, {limits.tilt_deg:g} is the most"

@@ -15,6 +15,7 @@ from typing import Any
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.event import EventSink, LinkEvent
+from groundstation.links.supervisor import Supervisor
 
 THRUST_MOST = 60000
 """The firmware limits thrust to this."""
@@ -44,8 +45,12 @@ class CommandLink(ABC):
     ``time_ns``, ``direction`` (out or in), ``kind`` (setpoint, parameter or parameters), the
     ``client`` who wanted it, and its values.
     superseded: setpoints that a newer one replaced before the radio took them.
-    armed: what the craft last answered to a request to arm; None before the first.
+    armed: what the craft last said; None before it did.
+    supervisor: what it last said of what keeps it from flying, and of its battery.
     """
+
+    settles_s = 0.0
+    """How long zero thrust must go on after a flight, lest the craft's supervisor locks it."""
 
     def __init__(self, uri: str, *, clock: HostClock | None = None) -> None:
         self.uri = uri
@@ -53,6 +58,7 @@ class CommandLink(ABC):
         self.state = CommandState.CLOSED
         self.superseded = 0
         self.armed: bool | None = None
+        self.supervisor = Supervisor()
         self.on_event: EventSink = lambda event: None
         self.on_entry: EntrySink = lambda entry: None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import struct
 import threading
 import time
@@ -10,9 +11,11 @@ from collections.abc import Callable
 from typing import Any
 
 from groundstation.clock import HostClock
-from groundstation.errors import BadInputError, LinkError
+from groundstation.errors import BadInputError, GroundStationError, LinkError
+from groundstation.links.base import LinkEvent
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection, resolve
+from groundstation.links.supervisor import BATTERY_LOW, INFO, POWER, Supervisor
 
 CONFIRM_S = 2.0
 SEND_S = 2.5
@@ -34,6 +37,11 @@ Z_DISTANCE, LEGACY_Z_DISTANCE = 9, 2
 """Generic setpoints of attitude, yaw rate and height: counter-clockwise, and clockwise before
 protocol 9."""
 SIGNED_YAW = 9
+SETTLES_S = 2.5
+"""It calls itself landed 2 s after a motor last turned, and one whose setpoints cease before that
+is locked until it is switched off and on."""
+STATE_S = 0.3
+"""What its log says of being armed may be older than its answer to a request, by less than this."""
 LOCKS_AFTER_S = 2.0
 """Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
 _WHOLE = {
@@ -58,9 +66,10 @@ class CrazyflieLink(CommandLink):
         super().__init__(uri, clock=clock)
         self._is_shared = shared is not None
         self._connection = shared or Connection(uri)
-        self._connection.on_lost.append(lambda reason: self._enter(CommandState.LOST, reason))
+        self._connection.on_lost.append(self._lose)
         self._sender: _Sender | None = None
         self._asked_armed = False
+        self._asked_s = -STATE_S
 
     async def open(self) -> None:
         if self._is_shared and not self._connection.is_open:
@@ -74,10 +83,46 @@ class CrazyflieLink(CommandLink):
             await self.close()
             raise
         self._sender = _Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
-        self.armed = None
+        self.armed, self.supervisor = None, Supervisor()
+        self.settles_s = SETTLES_S if self._connection.protocol >= TODAY else 0.0
         for port in (PLATFORM[0], SUPERVISOR[0]):
             self._connection.craft.add_port_callback(port, self._take_answer)
         self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
+        await self._watch()
+
+    async def _watch(self) -> None:
+        """Be told of what keeps the craft from flying; it flies as well where it does not say."""
+        listed = self._connection.variables()
+        watched = [(name, listed[name]) for name in (INFO, POWER) if name in listed]
+        if not (watched and self._is_up_to_date()):
+            return
+        loop = asyncio.get_running_loop()
+
+        def tell(values: dict[str, float]) -> None:
+            with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
+                loop.call_soon_threadsafe(self._take_state, Supervisor.of(values))
+
+        try:
+            await self._connection.watch(watched, tell)
+        except GroundStationError as error:
+            if self.state is CommandState.CONNECTED:
+                self._tell("waiting", f"what keeps the craft from flying is not told: {error}")
+
+    def _take_state(self, said: Supervisor) -> None:
+        before, self.supervisor = self.supervisor, said
+        if said.armed is not None and time.monotonic() >= self._asked_s + STATE_S:
+            self.armed = said.armed
+        if said.trouble and said.trouble != before.trouble:
+            self._tell("fault", said.trouble)
+        if said.low_battery and not before.low_battery:
+            self._tell("battery", BATTERY_LOW)
+
+    def _lose(self, reason: str) -> None:
+        self.supervisor = Supervisor()
+        self._enter(CommandState.LOST, reason)
+
+    def _tell(self, kind: str, text: str) -> None:
+        self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
 
     async def close(self) -> None:
         sender, self._sender = self._sender, None
@@ -135,7 +180,7 @@ class CrazyflieLink(CommandLink):
         if not self._is_up_to_date():
             return False
         port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
-        self._asked_armed, self.armed = armed, None
+        self._asked_armed, self.armed, self._asked_s = armed, None, time.monotonic()
         self._connection.send(port, channel, bytes([ARM, armed]))
         self._entry("out", "arm" if armed else "disarm")
         return True
@@ -175,7 +220,8 @@ class CrazyflieLink(CommandLink):
     def _steer(self, send: Callable[[], None], unlocks: bool = True) -> None:
         """Send a setpoint, on a connection that is from now on that of a craft under command."""
         self._connected()
-        assert self._sender is not None
+        if self._sender is None:
+            raise LinkError(f"{self.uri} is being closed")
         self._connection.commanded = True
         self.superseded += self._sender.send(send, unlocks=unlocks)
 

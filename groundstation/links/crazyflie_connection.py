@@ -30,7 +30,8 @@ ADDRESSES = (
     " to 125, rate 250K, 1M or 2M, address of ten hexadecimal digits)"
 )
 HINT = "install it with pip install -e '.[radio]' in the program's folder, or pip install cflib"
-CONNECT_S = 10.0
+CONNECT_S, FIRST_S = 10.0, 3.0
+"""Until everything has been read; until the first packet, which over UDP nobody sends again."""
 ANSWER_S = 1.0
 """For what a firmware may not know how to answer."""
 BLOCK_S = CLOSE_S = 5.0
@@ -39,6 +40,7 @@ STOP_S = 0.05
 STAGGER_TRIES = 40
 LEAST_CFLIB_MS = 10
 """cflib's own commands know no shorter period."""
+WATCH_MS = 100
 
 _LOG, _PLATFORM = 5, 13
 _LOG_CONTROL, _VERSION = 1, 1
@@ -96,6 +98,7 @@ class Connection:
         self._complete: asyncio.Future[bool] | None = None
         self._console = ""
         self._blocks: list[Any] = []
+        self._slow: Any = None
         self._between = 0
         self._stamps: dict[int, int] = {}
 
@@ -123,6 +126,7 @@ class Connection:
         """Connect, until the tables of contents are known. Raises LinkError."""
         loop = asyncio.get_running_loop()
         ready: asyncio.Future[None] = loop.create_future()
+        heard: asyncio.Future[None] = loop.create_future()
         complete: asyncio.Future[bool] = loop.create_future()
         craft = self._craft = self._new_craft()
         self._complete, self._console, self.commanded = complete, "", False
@@ -141,6 +145,7 @@ class Connection:
             failed(uri, reason)
             call(self._lose, craft, _explained(reason))
 
+        craft.link_established.add_callback(lambda uri: tell(heard))
         craft.connected.add_callback(lambda uri: tell(ready))
         craft.fully_connected.add_callback(lambda uri: tell(complete, True))
         craft.connection_failed.add_callback(failed)
@@ -153,11 +158,17 @@ class Connection:
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
+            if not await _either(heard, ready, FIRST_S):
+                ready.cancel()
+                raise LinkError(f"{self.uri}: no craft answered within {FIRST_S:g} s")
             async with asyncio.timeout(CONNECT_S):
                 await ready
         except TimeoutError as error:
             await self.close()
-            raise LinkError(f"{self.uri}: no craft answered within {CONNECT_S:g} s") from error
+            raise LinkError(
+                f"{self.uri}: the craft answered, and did not say within {CONNECT_S:g} s what it"
+                " can log"
+            ) from error
         except BaseException:
             await self.close()
             raise
@@ -247,47 +258,67 @@ class Connection:
 
         Raises LinkError where it refuses one, or does not know so short a period.
         """
-        from cflib.crazyflie.log import LogConfig
-
-        craft, loop = self.craft, asyncio.get_running_loop()
         stamps = self._stamps = {}
         self._between = between
         running = threading.Event()  # nothing is passed on before the last block has its period
         for number, variables in enumerate(blocks):
-            block = LogConfig(f"block {number}", max(period_ms, LEAST_CFLIB_MS))
-            for name, kind in variables:
-                block.add_variable(name, kind)
-            started: asyncio.Future[None] = loop.create_future()
-
-            def begun(
-                block: Any, is_started: bool, started: asyncio.Future[None] = started
-            ) -> None:
-                loop.call_soon_threadsafe(resolve, started, None)
-
-            def refused(block: Any, reason: str, started: asyncio.Future[None] = started) -> None:
-                error = LinkError(f"{self.uri}: the craft refused a log block: {reason}")
-                loop.call_soon_threadsafe(resolve, started, error)
 
             def received(stamp: int, values: Any, block: Any, number: int = number) -> None:
                 stamps[number] = stamp
                 if running.is_set():
                     on_values(number, stamp, tuple(values.values()))
 
-            block.started_cb.add_callback(begun)
-            block.error_cb.add_callback(refused)
-            block.data_received_cb.add_callback(received)
-            self._blocks.append(block)
-            try:
-                craft.log.add_config(block)
-                block.start()
-            except (AttributeError, KeyError) as error:  # cflib's own limits
-                raise BadInputError(
-                    f"{self.uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
-                    " and 128 variables; ask for fewer with --log"
-                ) from error
-            await self._within(started, "did not start a log block")
+            name, slow_ms = f"block {number}", max(period_ms, LEAST_CFLIB_MS)
+            self._blocks.append(await self._begin(name, variables, slow_ms, received))
         await self.pace_log(period_ms)
         running.set()
+
+    async def watch(
+        self, variables: Sequence[Variable], on_values: Callable[[dict[str, float]], None]
+    ) -> None:
+        """Let the craft say these as well, ten times a second, however fast its other blocks are;
+        told from cflib's thread. Raises LinkError where it refuses."""
+        self._slow = await self._begin(
+            "watch", variables, WATCH_MS, lambda stamp, values, block: on_values(dict(values))
+        )
+
+    async def _begin(
+        self,
+        name: str,
+        variables: Sequence[Variable],
+        period_ms: int,
+        received: Callable[[int, Any, Any], None],
+    ) -> Any:
+        """A block that the craft has started. Raises LinkError where it refuses, BadInputError
+        where there are too many."""
+        from cflib.crazyflie.log import LogConfig
+
+        craft, loop = self.craft, asyncio.get_running_loop()
+        block = LogConfig(name, period_ms)
+        for variable, kind in variables:
+            block.add_variable(variable, kind)
+        started: asyncio.Future[None] = loop.create_future()
+
+        def begun(block: Any, is_started: bool) -> None:
+            loop.call_soon_threadsafe(resolve, started, None)
+
+        def refused(block: Any, reason: str) -> None:
+            error = LinkError(f"{self.uri}: the craft refused a log block: {reason}")
+            loop.call_soon_threadsafe(resolve, started, error)
+
+        block.started_cb.add_callback(begun)
+        block.error_cb.add_callback(refused)
+        block.data_received_cb.add_callback(received)
+        try:
+            craft.log.add_config(block)
+            block.start()
+        except (AttributeError, KeyError) as error:  # cflib's own limits
+            raise BadInputError(
+                f"{self.uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
+                " and 128 variables; ask for fewer with --log"
+            ) from error
+        await self._within(started, "did not start a log block")
+        return block
 
     async def pace_log(self, period_ms: int) -> None:
         """Let the blocks that run come every ``period_ms``; commands go on meanwhile.
@@ -364,7 +395,8 @@ class Connection:
             raise LinkError(f"{self.uri}: the craft {what} within {BLOCK_S:g} s") from error
 
     def _stop_blocks(self, craft: Any) -> None:
-        blocks, self._blocks = self._blocks, []
+        blocks = [*self._blocks, *([self._slow] if self._slow is not None else [])]
+        self._blocks, self._slow = [], None
         if craft.link is None:
             return
         for block in blocks:
@@ -461,6 +493,14 @@ def _cache_folder() -> Path:
     """Where cflib keeps tables of contents by their checksum, so that they are read once."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "groundstation" / "crazyflie"
+
+
+async def _either(one: asyncio.Future[Any], other: asyncio.Future[Any], patience_s: float) -> bool:
+    """Whether one of them came in that time."""
+    done, _ = await asyncio.wait(
+        (one, other), timeout=patience_s, return_when=asyncio.FIRST_COMPLETED
+    )
+    return bool(done)
 
 
 def resolve(future: asyncio.Future[Any], result: Any) -> None:

@@ -106,14 +106,16 @@ class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
-    client: who commands. armed: what the craft last answered, None where it was not
-    asked. held_level: by the operator. interventions: of the dead man."""
+    client: who commands. armed: what the craft last said, None where it does not say. hindrance:
+    what, as the craft says, keeps it from flying, or empty. held_level: by the operator.
+    interventions: of the dead man."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
     firmware: Literal["2014", "2.x", ""]
     client: str | None
     armed: bool | None
+    hindrance: str
     held_level: bool
     setpoints: int
     superseded: int

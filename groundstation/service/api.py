@@ -181,11 +181,11 @@ def _command(station: Station) -> list[Operation]:
             time_ns=time_ns,
             telemetry=station.newest.telemetry(),
             link_state=station.receiver.state.value,
+            hindrance=commander.hindrance,
         )
 
     async def stop(_: None) -> Any:
-        commander.stop()
-        return requests.Done()
+        return requests.Stopped(motors=await commander.stop())
 
     async def level(body: requests.Level) -> Any:
         commander.level(body.on)
@@ -215,7 +215,7 @@ def _command(station: Station) -> list[Operation]:
         Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
                   requests.Setpoint, requests.Sent, limited=False),
         Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
-                  answer=requests.Done, limited=False),
+                  answer=requests.Stopped, limited=False),
         Operation("POST", "/command/level", "Hold the craft level, or no more", level,
                   requests.Level, requests.Done, limited=False),
         Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,

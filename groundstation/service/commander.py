@@ -34,15 +34,22 @@ SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 """100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""
 WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
-STOPS = 5
-"""How often zero thrust is sent at an end: a radio may lose some."""
+ENDS_S, FLIES_ON_S = 0.25, 5.0
+"""How long zero thrust is sent at an end, for a radio may lose some; how much longer to a craft
+that still takes itself for flying."""
 ANSWER_S = 2.0
 """A craft that has not answered a request to arm by then does not."""
+STATE_S = 0.3
+"""After so long the craft has said what state it is in, and has left one that passes."""
 STILL_S = 0.5
 """Motors that turn so long after they were asked to stop are disarmed, then stopped by the
 firmware's emergency stop, again and again."""
-UNSEEN_S = 2.0
-"""Without telemetry for so long nobody knows whether they have stopped."""
+UNSEEN_S, SEEN_S = 2.0, 2.5
+"""Without telemetry for so long nobody knows whether they have stopped; how long an operator is
+kept waiting for what becomes of them."""
+STOPPED = "stopped"
+STILL_TURN = "asked to stop, motors still turn"
+NOT_TOLD = "asked to stop; no telemetry says whether the motors still turn"
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
 DEAD_MAN = "dead man"
 OPERATOR = "operator"
@@ -60,11 +67,12 @@ class Motors:
 
 @dataclass(slots=True)
 class Stop:
-    """Motors that were asked to stop and have not been seen to. forced: how often more than zero
-    thrust was tried."""
+    """Motors that were asked to stop. forced: how often more than zero thrust was tried. stopped:
+    whether they were seen to; None: there is no telemetry that says so."""
 
     asked_s: float
     forced: int = 0
+    stopped: bool | None = False
 
 
 @dataclass(slots=True)
@@ -119,7 +127,7 @@ class Commander:
         self._note, self._telemetry, self._motors = note, telemetry, motors
         self._stop: Stop | None = None
         self._lease: Lease | None = None
-        self._stops = 0  # zero thrusts still to be repeated
+        self._zero_until_s = 0.0  # zero thrust is repeated until then
         self._connecting = asyncio.Lock()
         self._stopped_by = DEAD_MAN
         self._closing = False
@@ -131,6 +139,11 @@ class Commander:
     def client(self) -> str | None:
         """Who commands at the moment."""
         return None if self._lease is None else self._lease.client
+
+    @property
+    def hindrance(self) -> str:
+        """What, as the craft says, keeps it from flying; empty where it says nothing of that."""
+        return "" if self.link is None else self.link.supervisor.hindrance
 
     def acquire(self, client: str) -> Granted:
         """Begin a lease: its token, and the limits the client must keep."""
@@ -167,8 +180,9 @@ class Commander:
             self._stop_motors(lease.client)
         self._end(f"{lease.client} has released the craft")
 
-    def stop(self) -> None:
-        """Stop the motors, whoever commands, and end that lease: the operator's way out.
+    async def stop(self) -> str:
+        """Stop the motors, whoever commands, and end that lease: the operator's way out. What the
+        craft then says of them, in words: ``STOPPED`` where they stand.
 
         Motors that do not stop are asked again, disarmed and stopped by the firmware, as after any
         stop."""
@@ -182,6 +196,11 @@ class Commander:
             "nobody commanded" if self._lease is None else f"{self._lease.client} commands no more"
         )
         self._end(f"the operator stops the motors; {holder}", kind="stop")
+        stop = self._stop
+        assert stop is not None
+        while stop.stopped is False and time.monotonic() < stop.asked_s + SEEN_S:
+            await asyncio.sleep(WATCH_S / 5)
+        return STOPPED if stop.stopped else STILL_TURN if stop.stopped is False else NOT_TOLD
 
     def level(self, on: bool) -> None:
         """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
@@ -205,17 +224,30 @@ class Commander:
             raise BadInputError(f"no craft can be armed: {reason}")
         if link.state is not CommandState.CONNECTED:
             raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
+        word = "arm" if on else "disarm"
+        if not await self._armed(link, on):
+            await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
+            if link.supervisor.trouble or not await self._armed(link, on):
+                why = link.supervisor.refusal
+                raise LinkError(f"the craft refuses to {word} its motors{why and ': '}{why}")
+        if not on and link.supervisor.arms_itself:
+            raise LinkError(
+                "the craft was disarmed and has armed itself again, as a brushed one does: its"
+                " motors are stopped by `groundstation motors stop`"
+            )
+        self._note("armed" if on else "disarmed", f"the operator {word}s the motors")
+
+    async def _armed(self, link: CommandLink, on: bool) -> bool:
+        """Whether the craft does as it is asked; raises as ``arm``."""
         if not link.arm(on):
             raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
         asked_s = time.monotonic()
         while link.armed is None and time.monotonic() - asked_s < ANSWER_S:
             await asyncio.sleep(WATCH_S / 5)
-        word = "arm" if on else "disarm"
         if link.armed is None:
+            word = "arm" if on else "disarm"
             raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
-        if link.armed is not on:
-            raise LinkError(f"the craft refuses to {word} its motors")
-        self._note("armed" if on else "disarmed", f"the operator {word}s the motors")
+        return link.armed is on
 
     async def replace(self, link: CommandLink) -> None:
         """Command through another link from now on. Raises TakenError while a client commands."""
@@ -257,11 +289,13 @@ class Commander:
         except GroundStationError:
             self.refused += 1
             raise
-        self._stops = 0
+        flew = lease.flies
         lease.setpoint_s, lease.levelled = lease.heard_s, False
         lease.thrust, lease.height_m = thrust, height_m
         if lease.flies:
-            self._stop = None
+            self._stop, self._zero_until_s = None, 0.0
+        elif flew:
+            self._zero_until_s, self._stopped_by = lease.heard_s + link.settles_s, lease.client
         self.setpoints += 1
         return sent_ns
 
@@ -299,6 +333,7 @@ class Commander:
             "firmware": self.link.firmware,
             "client": self.client,
             "armed": self.link.armed,
+            "hindrance": self.hindrance,
             "held_level": self._lease is not None and self._lease.held_level,
             "setpoints": self.setpoints,
             "superseded": self.link.superseded,
@@ -315,7 +350,8 @@ class Commander:
             link = self.link
             # a stand-in answers only once its link is open
             state, reason = self._telemetry()
-            if link is not None and state is LinkState.STREAMING and not reason and _away(link):
+            wanted = state is LinkState.STREAMING and not reason and not self._closing
+            if link is not None and wanted and _away(link):
                 try:
                     async with self._connecting:
                         if link is self.link:
@@ -343,8 +379,7 @@ class Commander:
     def look(self, now_s: float) -> None:
         """Do what the time since the client's last words demands."""
         lease = self._lease
-        if self._stops:
-            self._stops -= 1
+        if self._settles(now_s) and (lease is None or now_s > lease.setpoint_s + WATCH_S):
             self._send(0, self._stopped_by)
         self._watch_stop(now_s)
         if lease is None:
@@ -372,7 +407,9 @@ class Commander:
                 self._stop_motors(DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
-            while (self._stops or self._stop) and self.link.state is CommandState.CONNECTED:
+            while self.link.state is CommandState.CONNECTED and (
+                self._stop or self._settles(time.monotonic())
+            ):
                 self.look(time.monotonic())
                 await asyncio.sleep(WATCH_S / 5)
             await self.link.close()
@@ -401,12 +438,20 @@ class Commander:
         lease.heard_s = now_s
         return lease
 
+    def _settles(self, now_s: float) -> bool:
+        """Whether zero thrust has to go on: a craft that takes itself for flying is locked by its
+        firmware where setpoints cease."""
+        late_s = now_s - self._zero_until_s
+        flies = self.link is not None and self.link.supervisor.flies
+        return late_s < 0.0 or (flies and late_s < FLIES_ON_S)
+
     def _stop_motors(self, client: str) -> None:
         if self._lease is not None:
             self._lease.set_down()
-        self._stops = STOPS - 1
-        self._stopped_by = client
-        self._stop = Stop(time.monotonic())
+        now_s = time.monotonic()
+        settles_s = 0.0 if self.link is None else self.link.settles_s
+        self._zero_until_s, self._stopped_by = now_s + max(settles_s, ENDS_S), client
+        self._stop = Stop(now_s)
         cleared = [] if self.link is None else self.link.clear_assists()
         if cleared:
             self._note(
@@ -420,18 +465,17 @@ class Commander:
         if stop is None:
             return
         waited_s, said = now_s - stop.asked_s, self._motors()
-        if said is not None and said.age_s < waited_s and said.duty <= 0.0:
+        # when the craft said so, behind the request; what it said before tells nothing
+        said_s = -1.0 if said is None else waited_s - said.age_s
+        if said is not None and said_s > 0.0 and said.duty <= 0.0:
             self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
-            self._stop = None
-        elif said is None or said.age_s > UNSEEN_S:
-            if waited_s > UNSEEN_S:
-                self._note(
-                    "fault", "asked to stop; no telemetry says whether the motors still turn"
-                )
-                self._stop = None
-        elif waited_s > STILL_S * (stop.forced + 1):
+            self._stop, stop.stopped = None, True
+        elif waited_s > max(said_s, 0.0) + UNSEEN_S:
+            self._note("fault", NOT_TOLD)
+            self._stop, stop.stopped = None, None
+        elif said_s > STILL_S * (stop.forced + 1):
             stop.forced += 1
-            self._stops = STOPS
+            self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
             means = "asked again"
             if self.link is not None:
                 # armed motors may idle: disarmed first, for an emergency stop ends the flying
@@ -439,7 +483,7 @@ class Commander:
                     means = "disarmed"
                 elif stop.forced > 1 and self.link.emergency_stop():
                     means = "emergency stop"
-            self._note("fault", f"asked to stop, motors still turn: {means}")
+            self._note("fault", f"{STILL_TURN}: {means}")
 
     def _send(self, thrust: int, client: str, height_m: float | None = None) -> None:
         link = self.link

@@ -170,17 +170,25 @@ class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
 
 class Sent(msgspec.Struct, frozen=True, kw_only=True):
     """time_ns: when the setpoint was handed to the radio. telemetry: None where nothing has
-    come yet."""
+    come yet. hindrance: what, as the craft says, keeps it from flying, or empty."""
 
     time_ns: int
     telemetry: Telemetry | None
     link_state: str
+    hindrance: str = ""
 
 
 class Values(msgspec.Struct, frozen=True, kw_only=True):
     """Parameters of the craft by full name."""
 
     values: dict[str, float]
+
+
+class Stopped(msgspec.Struct, frozen=True, kw_only=True):
+    """motors: ``stopped`` where the craft's own telemetry says so, else what is known of them."""
+
+    motors: str
+    done: bool = True
 
 
 class Done(msgspec.Struct, frozen=True, kw_only=True):

@@ -202,6 +202,7 @@ class Station:
             )
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
             await asyncio.wait({receiving, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            await self.commander.close()  # while telemetry still says what the motors do
             for task in (receiving, stopping):
                 task.cancel()
             await asyncio.gather(receiving, stopping, return_exceptions=True)

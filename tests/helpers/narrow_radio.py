@@ -1,4 +1,4 @@
-"""A UDP relay between client and craft that passes only so many log packets a second."""
+"""A UDP relay between client and craft: only so many log packets a second pass it, or nothing."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ LOG_DATA = 0x52
 
 
 class NarrowRadio:
-    """most_hz: log packets a second that come through, any of them, however many are sent."""
+    """most_hz: log packets a second that come through, any of them, however many are sent.
+    stalled: neither side hears the other, and what is said meanwhile is lost."""
 
     def __init__(self, craft_port: int, most_hz: float) -> None:
-        self.most_hz = most_hz
+        self.most_hz, self.stalled = most_hz, False
         self._craft = ("127.0.0.1", craft_port)
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -50,7 +51,8 @@ class NarrowRadio:
                 data, self._client = self._near.recvfrom(2048)
             except TimeoutError:
                 continue
-            self._far.sendto(data, self._craft)
+            if not self.stalled:
+                self._far.sendto(data, self._craft)
 
     def _down(self) -> None:
         came, since, share, chance = 0, time.monotonic(), 1.0, random.Random(7)
@@ -65,12 +67,12 @@ class NarrowRadio:
                     share, came, since = self.most_hz * (now - since) / came, 0, now
                 if chance.random() >= share:
                     continue
-            if self._client is not None:
+            if self._client is not None and not self.stalled:
                 self._near.sendto(data, self._client)
 
 
 @contextmanager
-def narrow(craft_port: int, most_hz: float) -> Iterator[NarrowRadio]:
+def narrow(craft_port: int, most_hz: float = 1e9) -> Iterator[NarrowRadio]:
     """A relay before the craft on that port."""
     radio = NarrowRadio(craft_port, most_hz)
     radio.start()

@@ -110,7 +110,7 @@ def test_two_connections_in_a_row_work() -> None:
 def test_a_craft_that_does_not_answer_gives_one_clear_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("groundstation.links.crazyflie_connection.CONNECT_S", 0.5)
+    monkeypatch.setattr("groundstation.links.crazyflie_connection.FIRST_S", 0.5)
     link = CrazyflieLink(f"udp://127.0.0.1:{free_udp_port()}")
     with pytest.raises(LinkError, match=r"no craft answered within 0\.5 s|refused"):
         asyncio.run(link.open())

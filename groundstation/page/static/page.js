@@ -117,7 +117,7 @@ function showStatus(status) {
   at("arm").disabled = !today || command.armed === true;
   at("disarm").disabled = !today || command.armed === false;
   write("armed", !connected ? "–" : command.armed === null ? (today ? "not told" : "always")
-    : command.armed ? "yes" : "no");
+    : (command.armed ? "yes" : "no") + (command.hindrance ? `: ${command.hindrance}` : ""));
   at("connect").hidden = connected;
   at("level").setAttribute("aria-pressed", String(Boolean(command?.held_level)));
   showBattery(status.battery);

@@ -1,0 +1,68 @@
+"""What today's firmware says of its supervisor and its battery, in words for an operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+INFO, POWER = "supervisor.info", "pm.state"
+"""Log variables, slow ones."""
+LOW_POWER = 3
+_CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
+_TUMBLED, _LOCKED, _CRASHED = (1 << place for place in (5, 6, 7))
+BATTERY_LOW = "the craft warns that its battery is low: land"
+
+
+@dataclass(frozen=True, slots=True)
+class Supervisor:
+    """Bits of ``supervisor.info``; None: the craft does not say. low_battery: it warns of that."""
+
+    bits: int | None = None
+    low_battery: bool = False
+
+    @classmethod
+    def of(cls, values: dict[str, float]) -> Supervisor:
+        """From log variables; what the firmware does not list is missing."""
+        bits = values.get(INFO)
+        return cls(None if bits is None else int(bits), values.get(POWER) == LOW_POWER)
+
+    @property
+    def armed(self) -> bool | None:
+        return None if self.bits is None else bool(self.bits & _ARMED)
+
+    @property
+    def arms_itself(self) -> bool:
+        return bool((self.bits or 0) & _ARMS_ITSELF)
+
+    @property
+    def flies(self) -> bool:
+        """Whether it takes itself for flying, as it does until 2 s after its motors last turned."""
+        return bool((self.bits or 0) & _FLIES)
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with it, and what to do; empty where it says nothing of that."""
+        bits = self.bits or 0
+        if bits & _LOCKED:
+            return (
+                "the craft has locked itself, by an emergency stop or because setpoints ceased in"
+                " flight: switch it off and on"
+            )
+        if bits & _CRASHED:
+            return "the craft says that it has crashed: set it upright, switch it off and on"
+        if bits & _TUMBLED:
+            return "the craft lies on its side or its back: set it upright"
+        return ""
+
+    @property
+    def refusal(self) -> str:
+        """Why it does not let itself be armed; empty where it says nothing of that."""
+        if self.trouble or self.bits is None or self.bits & (_ARMED | _CAN_ARM):
+            return self.trouble
+        return "its checks before flight have not passed"
+
+    @property
+    def hindrance(self) -> str:
+        """What keeps it from flying, and what to do; empty where it says nothing of that."""
+        if self.trouble or self.bits is None or self.armed or self.arms_itself:
+            return self.trouble
+        return "the craft is not armed: `groundstation motors arm`, or on the page (Arm...)"

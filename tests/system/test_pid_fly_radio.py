@@ -1,0 +1,173 @@
+"""``pid fly`` and ``motors`` on today's craft over a radio that stalls, and on craft that refuse.
+
+As a user does it: the software craft is a program of its own, heard and commanded over UDP.
+"""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from flown_link import free_udp_port
+from installed import COMMAND, Daemon, require_failure, until
+from narrow_radio import narrow
+from programs import Program, run_program
+
+from groundstation.service.client import ask
+
+ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
+LONG = ("--axis", "roll", "--repeat", "8", "--hold", "1.0", "--rest", "0.5")
+LOCKED = "the craft has locked itself"
+
+
+class Field:
+    """A craft, the radio between, and a daemon; commands beside it."""
+
+    def __init__(self, craft, radio, daemon, folder):
+        self.craft, self.radio, self.daemon = craft, radio, daemon
+        self._environment = {
+            **os.environ,
+            "NO_COLOR": "1",
+            "GROUNDSTATION_SOCKET": str(daemon.socket),
+            "XDG_STATE_HOME": str(folder / "state"),
+        }
+
+    def run(self, *arguments):
+        return run_program([COMMAND, *arguments], env=self._environment, timeout=120)
+
+    def events(self, kind):
+        told = ask(self.daemon.socket, "GET", "/events")
+        return [event["text"] for event in told if event["kind"] == kind]
+
+    @contextlib.contextmanager
+    def flying(self):
+        """``pid fly`` in the midst of its programme."""
+        with Program(
+            [COMMAND, "pid", "fly", *LONG],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment,
+        ) as flight:  # fmt: skip
+            until(lambda: flight.poll() is not None or "pid fly programme" in self.events("mark"),
+                  "the programme is flown")  # fmt: skip
+            yield flight
+
+    def connected_again(self):
+        def streams(status):
+            up = status["command"]["state"] == "connected"
+            return up and status["link"]["state"] == "streaming"
+
+        return self.daemon.status_when(streams, "the craft is connected again")
+
+    def said(self):
+        """What the craft itself says of its state, which takes it a moment."""
+        return until(
+            lambda: ask(self.daemon.socket, "GET", "/status")["command"]["hindrance"],
+            "the craft says what keeps it from flying",
+        )
+
+
+@pytest.fixture
+def field(tmp_path, request):
+    settings, port = tmp_path / "craft.toml", free_udp_port()
+    given = {"craft": '"crazyflie21"', "protocol": "9", **getattr(request, "param", {})}
+    always = 'program = "wait"\nresume_s = 1e6\nheight_deck = true\n'
+    settings.write_text(always + "".join(f"{key} = {value}\n" for key, value in given.items()))
+    with (
+        Program(
+            [sys.executable, "-m", "firmware_sim", "--settings", settings,
+             "--crtp", f"127.0.0.1:{port}"], stdout=subprocess.PIPE, text=True,
+        ) as craft,
+        narrow(port) as radio,
+    ):  # fmt: skip
+        assert "CRTP" in craft.stdout.readline()
+        with Daemon(tmp_path, "--link", radio.uri, "--recordings", "sessions") as daemon:
+            found = Field(craft, radio, daemon, tmp_path)
+            found.connected_again()
+            yield found
+
+
+def last_line(flight):
+    """What an aborted flight says in the end, which is all it may say but for the help."""
+    _, stderr = flight.communicate(timeout=120)
+    assert flight.returncode == 1, stderr
+    *before, last = stderr.strip().splitlines()
+    assert len(before) <= 1, stderr
+    assert last.startswith("groundstation: flight aborted: ")
+    return last
+
+
+def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(field):
+    """Today's firmware locks a craft whose setpoints cease within 2 s after its motors turned."""
+    for _ in range(2):
+        flight = field.run("pid", "fly", *ONCE, "--json")
+        assert flight.returncode == 0, flight.stderr
+        assert json.loads(flight.stdout)["motors"] == "motors are off"
+        time.sleep(3.0)
+    assert field.events("fault") == []
+    assert not any("Locked" in line for line in field.events("console"))
+
+
+@pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
+def test_half_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
+    with field.flying() as flight:
+        field.radio.stalled = True
+        time.sleep(0.7)
+        field.radio.stalled = False
+        last = last_line(flight)
+    assert "telemetry lost (link silent)" in last
+    assert "motors are off" in last
+    time.sleep(2.5)
+    field.run("motors", "arm")
+    again = field.run("pid", "fly", *ONCE)
+    assert again.returncode == 0, again.stderr
+
+
+@pytest.mark.parametrize("field", [{"craft": '"crazyflie21plus"', "protocol": "7"}], indirect=True)
+def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopped(field):
+    with field.flying() as flight:
+        field.radio.stalled = True
+        last = last_line(flight)
+        assert "nothing says that the motors stopped" in last
+        assert "motors are off" not in last
+        told = require_failure(field.run("motors", "stop"))
+        assert "not connected" in told
+        time.sleep(2.0)
+        field.radio.stalled = False
+    field.connected_again()
+    assert LOCKED in field.said()
+    assert LOCKED in require_failure(field.run("motors", "arm"))
+    refused = require_failure(field.run("pid", "fly", *ONCE))
+    assert LOCKED in refused
+    assert refused.endswith("switch it off and on; nothing was flown")
+    assert field.run("motors", "stop").stdout.startswith("stopped")
+
+
+@pytest.mark.parametrize("field", [{"craft": '"brushless"'}], indirect=True)
+def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(field):
+    """Its time stands still too, unlike a radio's; what was sent meanwhile comes late."""
+    with field.flying() as flight:
+        field.craft.send_signal(signal.SIGSTOP)
+        try:
+            last = last_line(flight)
+        finally:
+            time.sleep(2.0)
+            field.craft.send_signal(signal.SIGCONT)
+    assert "nothing says that the motors stopped" in last
+    field.connected_again()
+    assert field.run("motors", "stop").stdout.startswith("stopped")
+
+
+@pytest.mark.parametrize("field", [{"craft": '"brushless"', "upside_down": "true"},
+                                   {"upside_down": "true", "protocol": "12"}],
+                         indirect=True)  # fmt: skip
+def test_a_craft_on_its_back_is_neither_armed_nor_flown(field):
+    assert "lies on its side or its back: set it upright" in field.said()
+    told = require_failure(field.run("motors", "arm"))
+    assert "the craft refuses to arm its motors: the craft lies on its side" in told
+    refused = require_failure(field.run("pid", "fly", *ONCE))
+    assert refused.endswith("set it upright; nothing was flown")
+    assert "pid fly begins" not in field.events("mark")
+    assert field.events("fault") == ["the craft lies on its side or its back: set it upright"]
