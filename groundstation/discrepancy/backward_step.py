@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
-from groundstation.discrepancy.evidence import by_parts
+from groundstation.discrepancy.evidence import by_parts, separated
 from groundstation.discrepancy.findings import Leftover, Refusal
 from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.discrepancy.search_state import Accepted, SearchState
@@ -40,7 +40,7 @@ def drop_disputed(search: SearchState) -> bool:
     """Drop, for good, the effect on whose size channels or recordings disagree most."""
     worst: tuple[float, Accepted, Refusal] | None = None
     for one in search.accepted:
-        t, parts = by_parts(search.problem, search.now, one.variant)
+        t, parts = by_parts(search.problem, separated(search.problem, search.now, one.variant))
         one.evidence = replace(one.evidence, t=t, parts=parts)
         why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
         errors = max(one.evidence.spread(0)[0], one.evidence.spread(1)[0])

@@ -95,9 +95,10 @@ def gather(
             float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
             float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
         )
-    t, parts = by_parts(problem, after, variant)
+    effect = separated(problem, after, variant)
+    t, parts = by_parts(problem, effect)
     names = tuple(flight.run.name for flight in problem.flights)
-    beyond = beyond_unseen(problem, after, variant)
+    beyond = beyond_unseen(problem, effect)
     return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
 
 
@@ -117,17 +118,31 @@ def touched(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
     return tuple(sorted(c for c, p in power.items() if p > TOUCHED * most))
 
 
-def by_parts(
-    problem: Problem, fit: Fit, variant: Variant
-) -> tuple[float, dict[tuple[int, int], tuple[float, float]]]:
-    """t of the whole effect from scores by blocks of time, and its size by flight and channel.
+@dataclass(frozen=True, slots=True)
+class Separated:
+    """An effect as one column, whose coefficient is 1 in the joint fit, without what the other
+    unknowns can imitate of it.
 
-    The effect's columns, weighted with its values, are one column whose coefficient is 1 in the
-    joint fit; what the other unknowns can imitate of it is taken out.
+    linear: of the joint fit. own: (k,) places of the effect's columns in it. weights: (p,) of all
+    its columns, which make them that one.
     """
+
+    linear: Linear
+    own: list[int]
+    weights: Array
+
+
+def separated(problem: Problem, fit: Fit, variant: Variant) -> Separated:
+    """An effect of the joint fit, apart from the rest of it."""
     linear = problem.linear(fit.point, fit.keys, problem.flights)
-    own = linear.place(variant.sizes)
-    weights = _alone(problem, linear, variant)
+    return Separated(linear, linear.place(variant.sizes), _alone(problem, linear, variant))
+
+
+def by_parts(
+    problem: Problem, effect: Separated
+) -> tuple[float, dict[tuple[int, int], tuple[float, float]]]:
+    """t of the whole effect from scores by blocks of time, and its size by flight and channel."""
+    linear, own, weights = effect.linear, effect.own, effect.weights
     information, variance = 0.0, 0.0
     parts: dict[tuple[int, int], tuple[float, float]] = {}
     scores: dict[int, list[Array]] = {}
@@ -152,14 +167,13 @@ def by_parts(
     return information / max(variance, information) ** 0.5, parts
 
 
-def beyond_unseen(problem: Problem, fit: Fit, variant: Variant) -> float:
+def beyond_unseen(problem: Problem, effect: Separated) -> float:
     """``Evidence.beyond``: summed over flights, channels and bands."""
     unseen = [0.0 if f.rotor_measured else unseen_delay_s(f.run) for f in problem.flights]
     if not any(unseen):
         return math.inf
-    linear = problem.linear(fit.point, fit.keys, problem.flights)
-    weights = _alone(problem, linear, variant)
-    torque = np.array([value(fit.point, k) if k in BODY_KEYS else 0.0 for k in linear.keys])
+    linear, weights = effect.linear, effect.weights
+    torque = np.array([value(linear.point, k) if k in BODY_KEYS else 0.0 for k in linear.keys])
     return sum(
         power_beyond(
             weights[s.place] @ s.columns,

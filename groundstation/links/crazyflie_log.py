@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from groundstation.clock import HostClock
-from groundstation.errors import BadInputError, LinkError, LinkLostError
+from groundstation.errors import BadInputError, LinkLostError
 from groundstation.links.base import Link
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.crazyflie_connection import Connection, Identity
@@ -188,7 +188,7 @@ class CrazyflieTelemetry(Link):
         """Rows that follow are another segment; commands do not notice."""
         try:
             await self._connection.pace_log(1000 // rate_hz)
-        except LinkError as error:
+        except Exception as error:  # cflib raises what it likes, and nobody waits for this task
             self.emit("loss", f"{told}, and they cannot be made fewer: {error}")
             return
         self._period_ms = 1000 // rate_hz

@@ -9,8 +9,7 @@ from narrow_radio import narrow
 from served_craft import served
 
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
-from groundstation.recording.quality import _steps
-from groundstation.telemetry.samples import SampleBatch, empty_samples
+from groundstation.telemetry.samples import SampleBatch
 
 FAST_HZ = 250
 
@@ -50,10 +49,24 @@ def test_a_link_that_bears_its_rate_keeps_it() -> None:
     assert len(np.unique(samples.segment)) == 1
 
 
-def test_rows_that_come_more_slowly_in_a_later_segment_are_not_taken_for_gaps() -> None:
-    samples = empty_samples(200, 1e-6)
-    samples.segment[120:] = 1
-    steps_us = np.where(samples.segment == 0, 4000, 10_000)
-    steps_us[[50, 150]] *= 3  # two rows of each are missing
-    samples.ticks[:] = np.cumsum(steps_us)
-    assert _steps(samples).lost.sum() == 4
+def test_a_library_that_fails_while_the_rate_is_lowered_is_told_and_the_rows_go_on() -> None:
+    async def broken(period_ms: int) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'send_packet'")
+
+    async def session(uri: str) -> list[str]:
+        link = CrazyflieTelemetry(uri, rate_hz=FAST_HZ)
+        told: list[str] = []
+        link.on_event = lambda event: told.append(f"{event.kind}: {event.text}")
+        async with link:
+            await link.read()
+            link._connection.pace_log = broken
+            assert link._rows is not None
+            await link._slow_down(100, "half of the rows lost", link._rows)
+            assert len(await link.read())
+        return told
+
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        told = asyncio.run(session(craft.uri))
+    (said,) = [line for line in told if line.startswith("loss: ")]
+    assert said.startswith("loss: half of the rows lost, and they cannot be made fewer: ")
+    assert "send_packet" in said
