@@ -44,7 +44,9 @@ def run(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
     ),
     rate_hz: int | None = typer.Option(
-        None, "--rate", help="Rows a second of a stock craft: 50 to 1000 (default: 100)."
+        None,
+        "--rate",
+        help="Rows a second of a stock craft: 50 to 1000 (default: what the link bears, to 250).",
     ),
     log: str | None = typer.Option(
         None, metavar="VARIABLE,...", help="Further log variables of a stock craft."

@@ -36,8 +36,13 @@ RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 WATCH_S, MOST_LOST = 2.5, 0.1
 """Two such spans in turn with more lost than that share, and the link does not bear the rate: users
 report up to 4 % on a link that does, and who walks between is gone after a second."""
-LEAST_HZ = 100
-"""At 200 packets a second any dongle keeps up: what is lost there is the distance."""
+LEAST_HZ, MOST_HZ = 100, 250
+"""At 200 packets a second any dongle keeps up: what is lost there is the distance. Rows that come
+250 times a second tell all settings of the motors: so many are tried where no rate is asked for."""
+BEGIN_S, MEASURE_S = 0.2, 1.0
+BORNE, SPARE = 0.94, 0.9
+"""Share of what was asked for that comes where a link bears it, which loses up to 4 %; share of
+what comes that is asked for where it does not: commands want room too."""
 SETTING_MS = 2
 """How often today's firmware sets the motors."""
 DEVICES = {
@@ -67,6 +72,7 @@ class _Watched:
 class CrazyflieTelemetry(Link):
     """Samples of a stock Crazyflie, ``rate_hz`` a second or, where the link loses many, fewer.
 
+    rate_hz: 0: as many as the link is found to bear before the first row, ``MOST_HZ`` at most.
     wanted: further log variables.
     """
 
@@ -74,20 +80,24 @@ class CrazyflieTelemetry(Link):
         self,
         uri: str,
         *,
-        rate_hz: int = 100,
+        rate_hz: int = 0,
         wanted: Sequence[str] = (),
         clock: HostClock | None = None,
     ) -> None:
         super().__init__(uri, clock=clock)
-        if rate_hz not in RATES_HZ:
+        if rate_hz not in (0, *RATES_HZ):
             listed = ", ".join(map(str, RATES_HZ))
-            raise BadInputError(f"rate {rate_hz}: a craft logs every whole ms; give {listed}")
+            raise BadInputError(
+                f"rate {rate_hz}: a craft logs every whole ms; give {listed}, or 0 for as many as"
+                " the link bears"
+            )
         self._connection = Connection(uri)
         self._connection.on_lost.append(self._lose)
         self._console: deque[str] = deque(maxlen=CONSOLE_LINES)
         self._connection.on_console = self._console.append
         self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
-        self._period_ms = 1000 // rate_hz
+        self._period_ms = 1000 // (rate_hz or MOST_HZ)
+        self._measures = rate_hz == 0
         self._wanted = tuple(wanted)
         self._rows: LogRows | None = None
         self._found = ""  # to be told with the first batch
@@ -112,6 +122,8 @@ class CrazyflieTelemetry(Link):
         await self._connection.open()
         try:
             identity = await self._connection.identify()
+            if self._measures and identity.protocol < 0:  # which logs every 10 ms at the most
+                self._measures, self._period_ms = False, 1000 // LEAST_HZ
             slow = self._period_ms > SETTING_MS
             plan = plan_log(self._connection.variables(), self._wanted, slow)
             if self._rows is None:
@@ -120,6 +132,9 @@ class CrazyflieTelemetry(Link):
                 self._rows.restart(plan, self._period_ms)
             blocks = [*plan.blocks, *plan.extra]
             await self._connection.start_log(blocks, self._period_ms, self._take, plan.again)
+            if self._measures:
+                await self._take_what_is_borne(len(blocks))
+                self._rows.restart(plan, self._period_ms)
         except BaseException:
             await self._connection.close()
             raise
@@ -127,6 +142,34 @@ class CrazyflieTelemetry(Link):
         self._found = self._introduction(identity, plan)
         self._heard_s = self._loop.time()
         self._watched, _ = _Watched().later(self._heard_s, self._rows.counts())
+
+    async def _take_what_is_borne(self, blocks: int) -> None:
+        """Count what comes of the most that is asked for, and ask for so much: packets that a radio
+        does not carry wait in the craft, and are lost there only when its queue is full."""
+
+        def counted() -> int:
+            with self._lock:
+                came = len(self._packets)
+                self._packets.clear()
+            return came
+
+        assert self._loop is not None
+        await asyncio.sleep(BEGIN_S)
+        counted()
+        since_s = self._loop.time()
+        await asyncio.sleep(MEASURE_S)
+        came_hz = counted() / blocks / (self._loop.time() - since_s)
+        self._measures = False
+        if came_hz < BORNE * MOST_HZ:
+            rates = [rate for rate in RATES_HZ if LEAST_HZ < rate <= SPARE * came_hz]
+            self._period_ms = 1000 // (rates[0] if rates else LEAST_HZ)
+            await self._connection.pace_log(self._period_ms)
+            self.emit(
+                "loss",
+                f"the link bears {came_hz:.0f} of {MOST_HZ} rows a second:"
+                f" {1000 // self._period_ms} are asked for",
+            )
+            counted()
 
     async def _read(self) -> SampleBatch:
         loop, rows = self._loop, self._rows

@@ -30,7 +30,7 @@ def make_link(
     model: str = "",
     command: str = "",
     usb: dict[str, str] | None = None,
-    rate_hz: int = 100,
+    rate_hz: int = 0,
     wanted: Sequence[str] = (),
     clock: HostClock | None = None,
 ) -> Link:
@@ -39,7 +39,8 @@ def make_link(
     model: file of the model that ``stand-in:MODEL`` names, where MODEL is not the file itself.
     usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual ones.
     command: URI of the command link: a stand-in answers there when it is ``udp://``.
-    rate_hz, wanted: rows a second, and further variables, of a craft's own log.
+    rate_hz, wanted: rows a second (0: what the link bears), and further variables, of a craft's
+    own log.
     """
     if name.startswith(CRAFT):
         from groundstation.links.crazyflie_log import CrazyflieTelemetry

@@ -52,7 +52,13 @@ class UsbConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class RadioConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A craft that is asked for its log: radio://, usb:// or udp://."""
 
-    rate_hz: Annotated[int, _key("rows a second: 1000, 500, 250, 200, 125, 100 or 50")] = 100
+    rate_hz: Annotated[
+        int,
+        _key(
+            "rows a second: 1000, 500, 250, 200, 125, 100 or 50; 0: as many as the link bears, 250"
+            " at most"
+        ),
+    ] = 0
     log: Annotated[str, _key("further log variables, GROUP.NAME,...; empty: none")] = ""
 
 

@@ -14,7 +14,8 @@ from firmware_sim.crtp_server import CrtpServer
 
 
 class ServedCraft:
-    """A stand-in flown by a thread in steps of 10 ms, served by a loop in another."""
+    """A stand-in flown by a thread in steps of 10 ms, longer where it is late, served by a loop in
+    another."""
 
     def __init__(self, craft: StandIn) -> None:
         self.craft = craft
@@ -48,8 +49,11 @@ class ServedCraft:
 
     def _fly(self) -> None:
         flown_s = self.craft.time_s
+        ahead_s = flown_s - time.monotonic()
         while not self._stop.wait(0.009):
-            flown_s += 0.01 + self.skip_s
+            late_s = time.monotonic() + ahead_s - flown_s
+            flown_s += min(max(late_s, 0.01), 0.05) + self.skip_s
+            ahead_s += self.skip_s
             self.skip_s = 0.0
             self.craft.advance(flown_s)
             self.each_step()
