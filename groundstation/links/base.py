@@ -17,6 +17,7 @@ from groundstation.errors import LinkEndedError, LinkError, LinkLostError
 from groundstation.links.command import CommandLink
 from groundstation.links.event import EventSink, LinkEvent
 from groundstation.telemetry.decoder import DecoderCounts
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 LinkBatch = RawBatch | SampleBatch
@@ -46,6 +47,7 @@ class Link(ABC):
         so that a replayed recording keeps its absolute device time.
     vehicle: profile of the craft, once it is open and where it says so.
     commands: the command link that the same connection carries, where it does.
+    on_table: told what the craft logs besides its telemetry, where it was asked to.
     """
 
     doing = ""
@@ -64,6 +66,7 @@ class Link(ABC):
         self.vehicle: str | None = None
         self.commands: CommandLink | None = None
         self.on_event: EventSink = lambda event: None
+        self.on_table: Callable[[LogTable], None] = lambda table: None
 
     async def open(self) -> None:
         """Open the source. Raises LinkError when it cannot be opened now, or is open."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
-from groundstation.links.base import LinkEvent
+from groundstation.links.event import LinkEvent
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection, resolve
 from groundstation.links.supervisor import BATTERY_LOW, INFO, POWER, Supervisor

@@ -199,6 +199,8 @@ class CrazyflieTelemetry(Link):
             if dropped:
                 self.emit("loss", f"{dropped} packets dropped: nobody read the link for too long")
             samples = rows.add(packets)
+            for table in rows.take_extra():
+                self.on_table(table)
             self._bear(loop.time(), rows)
             if len(samples):
                 if self._found:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from groundstation.links.log_plan import QUATERNION, LogPlan
 from groundstation.recording.microsd_channels import samples_from_columns
 from groundstation.telemetry.decoder import DecoderCounts
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.packet import FULL_16_BIT
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
@@ -76,16 +77,20 @@ class LogRows:
     _newest: tuple[int, int] | None = None  # time, host time
     _last_ms: int | None = None  # of the last row of this segment
     _host_ns: int = 0
+    _extra: dict[int, list[_Reading]] = field(default_factory=dict)
     _set: tuple[NDArray[Any], ...] | None = None  # time, segment, motors of the last row
 
     def __post_init__(self) -> None:
         self._waiting = [deque() for _ in self.plan.blocks]
 
     def add(self, packets: Iterable[LogPacket]) -> SampleBatch:
-        """The rows that these packets complete; those of ``plan.extra`` are left alone."""
+        """The rows that these packets complete; those of ``plan.extra`` wait for ``take_extra``."""
         rows: list[tuple[int, int, int, tuple[float, ...]]] = []
         for block, stamp, values, host_ns in packets:
             if block >= len(self._waiting):
+                if self._newest is not None:  # else nobody knows the time of it yet
+                    time_ms = self._unwrapped(stamp, host_ns)
+                    self._extra.setdefault(block, []).append(_Reading(time_ms, values, host_ns))
                 continue
             self._counts.packets += 1
             time_ms = self._unwrapped(stamp, host_ns)
@@ -101,6 +106,25 @@ class LogRows:
             rows += self._complete()
         return self._samples(rows)
 
+    def take_extra(self) -> list[LogTable]:
+        """What has come of ``plan.extra`` since the last call: a table for each block."""
+        extra, self._extra = self._extra, {}
+        several = len(self.plan.extra) > 1
+        tables = []
+        for block, readings in sorted(extra.items()):
+            number = block - len(self.plan.blocks)
+            names = [name for name, _ in self.plan.extra[number]]
+            values = np.array([one.values for one in readings], np.float64)
+            tables.append(
+                LogTable(
+                    f"log{number + 1}" if several else "log",
+                    np.array([one.host_ns for one in readings], np.int64),
+                    np.array([one.time_ms for one in readings], np.float64) / 1000.0,
+                    {name: values[:, column] for column, name in enumerate(names)},
+                )
+            )
+        return tables
+
     def counts(self) -> DecoderCounts:
         """Totals, as those of packets of telemetry."""
         c = self._counts
@@ -113,7 +137,7 @@ class LogRows:
     def restart(self, plan: LogPlan, period_ms: int) -> None:
         """The craft was asked anew, or again: what follows is another segment."""
         self.plan, self.period_ms = plan, period_ms
-        self._newest = None
+        self._newest, self._extra = None, {}
         self._begin_segment()
 
     def _restart(self) -> None:

@@ -54,11 +54,14 @@ class TableTopic:
         times = self._table.time_s
         for start in range(0, len(times), _ROWS):
             rows = slice(start, start + _ROWS)
-            values = {
-                field: self._table.columns[column][rows] for column, field in self._fields.items()
-            }
+            columns = {name: values[rows] for name, values in self._table.columns.items()}
             newest_ns = origin_ns + int(np.nanmax(times[rows], initial=0.0) * 1e9)
-            yield newest_ns, self._definition.encode({_TIME: times[rows], **values})
+            yield newest_ns, self.encode(Table(times[rows], columns))
+
+    def encode(self, rows: Table) -> bytes:
+        """The payload of a message of some rows, whose columns are this table's."""
+        values = {field: rows.columns[column] for column, field in self._fields.items()}
+        return self._definition.encode({_TIME: rows.time_s, **values})
 
 
 class TableColumns:

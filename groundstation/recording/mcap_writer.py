@@ -25,7 +25,10 @@ from groundstation.recording.mcap_schemas import (
     STATISTICS_TOPIC,
     encode_entry,
 )
+from groundstation.recording.mcap_tables import TableTopic
 from groundstation.recording.recording_file import RecordingFile
+from groundstation.recording.session import Table
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 MEBIBYTE = 1024 * 1024
@@ -75,7 +78,7 @@ class _Break:
     """Nothing from before it shares a message with anything behind it."""
 
 
-_Item = RawBatch | SampleBatch | _Entry | _Break
+_Item = RawBatch | SampleBatch | LogTable | _Entry | _Break
 
 
 class McapRecorder:
@@ -117,7 +120,8 @@ class McapRecorder:
         self._lock = threading.Lock()
         self._queue: deque[_Item] = deque()
         self._queued_bytes = 0
-        self._dropped = {RawBatch: 0, SampleBatch: 0, _Entry: 0, _Break: 0}
+        self._dropped = {RawBatch: 0, SampleBatch: 0, LogTable: 0, _Entry: 0, _Break: 0}
+        self._tables: dict[str, TableTopic] = {}
         self._reported_drops = 0
         self._report_due_s = 0.0
         self._samples = self._packets = self._marks = 0
@@ -139,6 +143,10 @@ class McapRecorder:
     def samples(self, batch: SampleBatch) -> None:
         """Record decoded samples. The batch's arrays must not change afterwards."""
         self._offer(batch)
+
+    def table(self, rows: LogTable) -> None:
+        """Record rows of a further table, whose columns stay the same in a file."""
+        self._offer(rows)
 
     def command(self, entry: dict[str, Any]) -> None:
         """Record a setpoint or parameter write; like every entry it has a ``time_ns``."""
@@ -166,7 +174,7 @@ class McapRecorder:
                 raw_packets=self._packets,
                 dropped_samples=self._dropped[SampleBatch],
                 dropped_packets=self._dropped[RawBatch],
-                dropped_entries=self._dropped[_Entry],
+                dropped_entries=self._dropped[_Entry] + self._dropped[LogTable],
                 state=self._state,
                 text=self._text,
             )
@@ -269,6 +277,8 @@ class McapRecorder:
         for item in items:
             if isinstance(item, _Entry):
                 self._out.encoded(item.topic, item.time_ns, item.payload)
+            elif isinstance(item, LogTable):
+                self._write_table(item)
         packets = RawBatch.concatenate([item for item in items if isinstance(item, RawBatch)])
         self._out.raw(packets, self._batch_s)
         self._packets += len(packets)
@@ -277,6 +287,14 @@ class McapRecorder:
             samples = SampleBatch.concatenate(list(run))
             self._out.samples(samples, self._batch_s)
             self._samples += len(samples)
+
+    def _write_table(self, rows: LogTable) -> None:
+        table = Table(rows.time_s, dict(rows.columns))
+        topic = self._tables.get(rows.name)
+        if topic is None:
+            topic = self._tables[rows.name] = TableTopic(rows.name, len(self._tables) + 1, table)
+            self._out.add_topic(topic.topic, topic.metadata)
+        self._out.add(topic.topic.name, int(rows.host_time_ns[-1]), topic.encode(table))
 
     def _space_is_low(self) -> bool:
         file = self._out.file
@@ -356,7 +374,7 @@ class _Syncer:
 def _count(item: _Item) -> int:
     if isinstance(item, _Break):
         return 0
-    return 1 if isinstance(item, _Entry) else len(item)
+    return 1 if isinstance(item, _Entry | LogTable) else len(item)
 
 
 def _size(item: _Item) -> int:
@@ -365,5 +383,7 @@ def _size(item: _Item) -> int:
         return _ITEM_BYTES + len(item.payload)
     if isinstance(item, _Break):
         return _ITEM_BYTES
+    if isinstance(item, LogTable):
+        return _ITEM_BYTES + (2 + len(item.columns)) * item.time_s.nbytes
     row = _RAW_ROW_BYTES if isinstance(item, RawBatch) else _SAMPLE_ROW_BYTES
     return _ITEM_BYTES + len(item) * row

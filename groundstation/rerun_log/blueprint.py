@@ -8,19 +8,24 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
-from groundstation.rerun_log.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK
+from groundstation.rerun_log.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK, TABLES
 
 LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""
 
 
 def pilot_blueprint(
-    *, window_s: float | None, twin: bool = False, from_take_off: bool = False
+    *,
+    window_s: float | None,
+    twin: bool = False,
+    tables: bool = False,
+    from_take_off: bool = False,
 ) -> rrb.Blueprint:
     """The views over device time, following the newest data.
 
     window_s: length of the plots; None shows all there is, for a finished recording. twin: with
-    a tab, in front, of what the live twin predicts. from_take_off: over flight time, standing at
+    a tab, in front, of what the live twin predicts. tables: with a tab of what the craft logs
+    besides its telemetry. from_take_off: over flight time, standing at
     its beginning.
     """
     bounds = rr.TimeRangeBoundary
@@ -71,6 +76,9 @@ def pilot_blueprint(
         plot("Motors (% duty)", "/telemetry/motors", low=0.0, high=100.0),
         name="Telemetry",
     )
+    tabs = [right]
+    if tables:
+        tabs.append(rrb.Vertical(plot("What else the craft logs", f"/{TABLES}/**"), name="Log"))
     if twin:
         beside = rrb.Vertical(
             plot("Rates: measured, and predicted 50 ms before (deg/s)", "/twin/rates/**"),
@@ -79,7 +87,9 @@ def pilot_blueprint(
             plot("Gap: prediction error over noise (1: the model is right)", "/twin/gap"),
             name="Twin",
         )
-        right = rrb.Tabs(beside, right, active_tab=0)
+        tabs.insert(0, beside)
+    if len(tabs) > 1:
+        right = rrb.Tabs(*tabs, active_tab=0)
     return layout_of(
         rrb.Horizontal(left, right, column_shares=[4, 5]), timeline, follow=not from_take_off
     )

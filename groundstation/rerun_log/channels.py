@@ -10,6 +10,7 @@ in SI survives the way through float64 and back (``scaled``, ``unscaled``).
 | /telemetry/packet | ticks, tick_s, segment, copies, debug: for an exact read-back |
 | /link, /link/NAME | link statistics: all as JSON, and those of ``STATISTICS`` as numbers |
 | /events, /commands | what happened and what was commanded: as text, and as JSON |
+| /tables/NAME/VARIABLE | live only: what a craft logs besides its telemetry |
 | /twin/rates, attitude, accelerometer, gap | live only: measured beside predicted (``twin_log``) |
 
 Timelines: ``device_time`` (duration), ``seq`` (number of the sample) and ``host_time`` (Unix).
@@ -33,6 +34,7 @@ HOST_TIME = "host_time"
 
 CRAFT = "/craft"
 PACKET = "/telemetry/packet"
+TABLES = "tables"
 EVENTS = "/events"
 COMMANDS = "/commands"
 LINK = "/link"

@@ -25,6 +25,7 @@ from groundstation.rerun_log.channels import (
     PACKET_COLUMNS,
     SEQUENCE,
     STATISTICS,
+    TABLES,
     scaled,
 )
 from groundstation.rerun_log.craft import craft_drawing
@@ -110,6 +111,14 @@ class ViewerLog:
             known = ~np.isnan(values)
             columns = rr.Scalars.columns(scalars=values[known])
             self._send(f"{LINK}/{name}", times[known], columns)
+
+    def series(
+        self, path: Sequence[str], times_ns: NDArray[np.int64], values: NDArray[np.float64]
+    ) -> None:
+        """Log numbers (n,) of Unix times (n,) below ``TABLES``."""
+        known = np.isfinite(values)
+        columns = rr.Scalars.columns(scalars=values[known])
+        self._send(rr.new_entity_path([TABLES, *path]), times_ns[known], columns)
 
     def _send(self, entity: str, times: NDArray[np.int64], columns: Any) -> None:
         if len(times):

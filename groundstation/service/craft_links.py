@@ -24,13 +24,22 @@ from groundstation.service.commander import Commander
 from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
 from groundstation.service.journal import Journal
 from groundstation.service.receiver import Receiver
+from groundstation.telemetry.log_table import LogTable
 
 
 def telemetry_link(
-    config: Config, name: str, journal: Journal, clock: HostClock, *, port: str, model: str = ""
+    config: Config,
+    name: str,
+    journal: Journal,
+    clock: HostClock,
+    *,
+    on_table: Callable[[LogTable], None],
+    port: str,
+    model: str = "",
 ) -> Link:
-    """A link as configured, that tells the journal. port: where a stand-in takes commands. model:
-    file of the model that ``stand-in:MODEL`` names. Raises BadInputError."""
+    """A link as configured, that tells the journal. on_table: given what a craft logs besides.
+    port: where a stand-in takes commands. model: file of the model that ``stand-in:MODEL`` names.
+    Raises BadInputError."""
     link = make_link(
         name,
         speed=link_speed(config.link.speed),
@@ -42,7 +51,7 @@ def telemetry_link(
         wanted=[name.strip() for name in config.radio.log.split(",") if name.strip()],
         clock=clock,
     )
-    link.on_event = journal.take
+    link.on_event, link.on_table = journal.take, on_table
     return link
 
 
@@ -97,7 +106,13 @@ class CraftLinks:
         self._switching = True
         try:
             link = telemetry_link(
-                self._config, name, self._journal, self._clock, port=self._port, model=model
+                self._config,
+                name,
+                self._journal,
+                self._clock,
+                on_table=self._receiver.link.on_table,
+                port=self._port,
+                model=model,
             )
             before = self._receiver.link
             async with _port_of(before, link):

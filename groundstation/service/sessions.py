@@ -15,6 +15,7 @@ from groundstation.links.event import LinkEvent
 from groundstation.paths import dated
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 OUR_NAME = re.compile(r"\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d-\d{3}Z_[a-z-]+\.mcap")
@@ -141,6 +142,10 @@ class Sessions:
     def samples(self, batch: SampleBatch) -> None:
         if recorder := self._recorder:
             recorder.samples(batch)
+
+    def table(self, rows: LogTable) -> None:
+        if recorder := self._recorder:
+            recorder.table(rows)
 
     def event(self, event: LinkEvent) -> None:
         if recorder := self._recorder:

@@ -42,6 +42,7 @@ from groundstation.service.stream import Stream
 from groundstation.service.supervisor import Supervisor
 from groundstation.service.thumbnails import Thumbnails
 from groundstation.service.twin import SOURCE, TwinService
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.telemetry.statistics import LinkStatistics
 from groundstation.viewer.viewer import Viewer, ViewerMode
@@ -75,7 +76,14 @@ class Station:
         self.started_s = time.monotonic()
         self._source = source
         self.journal = Journal(clock, self._is_repetition)
-        link = telemetry_link(config, config.link.name, self.journal, clock, port=config.command)
+        link = telemetry_link(
+            config,
+            config.link.name,
+            self.journal,
+            clock,
+            on_table=self._take_table,
+            port=config.command,
+        )
         self.commander = self._commanding(link)
         self.receiver = Receiver(
             link,
@@ -109,6 +117,7 @@ class Station:
             port=config.viewer.port,
             web_port=config.viewer.web_port,
             twin=bool(config.twin.model),
+            tables=bool(config.radio.log),
             on_event=self._noting("viewer"),
         )
         self.page = PageService(config.page, socket_path(config.control.socket))
@@ -292,6 +301,10 @@ class Station:
 
     def _take_raw(self, batch: RawBatch) -> None:
         self.sessions.raw(batch)
+
+    def _take_table(self, rows: LogTable) -> None:
+        self.sessions.table(rows)
+        self.viewer.show_table(rows)
 
     def _take_command(self, entry: dict[str, Any]) -> None:
         self.sessions.command(entry)

@@ -3,7 +3,7 @@
 Reads messages from the SOCK_SEQPACKET socket FD and logs them to the rerun server on PORT of
 ADDRESS. It may block or die at any time: the daemon drops, notices and starts another one. All
 feeders of one daemon write to the same RECORDING, so that an open viewer simply continues. LAYOUT:
-``twin`` or ``plain``.
+``plain``, or ``twin``, ``tables`` or both joined by a plus.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import sys
 import time
 from typing import NoReturn
 
+import numpy as np
 import rerun as rr
 
 from groundstation.rerun_log.blueprint import LIVE_WINDOW_S, pilot_blueprint
@@ -28,6 +29,7 @@ from groundstation.viewer.messages import (
     EventMessage,
     SamplesMessage,
     StatisticsMessage,
+    TableMessage,
     TwinMessage,
     decode_message,
     encode_message,
@@ -55,7 +57,7 @@ def main(arguments: list[str]) -> NoReturn:
     descriptor, address, port, recording, layout = arguments
     channel = socket.socket(fileno=int(descriptor))
     stream = rr.RecordingStream(APPLICATION, recording_id=recording)
-    status = _run(channel, stream, (address, int(port)), recording, layout == "twin")
+    status = _run(channel, stream, (address, int(port)), recording, layout)
     # At once: a stream that is released, or a normal exit, waits for ever for a server that does
     # not take the data.
     sys.stderr.flush()
@@ -63,13 +65,14 @@ def main(arguments: list[str]) -> NoReturn:
 
 
 def _run(
-    channel: socket.socket, stream: rr.RecordingStream, server: Address, recording: str, twin: bool
+    channel: socket.socket, stream: rr.RecordingStream, server: Address, recording: str, layout: str
 ) -> int:
+    twin, tables = ("twin" in layout), ("tables" in layout)
     if not _server_starts(server):
         return SERVER_SILENT
     stream.connect_grpc(
         f"rerun+http://{server[0]}:{server[1]}/proxy",
-        default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S, twin=twin),
+        default_blueprint=pilot_blueprint(window_s=LIVE_WINDOW_S, twin=twin, tables=tables),
     )
     stream.send_recording_name(recording)
     clock = LiveClock()
@@ -139,6 +142,11 @@ def _feed(
                     taken += 1
                 case StatisticsMessage(entry):
                     log.statistics([entry])
+                    taken += 1
+                case TableMessage() as message:
+                    times_ns = np.frombuffer(message.times_ns, np.int64)
+                    for column, values in message.columns.items():
+                        log.series([message.name, column], times_ns, np.frombuffer(values))
                     taken += 1
                 case TwinMessage() as message:
                     beside.show(message.segment, *message.arrays())

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
 
 Array = NDArray[np.float64]
@@ -47,6 +48,23 @@ class StatisticsMessage(msgspec.Struct, tag="statistics", array_like=True):
     entry: dict[str, Any]
 
 
+class TableMessage(msgspec.Struct, tag="table", array_like=True):
+    """Rows of a further table: times (n,) int64, Unix ns, and columns (n,) float64, native byte
+    order."""
+
+    name: str
+    times_ns: bytes
+    columns: dict[str, bytes]
+
+    @classmethod
+    def of(cls, rows: LogTable) -> Self:
+        columns = {
+            name: np.ascontiguousarray(values, np.float64).tobytes()
+            for name, values in rows.columns.items()
+        }
+        return cls(rows.name, np.ascontiguousarray(rows.host_time_ns).tobytes(), columns)
+
+
 class TwinMessage(msgspec.Struct, tag="twin", array_like=True):
     """Measured and predicted (m, 9) SI at device times (m,), and the gap (9,): float64, native
     byte order."""
@@ -76,7 +94,7 @@ class TwinMessage(msgspec.Struct, tag="twin", array_like=True):
         )
 
 
-Note = EventMessage | StatisticsMessage | TwinMessage
+Note = EventMessage | StatisticsMessage | TableMessage | TwinMessage
 Message = SamplesMessage | Note
 
 

@@ -25,12 +25,14 @@ from urllib.parse import quote
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.event import LinkEvent
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
     MAX_ROWS,
     EventMessage,
     StatisticsMessage,
+    TableMessage,
     TwinMessage,
     decode_acknowledgement,
 )
@@ -66,7 +68,7 @@ class Viewer:
     """Shows samples, events and statistics; lossy by design.
 
     port, web_port: TCP ports on the loopback interface: rerun's own, and the web viewer's.
-    twin: whether there will be predictions to show.
+    twin: whether there will be predictions to show; tables: whether there will be further series.
     on_event: told (kind, text) about the viewer itself; kinds are ``viewer`` and ``fault``.
     """
 
@@ -77,12 +79,15 @@ class Viewer:
         port: int = 9876,
         web_port: int = 9090,
         twin: bool = False,
+        tables: bool = False,
         on_event: Callable[[str, str], None] | None = None,
     ) -> None:
         self.mode = mode
         self.port = port
         self.web_port = web_port
-        self._twin = twin
+        self._layout = "+".join(
+            name for name, shown in (("twin", twin), ("tables", tables)) if shown
+        ) or "plain"  # fmt: skip
         self._on_event = on_event or (lambda kind, text: None)
         self._recording = f"live-{uuid.uuid4().hex[:12]}"
         self._outbox = Outbox()
@@ -147,6 +152,11 @@ class Viewer:
                 shown.segment, shown.time_s, shown.measured, shown.predicted, shown.gap
             )
             self._outbox.put_note(note)
+
+    def show_table(self, rows: LogTable) -> None:
+        """Plot what a craft logs besides its telemetry; never blocks."""
+        if self._task is not None:
+            self._outbox.put_note(TableMessage.of(rows))
 
     def show_statistics(self, values: dict[str, float], time_ns: int) -> None:
         """Plot link statistics valid at Unix time ``time_ns``; never blocks.
@@ -283,7 +293,7 @@ class Viewer:
             feeder = [sys.executable, "-m", "groundstation.viewer.feeder"]
             self._feeder = Child(
                 [*feeder, str(theirs.fileno()), *map(str, self._inner), self._recording,
-                 "twin" if self._twin else "plain"],
+                 self._layout],
                 pass_fds=[theirs.fileno()],
             )  # fmt: skip
         self._heard_at, self._ready_at = now, None

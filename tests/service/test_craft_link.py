@@ -85,6 +85,30 @@ def test_a_flight_is_recorded_without_loss_and_says_whose_it_was(craft, tmp_path
     assert any(event.kind == "console" for event in station.journal.events)
 
 
+def test_what_else_is_logged_is_a_table_of_the_recording_on_the_telemetrys_own_time(
+    craft, tmp_path
+):
+    station = station_for(craft, tmp_path, log="supervisor.info, stateEstimateZ.quat,pm.vbat")
+
+    async def scenario() -> None:
+        await until(lambda: station.statistics is not None and station.statistics.samples > 200)
+
+    run(station, scenario)
+    recording = recorded(tmp_path)
+    table = recording.tables["log"]
+    assert list(table.columns) == ["supervisor.info", "stateEstimateZ.quat", "pm.vbat"]
+    assert len(table.time_s) > 200
+    period = np.median(np.diff(recording.samples.time_s))
+    assert np.median(np.diff(table.time_s)) == pytest.approx(period)
+    assert table.time_s[0] > recording.samples.time_s[0] - 0.1
+    assert abs(table.time_s[-1] - recording.samples.time_s[-1]) < 0.2
+    assert set(table.columns["supervisor.info"].astype(int) & 2) == {2}  # armed
+    assert table.columns["pm.vbat"].mean() == pytest.approx(
+        recording.samples.battery_v.mean(), 0.01
+    )
+    assert inspect_recording(recording)["tables"] == {"log": len(table.time_s)}
+
+
 def test_the_same_connection_carries_commands(craft, tmp_path):
     station = station_for(craft, tmp_path)
 
