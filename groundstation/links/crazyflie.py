@@ -12,9 +12,9 @@ from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
-from groundstation.links.event import LinkEvent
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection, resolve
+from groundstation.links.event import LinkEvent
 from groundstation.links.supervisor import BATTERY_LOW, INFO, POWER, Supervisor
 
 CONFIRM_S = 2.0

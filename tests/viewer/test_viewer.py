@@ -21,9 +21,9 @@ from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.rrd import read_rrd
 from groundstation.recording.rrd_columns import read_columns
+from groundstation.rerun_log.channels import SCALARS
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch
-from groundstation.rerun_log.channels import SCALARS
 from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
 
 PATIENCE_S = 60
