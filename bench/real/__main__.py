@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.real import acceptance, nanobench, program, shaking, slow, swing
+from bench.real import acceptance, lean, nanobench, program, shaking, slow, swing
 from bench.real.reference import Flight, explained, read_flight, reference_gain
 from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
-PARTS = ("fit", "agreement", "find", "tasks", "slow", "swing", "shaking")
+PARTS = ("fit", "agreement", "find", "tasks", "slow", "swing", "shaking", "lean")
 ACCEPT = "accept"
 """Pass or fail, a line each, instead of tables; not among what runs by default."""
 AXES = {"roll": "c0", "pitch": "c1", "yaw": "c2"}
@@ -150,6 +150,11 @@ class Bench:
         """How strongly each rotor shakes the craft."""
         if self.only is None:
             yield from shaking.table(self.data)
+
+    def lean(self) -> Iterator[str]:
+        """How much of the force across the rotors' axis an estimator takes for a tilt."""
+        if self.only is None:
+            yield from lean.table(self.data)
 
     def accept(self) -> Iterator[str]:
         """Each line of acceptance that a folder of flights can show."""
