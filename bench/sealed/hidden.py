@@ -6,8 +6,9 @@ from firmware_sim.effects.catalogue import EFFECTS
 
 LATER = ("slung_load", "motor_coasting")
 """Listed since results were kept: last, and in no mixture, so old cases stay what they were."""
-UNBOUNDED = ("wind", "propeller_imbalance")
-"""Listed, but no bound says how well it can be told: no column of a fit shows it."""
+UNBOUNDED = ("wind", "propeller_imbalance", "position_aided_lean")
+"""Listed, but no bound says how well it can be told: the first two no column of a fit shows, the
+last acts on what is reported alone."""
 MIXED = tuple(
     name
     for name, effect in EFFECTS.items()

@@ -49,7 +49,7 @@ EFFECT = Effect(
     apply=_apply,
     clear=_clear,
     present=lambda p: (
-        reads(strength="aided_strength", time_s="aided_time")(p) if p["aided_strength"] else None
+        reads(aided_strength="strength", aided_time="time_s")(p) if p["aided_strength"] else None
     ),
     draw=lambda generator: {
         "strength": size(generator, 0.6, 1.2),

@@ -184,19 +184,11 @@ def implausible(trial: Trial) -> str:
 
 
 def insignificant(trial: Trial) -> str:
-    """Chance can do it."""
+    """Chance can do it. Asked again in the end, beside all that joined since."""
     evidence = _evidence(trial)
     least = LEAST_DROP + DROP_PER_PARAMETER * (len(trial.variant.keys) - 1)
     enough = evidence.drop >= least and evidence.t >= LEAST_T
     return "" if enough else f"not significant: {evidence.t:.1f} standard errors"
-
-
-def no_longer_significant(trial: Trial) -> str:
-    """Chance can do what is left for it beside those that joined since."""
-    evidence = _evidence(trial)
-    if evidence.t >= LEAST_T:
-        return ""
-    return f"not significant beside the others: {evidence.t:.1f} standard errors"
 
 
 def not_held_out(trial: Trial) -> str:
@@ -326,12 +318,11 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
     ((Stage.FITTED,), Reason.EXPLAINS_LESS, explains_less),
     ((Stage.WEIGHED, Stage.SETTLED), Reason.IMPLAUSIBLE, implausible),
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, insignificant),
+    ((Stage.WEIGHED, Stage.STABLE), Reason.INSIGNIFICANT, insignificant),
     ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.WEIGHED,), Reason.TRIED_BEFORE, tried_before),
     ((Stage.JOINED, Stage.SETTLED), Reason.SUPERFLUOUS, superfluous),
-    ((Stage.STABLE,), Reason.INSIGNIFICANT, no_longer_significant),
     ((Stage.STABLE,), Reason.CHANNELS_DISAGREE, channels_disagree),
     ((Stage.STABLE,), Reason.RECORDINGS_DISAGREE, recordings_disagree),
     ((Stage.LEFT,), Reason.DROWNED, drowned),

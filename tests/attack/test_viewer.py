@@ -305,6 +305,6 @@ def test_a_server_that_takes_no_data_is_begun_anew_and_not_only_its_feed(monkeyp
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         stream = Full("test", recording_id="live")
-        status = feeder._run(theirs, stream, ("127.0.0.1", 9), "live", False)
+        status = feeder._run(theirs, stream, ("127.0.0.1", 9), "live", "")
     assert status == viewer._SERVER_SILENT
     assert "takes no data" in capsys.readouterr().err

@@ -46,6 +46,7 @@ LISTED = {
     "slung_load",
     "wind",
     "propeller_imbalance",
+    "position_aided_lean",
 }
 QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 NEUTRAL = {"motor_braking_asymmetry": {"factor": 1.0}, "rotor_mismatch": {"excess": 0.0}}
@@ -72,7 +73,7 @@ def test_an_effect_of_size_zero_leaves_every_bit_as_it_was(name):
     zero = {parameter: 0.0 for parameter in EFFECTS[name].parameters if parameter != "rotor"}
     if name == "ground_effect":
         zero = {"gain": 0.0}
-    if name == "wind":
+    if name in ("wind", "position_aided_lean"):
         zero.pop("time_s")
     zero = NEUTRAL.get(name, zero)
     if name in ("slung_load", "cracked_arm"):
