@@ -192,13 +192,16 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     expect(page.locator("#stop-why")).to_contain_text("No command link")
     page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_udp_port()}")
     page.get_by_role("button", name="Connect").click()
-    expect(page.locator("#armed")).to_have_text("not told")
-    page.get_by_role("button", name="Arm…").click()
+    expect(page.locator("#armed")).to_have_text("yes")  # as the craft says: this one arms itself
+    expect(page.get_by_role("button", name="Arm…")).to_be_disabled()
+    asked = "document.getElementById('arming').showModal()"
+    page.evaluate(asked)
     page.get_by_role("dialog").get_by_role("button", name="No").click()
-    expect(page.locator("#armed")).to_have_text("not told")
-    page.get_by_role("button", name="Arm…").click()
+    expect(page.locator("#events")).not_to_contain_text("the operator arms the motors")
+    page.evaluate(asked)
     page.get_by_role("dialog").get_by_role("button", name="Arm the motors").click()
     expect(page.locator("#said")).to_have_text("The motors are armed.")
+    expect(page.locator("#events")).to_contain_text("the operator arms the motors")
     expect(page.locator("#armed")).to_have_text("yes")
     expect(page.locator("#stop-why")).to_have_text("At once, whoever commands.")
     ended = []
