@@ -10,24 +10,31 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
+REST = np.zeros(3)
 LEAK_S, LEANING_LEAK_S = 16.0, 4.0
 """Velocity is known over times shorter than this, with an attitude that is right; with one that
 leans towards the accelerometer, as on-board estimates do, or is carried by the gyro instead."""
 
 
 def velocity_from(
-    attitude: Array, force: Array, period_s: float, leak_s: float, first: int = 0
+    attitude: Array,
+    force: Array,
+    period_s: float,
+    leak_s: float,
+    first: int = 0,
+    start: Array = REST,
 ) -> Array:
     """Velocity (n, 3) in m/s, forward, left, up, from attitude (n, 3) and specific force (n, 3).
 
-    At each row what the rows before tell, from row ``first`` on. Steady speed, and what an offset
+    At each row what the rows before tell, from row ``first`` on, where the inertial velocity is
+    ``start`` (3,) (``prediction/start_velocity.py``). Steady speed, and what an offset
     of the sensors would add, are forgotten (two leaks of time constant ``leak_s``).
     """
     from groundstation.identification.likelihood.kernels import body_velocity
 
     attitude, force = (np.ascontiguousarray(one, np.float64) for one in (attitude, force))
     velocity = np.zeros_like(attitude)
-    body_velocity(attitude, force, STANDARD_GRAVITY, period_s, leak_s, first, velocity)
+    body_velocity(attitude, force, STANDARD_GRAVITY, period_s, leak_s, first, start, velocity)
     return velocity
 
 

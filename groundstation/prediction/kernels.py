@@ -305,6 +305,7 @@ def observe(
     height: Any,
     gain_fresh: Any,
     gain_stale: Any,
+    start: Any,
     carry: Any,
     goes_on: bool,
     states: Any,
@@ -319,6 +320,7 @@ def observe(
     attitude, rates, delayed rates and velocity in body axes. Velocity is the integral of the
     measured specific force. On the ground (``flying`` false) the state is what is measured.
     gyro, accelerometer, attitude: (n, 3), NaN where a row lacks it. height: (n,) m.
+    start: inertial velocity (3,) at row 0 where it is in the air and nothing goes on.
     carry: acceleration (3,), time since a new attitude, body, sensors and filter at the last row;
     with ``goes_on`` those of row 0, where an earlier call ended.
     Fills states (n, 17 + the effects'), sensed (n, SENSOR_STATES), filters (n, 10), innovations
@@ -348,6 +350,8 @@ def observe(
             _land(craft, sensor, gyro[j], accelerometer[j], attitude[j], y, z[0], f)
             for i in range(4):
                 y[13 + i] = speed[2 * j, i]
+            if flying[j]:
+                y[3], y[4], y[5] = start[0], start[1], start[2]
             then, since = (0.0, 0.0, 0.0), 0.0
         else:
             before = (y[3], y[4], y[5])

@@ -23,6 +23,7 @@ from groundstation.prediction.attitude_rhythm import fresh_rows
 from groundstation.prediction.attitude_walk import AHEAD_S, walk_of
 from groundstation.prediction.drive import Drive, Flown, drive_run, flying_rows, height_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
+from groundstation.prediction.start_velocity import start_velocity
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -102,8 +103,9 @@ def predict_ahead(
     """Predict a run ``horizons`` rows ahead, from every ``stride``-th row that is in the air.
 
     A row counts from ``SETTLE_S`` after the take-off (or after the run's start) on, if the craft
-    is still in the air at the longest horizon. height_m: (n,) above ground, for ground_effect;
-    by default reckoned by ``height_of``. noise: sets the observer's gains.
+    is still in the air at the longest horizon. A run that begins in the air begins with the
+    velocity that its first seconds tell (``start_velocity``). height_m: (n,) above ground, for
+    ground_effect; by default reckoned by ``height_of``. noise: sets the observer's gains.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing.
     """
@@ -196,7 +198,17 @@ def observe_run(
         height_m = height_of(run, flying) if near else np.full(len(run.duty), np.nan)
 
     gains = gains_of(model, run.period_s, noise)
-    return observe_part(run, drive, gains, flying, fresh, height_m=height_m)[0]
+    start = _start(run, drive, flying)
+    return observe_part(run, drive, gains, flying, fresh, height_m=height_m, start=start)[0]
+
+
+def _start(run: Flown, drive: Drive, flying: Mask) -> Array:
+    """Inertial velocity (3,) with which a run begins, by the sensors as the model has them."""
+    if not flying[0]:
+        return np.zeros(3)
+    first = slice(0, len(flying) if flying.all() else int(np.argmin(flying)))
+    force = run.accelerometer[first] - drive.sensor[0]["zero"][3:]
+    return start_velocity(run.attitude[first], force, run.period_s)
 
 
 def observe_part(
@@ -207,11 +219,13 @@ def observe_part(
     fresh: Mask,
     *,
     height_m: Array,
+    start: Array | None = None,
     carry: Array | None = None,
 ) -> tuple[Observed, Array]:
     """(state behind every row of ``flying`` (m,), what the next part goes on from).
 
     Those are the first m rows of the run; drive and fresh may reach further, for predictions.
+    start: (3,) inertial velocity where it begins in the air, None: 0.
     carry: from the part before, whose last row is the first of this one; None: a beginning.
     """
     from groundstation.prediction.kernels import observe
@@ -233,6 +247,7 @@ def observe_part(
         height_m,
         gains.fresh,
         gains.stale,
+        np.zeros(3) if start is None else start,
         kept,
         carry is not None,
         states,

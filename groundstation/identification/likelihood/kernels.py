@@ -113,15 +113,24 @@ def predict_rates(
 
 @kernel
 def body_velocity(
-    attitude: Any, force: Any, gravity: float, period: float, leak_s: float, first: int, out: Any
+    attitude: Any,
+    force: Any,
+    gravity: float,
+    period: float,
+    leak_s: float,
+    first: int,
+    start: Any,
+    out: Any,
 ) -> None:
     """Body velocity (n, 3) at each row from attitude (n, 3) and specific force (n, 3) before it.
+
+    start: (3,) inertial velocity up to row ``first``.
 
     The inertial acceleration is integrated with two leaks of time constant ``leak_s``: what an
     offset of the accelerometer or a tilt of the frame would add dies out, and so does true
     velocity that lasts longer.
     """
-    vx, vy, vz = 0.0, 0.0, 0.0
+    vx, vy, vz = start[0], start[1], start[2]
     mx, my, mz = 0.0, 0.0, 0.0
     keep = math.exp(-period / leak_s)
     ax, ay, az = 0.0, 0.0, 0.0

@@ -14,7 +14,13 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
-from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S, velocity_from
+from groundstation.identification.velocity import (
+    LEAK_S,
+    LEANING_LEAK_S,
+    REST,
+    velocity_from,
+)
+from groundstation.prediction.start_velocity import start_velocity
 
 Array = NDArray[np.float64]
 Rows = tuple[Any, ...]
@@ -64,10 +70,6 @@ class Inputs:
         )
         return first, second
 
-    def one_before(self) -> Inputs:
-        """A row later."""
-        return Inputs(*map(one_before, (self.mean, self.last, self.rotor, self.slope)))
-
 
 class Motion:
     """Velocity, height and attitude of a flight, and its rates as predicted from earlier rows.
@@ -104,12 +106,22 @@ class Motion:
         if leaning and flight.carried is not None:
             attitude = flight.carried
         leak = LEANING_LEAK_S if leaning else LEAK_S
-        return velocity_from(attitude, sensed, self.period, leak, flight.first)
+        start = REST
+        if not flight.rests[0]:
+            flown = flight.rows
+            start = start_velocity(attitude[flown], sensed[flown], self.period)
+        return velocity_from(attitude, sensed, self.period, leak, flight.first, start)
 
     def follow(self, gyro: Array) -> None:
         """Take the last row's rate for the next one's."""
         self._rates[1:] = gyro[:-1]
         self._still = self._still._replace(rate=_rows(self._rates))
+
+    def with_rates_of(self, other: Motion) -> Motion:
+        """The rates that another predicted, in place of its own."""
+        self._rates, self.news = other._rates, other.news
+        self._still = self._still._replace(rate=other._still.rate)
+        return self
 
     def predict(
         self, gyro: Array, angular: Array, gain: tuple[float, float, float], ahead: Array

@@ -53,7 +53,8 @@ SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
 each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
-TIMING_BOUNDS = (-1.0, 2.0)
+TIMING_BOUNDS = (-8.0, 2.0)
+"""Angles of an estimator elsewhere (motion capture) come some periods late."""
 SHARED = 1e-3
 """Share of a usual size to which two effects agree on a number of the craft that both have."""
 GYRO_COUNT_RAD_S = math.radians(2000.0) / 32768.0

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,15 @@ ROUNDING = 1e-12
 """Of a model's largest values."""
 MAKING_FORCE = (None, "supply", "motor", "rotor", "body")
 """Stages that make the force itself, not how or when the accelerometer shows it."""
+
+
+class Felt(NamedTuple):
+    """What sensors that are known tell of a craft: rate and specific force (n, 3) in body axes, and
+    how far an estimator turns the reported angles (n, 3), rad; None: it does not."""
+
+    gyro: Array
+    force: Array
+    off: Array | None
 
 
 @dataclass(slots=True)
@@ -142,23 +151,20 @@ class _Evaluation:
         self.craft = frame.craft(point)
         self.sensors = self._sensors({})
         self.lean = _gain(self.effects("attitude"))
-        self.gyro, self.force = self.sensors.true(run.gyro, run.accelerometer)
-        off = self._off(self.sensors)
-        true = None if off is None else run.attitude - off
-        leans = self.lean > 0.0
-        self.motion = Motion(flight, self.force, self.sensors.turn, true, leaning=leans)
+        self.felt = self._felt(self.sensors)
+        self.motion = self._motion(self.sensors, self.felt)
         self.delay = sum(one.law() for one in self.effects("delay"))
-        rotors = self._rotors(point)
-        self.inputs = Inputs.of(rotors, self.delay, self.period)
+        self.rotors = self._rotors(point)
+        self.inputs = Inputs.of(self.rotors, self.delay, self.period)
         self.halves: tuple[Inputs, ...] = ()
-        if rotors.halves is not None:
-            self.halves = Inputs.of_halves(rotors.halves, self.delay, self.period)
+        if self.rotors.halves is not None:
+            self.halves = Inputs.of_halves(self.rotors.halves, self.delay, self.period)
         self.equal = [
             self.motion.thrust(self.craft, self.inputs, mean=mean) for mean in (False, True)
         ]
         # Rates need the model's acceleration and the model needs rates: the first pass takes
         # the last row's, the second the filter's.
-        self.motion.follow(self.gyro)
+        self.motion.follow(self.felt.gyro)
         self._model()
         self.rate_error = self.find_rates(frame.rate_gain)
         if self.effects("body") or self.effects("sensor"):
@@ -167,13 +173,19 @@ class _Evaluation:
             self._model()
         else:
             self._turn()
-        self.angular_peak = float(np.abs(self.gyro_model).max())
+        self.angular_peak = float(np.abs(self.angular_read).max())
 
-    def _off(self, sensors: Sensors) -> Array | None:
-        """How far effects of an estimator turn the reported angles (n, 3), rad; None: not."""
-        if self.flight.attitude is None or not self.flight.has_accelerometer:
-            return None
-        return sensors.lean(self.force, max(self.flight.first - 1, 0), self.period)
+    def _felt(self, sensors: Sensors) -> Felt:
+        run, off = self.flight.run, None
+        gyro, force = sensors.true(run.gyro, run.accelerometer)
+        if self.flight.attitude is not None and self.flight.has_accelerometer:
+            off = sensors.lean(force, max(self.flight.first - 1, 0), self.period)
+        return Felt(gyro, force, off)
+
+    def _motion(self, sensors: Sensors, felt: Felt) -> Motion:
+        """How the craft moves by what its sensors say of it; rates are not known yet."""
+        true = None if felt.off is None else self.flight.run.attitude - felt.off
+        return Motion(self.flight, felt.force, sensors.turn, true, leaning=self.lean > 0.0)
 
     def _inputs(self, point: Mapping[str, float]) -> Inputs:
         return Inputs.of(self._rotors(point), self.delay, self.period)
@@ -188,7 +200,10 @@ class _Evaluation:
 
     def find_rates(self, gain: tuple[float, float, float]) -> tuple[float, float, float]:
         """Predict the rates from the rows before; the mean squared error (3,)."""
-        return self.motion.predict(self.gyro, self.gyro_model, gain, self.sensors.gyro_lag)
+        angular, _ = self.sensors.in_body(
+            self.angular_read, self.force_read, self.passing[-1], self.period
+        )
+        return self.motion.predict(self.felt.gyro, angular, gain, self.sensors.gyro_lag)
 
     # The model.
 
@@ -199,11 +214,12 @@ class _Evaluation:
         craft: Craft | None = None,
         inputs: Inputs | None = None,
         body: tuple[Acting, ...] | None = None,
+        motion: Motion | None = None,
     ) -> BodyRows:
         wrench = self.equal[mean]
         if craft is not None or inputs is not None:
             wrench = self.motion.thrust(craft or self.craft, inputs or self.inputs, mean=mean)
-        return self.motion.body(
+        return (motion or self.motion).body(
             craft or self.craft,
             inputs or self.inputs,
             wrench,
@@ -218,15 +234,16 @@ class _Evaluation:
         self.middle, self.row = self._bodies()
         self.within = self._within()
         self.moving, self.passing = self._sensed(self.middle, self.row)
-        self.gyro_model, self.force_model = self.sensors.in_body(self.passing[-1], self.moving)
+        self.angular_read, self.force_read = self.sensors.read(self.passing[-1], self.moving)
 
     def _within(self) -> Array | None:
         """How angular acceleration (n, 3) differs between the halves of each row's period: the
         filter behind the gyro sees when a torque acted."""
         if not self.halves:
             return None
+        count = len(self.flight.run)
         first, second = (
-            stacked(self._body(True, inputs=half).angular, len(self.gyro)) for half in self.halves
+            stacked(self._body(True, inputs=half).angular, count) for half in self.halves
         )
         return second - first
 
@@ -241,7 +258,7 @@ class _Evaluation:
         given = Passing(row.rate, middle.angular, row.force)
         return moving, self.sensors.shown(given, moving)
 
-    def _turning(self, sensors: Sensors, lean: float) -> Array:
+    def _turning(self, sensors: Sensors, lean: float, off: Array | None) -> Array:
         """Euler rates (m, 3) with which the reported angles should turn, on their fresh rows.
 
         Behind a lag the rate is ahead of the gyro by the lag times its slope. The measured
@@ -256,7 +273,6 @@ class _Evaluation:
         leaning = rows.lean_as_read if today else rows.lean
         found = found + self.point.get(TIMING, 0.0) * rows.timing + lean * leaning
         euler = rows.euler_rates(found)
-        off = self._off(sensors)
         if off is not None:
             ends = rows.first + rows.stride * np.arange(len(euler))
             euler += (off[ends] - off[ends - rows.stride]) / (rows.stride * self.period)
@@ -296,15 +312,18 @@ class _Evaluation:
 
     def series(self, keys: Sequence[str]) -> Series:
         residual: Columns = {}
+        run = self.flight.run
         if RATES in self.parts:
-            measured = np.diff(self.gyro, axis=0, prepend=self.gyro[:1]) / self.period
-            self._put(RATES, residual, measured - self.gyro_model)
+            measured = np.diff(run.gyro, axis=0, prepend=run.gyro[:1]) / self.period
+            self._put(RATES, residual, measured - self.angular_read)
         if FORCES in self.parts:
-            self._put(FORCES, residual, self.force - self._as_read(FORCES, self.force_model))
+            modelled = self._as_read(FORCES, self.force_read)
+            self._put(FORCES, residual, run.accelerometer - modelled)
         lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
         rows = self.rows_of_attitude
         if rows is not None:
-            euler = rows.where_told(rows.rate - self._turning(self.sensors, self.lean))
+            modelled = self._turning(self.sensors, self.lean, self.felt.off)
+            euler = rows.where_told(rows.rate - modelled)
             residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
             told = rows.where_told(rows.to_euler)
             lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
@@ -332,7 +351,11 @@ class _Evaluation:
             return None
         rows = self.flight.rows
         up = self.flight.upward @ self.sensors.turn.T
-        mean = float(np.einsum("ni,ni->n", up, self.force_model[rows]).mean())
+        _, force = self.sensors.in_body(
+            self.angular_read, self.force_read, self.passing[-1], self.period
+        )
+        mean = float(np.einsum("ni,ni->n", up, force[rows]).mean())
+        up = up @ self.sensors.undo[FORCES, FORCES]
         slopes = {
             key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
             for key, column in columns.items()
@@ -422,15 +445,18 @@ class _Evaluation:
 
     def _put_change(self, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
         """Store the difference of two models over a step."""
-        count = len(self.gyro)
         for part in self.parts:
-            above, below = (
-                both[0].angular if part == RATES else both[1].force for both in (high, low)
-            )
-            change = tuple((a - b) / step for a, b in zip(above, below, strict=True))
-            if any(np.ndim(rows) or rows for rows in change):
-                rows = self.sensors.answer(stacked(change, count), part, self.moving)
+            rows = self._change(part, high, low, step)
+            if rows is not None:
                 self._put(part, out, self._as_read(part, rows), step)
+
+    def _change(self, part: slice, high: Bodies, low: Bodies, step: float) -> Array | None:
+        """The difference (n, 3) of two models over a step, as it is read; None: they are one."""
+        above, below = (both[0].angular if part == RATES else both[1].force for both in (high, low))
+        change = tuple((a - b) / step for a, b in zip(above, below, strict=True))
+        if not any(np.ndim(rows) or rows for rows in change):
+            return None
+        return self.sensors.answer(stacked(change, len(self.flight.run)), part, self.moving)
 
     def _bodies(self, moved: Moved | None = None, **other: Any) -> Bodies:
         return self._body(True, moved, **other), self._body(False, moved, **other)
@@ -456,18 +482,18 @@ class _Evaluation:
         if FORCES in self.parts or self.sensors.effects:
             row = self._body(False, inputs=inputs)
         moving, passing = self._sensed(middle, row)
-        angular, force = self.sensors.in_body(passing[-1], moving)
+        angular, force = self.sensors.read(passing[-1], moving)
         if RATES in self.parts:
-            self._put(RATES, out, (angular - self.gyro_model) / step, step)
+            self._put(RATES, out, (angular - self.angular_read) / step, step)
         if FORCES in self.parts:
-            self._put(FORCES, out, self._as_read(FORCES, force - self.force_model) / step, step)
+            self._put(FORCES, out, self._as_read(FORCES, force - self.force_read) / step, step)
 
     def _delay_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
-        """By the slope: rotors a row earlier, rates as they are."""
-        late, early = (sum(one.law() for one in self.effects("delay", m)) for m in (high, low))
-        before = self._body(mean=False, inputs=self.inputs.one_before())
-        step *= self.period / (late - early)
-        self._put_change(out, (before, before), (self.row, self.row), step)
+        delays = (sum(one.law() for one in self.effects("delay", m)) for m in (high, low))
+        late, early = (
+            self._bodies(inputs=Inputs.of(self.rotors, delay, self.period)) for delay in delays
+        )
+        self._put_change(out, late, early, step)
 
     def _rotor_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         above, below = (self._bodies(moved, body=()) for moved in (high, low))
@@ -501,24 +527,51 @@ class _Evaluation:
             passed(moved[label], self.craft, self.passing[behind], self.moving)
             for moved in (high, low)
         ]
+        ends = [self._sensors(moved) for moved in (high, low)]
+        felt = [self.felt, self.felt]
+        if not ends[0].feel_alike(ends[1]):
+            felt = [self._felt(sensors) for sensors in ends]
+        moved_bodies = self._moved_by(ends, felt)
         for part in self.parts:
             field = "angular" if part == RATES else "force"
-            above, below = (getattr(one, field) for one in shown)
+            above, below = (getattr(given, field) for given in shown)
+            found = None
             if above is not below:
                 rows = tuple((a - b) / step for a, b in zip(above, below, strict=True))
-                change = stacked(rows, len(self.gyro))
                 after = behind + (there is not None)
-                rows_of = self.sensors.answer(change, part, self.moving, after)
-                self._put(part, out, self._as_read(part, rows_of), step)
-        ends = [self._sensors(moved) for moved in (high, low)]
-        if self.rows_of_attitude is not None and not ends[0].alike(ends[1]):
-            turning = [self._turning(sensors, self.lean) for sensors in ends]
+                change = stacked(rows, len(self.flight.run))
+                found = self.sensors.answer(change, part, self.moving, after)
+            if moved_bodies is not None:
+                more = self._change(part, *moved_bodies, step)
+                found = more if found is None or more is None else found + more
+            if found is not None:
+                self._put(part, out, self._as_read(part, found), step)
+        if self.rows_of_attitude is not None and not (
+            felt[0] is felt[1] and ends[0].alike(ends[1])
+        ):
+            turning = [
+                self._turning(sensors, self.lean, one.off)
+                for sensors, one in zip(ends, felt, strict=True)
+            ]
             self._put_attitude(out, (turning[0] - turning[1]) / step, step)
+
+    def _moved_by(
+        self, ends: Sequence[Sensors], felt: Sequence[Felt]
+    ) -> tuple[Bodies, Bodies] | None:
+        """The model where sensors, another at each end, tell the velocity and the attitude that it
+        answers to; None where it does not, or they tell the same."""
+        if felt[0] is felt[1] or not (self.effects("rotor") or self.effects("body")):
+            return None
+        motions = [self._motion(*one) for one in zip(ends, felt, strict=True)]
+        above, below = (
+            self._bodies(motion=motion.with_rates_of(self.motion)) for motion in motions
+        )
+        return above, below
 
     def _attitude_column(self, out: Columns, high: Moved, low: Moved, step: float) -> None:
         if self.rows_of_attitude is not None:
             gains = (_gain(self.effects("attitude", moved)) for moved in (high, low))
-            turning = [self._turning(self.sensors, gain) for gain in gains]
+            turning = [self._turning(self.sensors, gain, self.felt.off) for gain in gains]
             self._put_attitude(out, (turning[0] - turning[1]) / step, step)
 
 

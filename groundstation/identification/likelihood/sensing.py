@@ -161,8 +161,8 @@ class Sensors:
             found.append(_passed(one, near, self.craft, found[-1], moving))
         return found
 
-    def in_body(self, shown: Passing, moving: Moving) -> tuple[Array, Array]:
-        """Angular acceleration and specific force (n, 3) in body axes that readings stand for."""
+    def read(self, shown: Passing, moving: Moving) -> tuple[Array, Array]:
+        """Angular acceleration and specific force (n, 3) as a recording has them."""
         count, period = len(moving), moving.period_s
         angular, force = stacked(shown.angular, count), stacked(shown.force, count)
         if self.gyro_filter_hz:
@@ -170,21 +170,27 @@ class Sensors:
             angular = _filtered_on_board(angular, self.gyro_filter_hz, period, True, within)
         if self.accelerometer_filter_hz:
             force = self._force_filtered(force, period)
+        return angular, force
+
+    def in_body(
+        self, angular: Array, force: Array, shown: Passing, period_s: float
+    ) -> tuple[Array, Array]:
+        """Angular acceleration and specific force (n, 3) in body axes that readings stand for."""
         if not self.effects:
             return angular, force
         force = force - self.offset[FORCES]
         found = _turned(angular, self.undo[RATES, RATES])
         felt = _turned(force, self.undo[FORCES, FORCES])
         if self.undo[RATES, FORCES].any():
-            slope = np.diff(force, axis=0, prepend=force[:1]) / period
-            found += slope @ self.undo[RATES, FORCES].T
+            slope = np.diff(force, axis=0, prepend=force[:1]) / period_s
+            found = found + slope @ self.undo[RATES, FORCES].T
         if self.undo[FORCES, RATES].any():
-            now = stacked(shown.rate, count) + 0.5 * period * angular - self.offset[RATES]
-            felt += now @ self.undo[FORCES, RATES].T
+            now = stacked(shown.rate, len(angular)) + 0.5 * period_s * angular
+            felt = felt + (now - self.offset[RATES]) @ self.undo[FORCES, RATES].T
         return found, felt
 
     def answer(self, values: Array, part: slice, moving: Moving, behind: int = 0) -> Array:
-        """What small changes (n, 3) of angular acceleration or force become in body axes.
+        """What small changes (n, 3) of angular acceleration or force become in a recording.
 
         behind: how many of the sensors they have passed already.
         """
@@ -200,7 +206,7 @@ class Sensors:
                 matrix = np.eye(3)
             else:
                 matrix = near.d[part, part] @ matrix
-        return _turned(values, self.undo[part, part] @ matrix)
+        return _turned(values, matrix)
 
     def _force_filtered(self, force: Array, period_s: float) -> Array:
         """Forces (n, 3) with those in the rotors' plane behind the filter.
@@ -210,6 +216,14 @@ class Sensors:
         """
         plane = _filtered_on_board(force[:, :2], self.accelerometer_filter_hz, period_s, False)
         return np.column_stack([plane, force[:, 2]])
+
+    def feel_alike(self, other: Sensors) -> bool:
+        """Whether the two tell the same specific force, and the same angles by it."""
+        one, two = (
+            np.column_stack([x.undo[FORCES], x.turn, x.offset[FORCES]]) for x in (self, other)
+        )
+        same = self.estimators == other.estimators
+        return same and np.allclose(one, two, rtol=0.0, atol=SAME)
 
     def alike(self, other: Sensors) -> bool:
         """Whether reported angles turn alike behind the two."""
@@ -378,11 +392,11 @@ def _filtered_on_board(
     periods before them (mean), or values at the rows with straight lines between.
 
     within: (n, m), how much more than the first half of a period the second has."""
-    from scipy.signal import butter, lfilter, lfilter_zi
+    from scipy.signal import lfilter
 
     steps = max(round(FIRMWARE_HZ * period_s), 1)
-    b, a = butter(2, corner_hz, fs=steps / period_s)
-    start = lfilter_zi(b, a)[:, None] * values[:1]
+    b, a, still = _butterworth(corner_hz, steps / period_s)
+    start = still[:, None] * values[:1]
     given = np.repeat(values, steps, axis=0)
     if within is not None:
         later = np.sign(np.arange(steps) - 0.5 * (steps - 1))
@@ -393,3 +407,12 @@ def _filtered_on_board(
     out, _ = lfilter(b, a, given, axis=0, zi=start)
     rows = out.reshape(len(values), steps, -1)
     return np.asarray(rows.mean(axis=1) if mean else rows[:, -1])
+
+
+@lru_cache(maxsize=16)
+def _butterworth(corner_hz: float, sampled_hz: float) -> tuple[Array, Array, Array]:
+    """Coefficients b, a of second order, and the filter's state after inputs of 1."""
+    from scipy.signal import butter, lfilter_zi
+
+    b, a = butter(2, corner_hz, fs=sampled_hz)
+    return b, a, lfilter_zi(b, a)
