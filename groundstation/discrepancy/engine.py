@@ -28,7 +28,7 @@ from groundstation.discrepancy.findings import (
 )
 from groundstation.discrepancy.imbalance import with_imbalance
 from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
-from groundstation.discrepancy.rotor_sensor import as_given, with_sensor_lag
+from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
@@ -206,7 +206,7 @@ def find_effects(
             return judged.judge(model_of(point, {}, keys, model, every_own))
 
         search.judge = judge
-    outcome = with_sensor_lag(search_effects(search), problem, held, model)
+    outcome = with_sensor_lag(search_effects(search), problem, held)
     warnings = _require_told(outcome, problem)
     findings = _findings(outcome, problem, held, model, known, lost, warnings)
     return with_imbalance(findings, problem, held, outcome.final.point)
@@ -255,8 +255,7 @@ def _findings(
     lost: dict[str, str],
     warnings: list[str],
 ) -> Findings:
-    told = as_given(outcome, model)
-    final, errors, residual = told.final, told.errors, told.residual
+    final, errors, residual = outcome.final, outcome.errors, outcome.residual
     keys = given = tuple(key for v in known for key in v.keys)
     effects: list[FoundEffect] = []
     # measured rotor speeds know what the controller did within a row
@@ -270,7 +269,7 @@ def _findings(
         if why is not None:
             outcome.refused[one.variant.label] = why
         else:
-            effects.append(_effect(one, len(effects) + 1, told, keys, model, problem.frame.own))
+            effects.append(_effect(one, len(effects) + 1, outcome, keys, model, problem.frame.own))
     if not problem.known_motor:
         warnings.append(
             "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"

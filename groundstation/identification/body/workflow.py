@@ -47,7 +47,7 @@ from groundstation.identification.likelihood.on_board import (
     filter_terms,
     filters_of,
 )
-from groundstation.identification.likelihood.parameters import SENSOR_LAG
+from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
 from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
 from groundstation.identification.preparation import flight_preparation
 from groundstation.identification.replayed import angle_rms
@@ -204,7 +204,9 @@ def _fitted(before: Model, vehicle: Vehicle, fit: BodyFit, supply: Sequence[Effe
     """The model before with what was fitted, the lag of the rotors' sensor among it, and with the
     filters on board that the fit used."""
     terms = [*_terms(fit), *supply]
-    if SENSOR_LAG in fit.nuisances:
+    # With the lag that the motors' fit found their constants belong together, and PWM turns them.
+    told = any(term.name == ALONG.effect for term in before.effects)
+    if SENSOR_LAG in fit.nuisances and not told:
         terms += along_term(*fit.nuisances[SENSOR_LAG])
     if fit.setup.problem.frame.gyro_filter_hz > 0.0:
         terms += filter_terms(filters_of(vehicle, fit.setup.problem.flights))

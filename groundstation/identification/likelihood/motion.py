@@ -230,9 +230,20 @@ def _rows(values: Array) -> Rows:
 
 
 def _before(values: Array, rows: float) -> Array:
-    """Rows (n, m) as they were so many rows before, straight between rows."""
+    """Rows (n, m) as they were so many rows before: cubic through the four nearest.
+
+    Straight between rows, half a row's delay would take noise out of measured speeds that a whole
+    one leaves in, and a fit would take that for the delay.
+    """
     left, right, t = _neighbours(values, rows)
-    return left + t * (right - left)
+    further, _, _ = _neighbours(values, rows + 1.0)
+    _, nearer, _ = _neighbours(values, rows - 1.0)
+    return np.asarray(
+        left * ((1.0 - t) * (1.0 + t) * (2.0 - t) / 2.0)
+        + right * (t * (1.0 + t) * (2.0 - t) / 2.0)
+        - further * (t * (1.0 - t) * (2.0 - t) / 6.0)
+        - nearer * (t * (1.0 - t) * (1.0 + t) / 6.0)
+    )
 
 
 def _means_before(means: Array, ends: Array, rows: float) -> Array:

@@ -14,6 +14,7 @@ from groundstation.identification.likelihood.parameters import (
     SENSOR_LAG,
     TIMING,
     Point,
+    point_of,
 )
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
@@ -49,10 +50,14 @@ def fitted_along(model: Model) -> Point:
     """How late the rotors' answer is and what they take to speed up, as the body's fit found it.
 
     They and the lag of the rotors' sensor multiply each other: from nothing each of them alone
-    leads astray.
+    leads astray. What counts of delay and lag is their difference.
     """
     along = model.fit.get("body", {}).get("fitted_along") or {}
-    return {key: along[key]["value"] for key in (DELAY, SPIN_UP, SENSOR_LAG) if key in along}
+    found = {key: along[key]["value"] for key in (DELAY, SPIN_UP, SENSOR_LAG) if key in along}
+    if DELAY in found and SENSOR_LAG in found:
+        lag = point_of(model).get(SENSOR_LAG, found[SENSOR_LAG])
+        found[DELAY] += lag - found[SENSOR_LAG]
+    return found
 
 
 def prior_of(model: Model, start: Point) -> tuple[list[Prior], bool]:

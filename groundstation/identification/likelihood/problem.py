@@ -92,7 +92,9 @@ class Problem:
         effects = self.frame.unknowns.items()
         tried = {k for v in self.frame.variants.values() if v.tried for k in v.keys} - {*start}
         measured = any(flight.rotor_measured for flight in flights)
-        self.base_keys = (*BASE_KEYS, SENSOR_LAG) if measured else BASE_KEYS
+        # A lag that the model has stays: with another its motors would not turn as they are driven.
+        lags = measured and SENSOR_LAG not in start
+        self.base_keys = (*BASE_KEYS, SENSOR_LAG) if lags else BASE_KEYS
         told = [key for key, one in effects if one.effect.fitted and key not in tried]
         self.every_key = (*self.base_keys, *told)
         lag = {SENSOR_LAG: sensor_lag(model)} if measured else {}
@@ -100,7 +102,7 @@ class Problem:
         unknowns = self.frame.unknowns.values()
         self.shared = [(k.key, k.parameter.shares) for k in unknowns if k.parameter.shares]
         self.prior, self.known_motor = prior_of(model, start)
-        if measured:
+        if lags:
             weight = np.array([[LAG_DOUBT_S**-2]])
             centre = {SENSOR_LAG: self.start[SENSOR_LAG]}
             self.prior.append(((SENSOR_LAG,), centre, weight))
