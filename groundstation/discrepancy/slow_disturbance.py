@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 WIND = next(effect for effect in EFFECTS.values() if effect.followed)
 BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
-PACES_S = (0.3, 1.0, 3.0, 10.0)
+PACES_S = (0.3, 1.0, 3.0, 10.0, 30.0)
 """How fast it may change: more slowly than a craft is steered, and told by a flight of a minute."""
 LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
 """Means that tell anything, and the drop of -2 log L from which a channel has what lasts (three

@@ -227,8 +227,8 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         craft[f"{stage}_initial"][place] = state.initial
         if stage == "body":
             craft["body_made"][place] = state.initial if state.made is None else state.made
-        if there and state.noise and stage == "body":
-            craft["body_noise"][place] = values[state.noise]
+        if there and stage == "body":
+            craft["body_noise"][place] = values[state.noise] if state.noise else state.moving
         # An observer takes the last that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)

@@ -137,8 +137,10 @@ class State:
     follows: a channel of ``Reading``'s gyro or accelerometer in body axes that the state is a
     delayed copy of: it begins at that channel's value and an observer corrects the two alike.
     noise: the parameter that is the state's standard deviation, where noise drives it: an observer
-    estimates it. made: what it begins with in a made flight, where ``initial`` is no more than what
-    can be expected of a recorded one (of an angle that nobody measures).
+    estimates it. moving: the standard deviation of what its law leaves of it, where nobody saw how
+    it began: an observer corrects it as well. made: what it begins with in a made flight, where
+    ``initial`` is no more than what can be expected of a recorded one (of an angle that nobody
+    measures).
     turns: of a sensor, the reported angle that is off by it, in rad.
     """
 
@@ -146,6 +148,7 @@ class State:
     initial: float = 0.0
     follows: Channel | None = None
     noise: str = ""
+    moving: float = 0.0
     made: float | None = None
     turns: Literal["", "roll", "pitch", "yaw"] = ""
 

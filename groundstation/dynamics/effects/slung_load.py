@@ -31,7 +31,9 @@ from groundstation.dynamics.effect import (
 from groundstation.dynamics.law import to_body, to_inertial
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
-STRAIGHT = (0.0, 0.0, -1.0)
+SWING, SWING_PER_S = 0.002, 0.02
+"""How far off its law the line's direction (rad) and slope (rad/s) are: nobody saw how a recorded
+swing began."""
 LENGTHS_M = tuple(0.1 * 1.15**i for i in range(21))
 """A swing that dies out within seconds hardly answers to one a tenth longer."""
 
@@ -81,8 +83,12 @@ EFFECT = Effect(
     law=law,
     order=10,  # of the force on the craft with its load
     states=(
-        *(State(f"line {axis}", one) for axis, one in zip("xyz", STRAIGHT, strict=True)),
-        *(State(f"slope of line {axis}") for axis in "xyz"),
+        State("line x", moving=SWING),
+        State("line y", moving=SWING),
+        State("line z", -1.0),
+        State("slope of line x", moving=SWING_PER_S),
+        State("slope of line y", moving=SWING_PER_S),
+        State("slope of line z"),
     ),
     fastest=_fastest,
     parameters=(
