@@ -72,7 +72,9 @@ class Comparison:
     def with_model(self, model: Model) -> Comparison:
         """Another model on the same runs, beside the same floor."""
         errors = tuple(
-            ahead_errors(one.recorded, model, motion=one.motion, turning=self.turning)
+            ahead_errors(
+                one.recorded, model, motion=one.motion, walk=one.walk, turning=self.turning
+            )
             for one in self.errors
         )
         return Comparison(model, errors, self.floors, self.black_box, self.turning)

@@ -22,7 +22,12 @@ from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
-from groundstation.prediction.prediction import noise_of_angles, predict_ahead
+from groundstation.prediction.attitude_walk import Walk
+from groundstation.prediction.prediction import (
+    observe_walking,
+    predict_observed,
+    walk_of_angles,
+)
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -44,8 +49,8 @@ class AheadErrors:
     """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
     order of ``CHANNELS`` and in the row they are judged at.
 
-    recorded: the run as it is, run: lost rows filled in. step: at the shortest horizon,
-    ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows only.
+    recorded: the run as it is, run: lost rows filled in. walk: of its angles. step: at the shortest
+    horizon, ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows.
     horizons: one for each of ``HORIZONS_S``, which are ``rows`` (9,) each. NaN where the first or
     last row is outside flight or was not measured afresh.
     """
@@ -53,6 +58,7 @@ class AheadErrors:
     recorded: Run
     run: Run
     motion: Motion
+    walk: Walk
     step_rows: NDArray[np.int64]
     step: Array
     horizons: tuple[Array, ...]
@@ -65,18 +71,20 @@ def ahead_errors(
     rows_judged: slice | None = None,
     *,
     motion: Motion | None = None,
+    walk: Walk | None = None,
     turning: Turning = "body",
 ) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
     rows_judged: only these; the rows before tell the state. motion: that of another model on the
-    same run, so that the same rows are judged; None: of this one. turning: what of the model turns
-    the craft.
+    same run, so that the same rows are judged; None: of this one. walk: of the run's angles
+    (``attitude_walk``); None: read off it. turning: what of the model turns the craft.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
     whole = without_gaps(run)
     moved = motion_of(whole, model) if motion is None else motion
+    flown = moved.flown
     if rows_judged is not None:
         inside = np.zeros(len(run), bool)
         inside[rows_judged] = True
@@ -92,8 +100,9 @@ def ahead_errors(
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
     driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
-    noise = noise_of_angles(model, driven)
-    ahead = predict_ahead(model, driven, counts, stride=1, noise=noise)
+    if walk is None:
+        walk = walk_of_angles(driven, flown)
+    ahead = predict_observed(driven, observe_walking(model, driven, walk), counts)
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
     made = ahead.errors(driven)
@@ -111,6 +120,7 @@ def ahead_errors(
         run,
         whole,
         moved,
+        walk,
         step_rows,
         errors(step_rows),
         tuple(errors(one) for one in rows),

@@ -23,10 +23,10 @@ from groundstation.discrepancy.findings import (
     Findings,
     FoundEffect,
     NotShown,
-    Predicted,
     Verdict,
 )
 from groundstation.discrepancy.imbalance import with_imbalance
+from groundstation.discrepancy.judge import Judge
 from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
 from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
@@ -115,16 +115,23 @@ def find_discrepancy(
         for one in asked:
             within(given, one)  # says, before anything is searched, where nothing of it flew
     require_channels(parts.held_out)
-    findings = find_effects(
-        parts.fit_on,
-        model,
-        parts.held_out,
-        judged=judged,
-        own=own,
-        progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
-    )
-    report("proving it on held-out rows", 0.8)
-    findings = with_wind(findings, train, judged)
+
+    def found(beside: Predictions | None) -> Findings:
+        effects = find_effects(
+            parts.fit_on,
+            model,
+            parts.held_out,
+            judged=judged,
+            train=beside,
+            own=own,
+            progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
+        )
+        report("proving it on held-out rows", 0.8)
+        return with_wind(effects, train, judged)
+
+    findings = found(train)
+    if judged.judge(findings.model).worse:  # only beside what is slow, which has no name then
+        findings = found(None)
     findings = replace(findings, warnings=(*broken, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
@@ -162,6 +169,7 @@ def find_effects(
     validation: Sequence[Run] | None = None,
     *,
     judged: HeldOut | None = None,
+    train: Predictions | None = None,
     own: Sequence[Variant] = (),
     progress: Progress | None = None,
 ) -> Findings:
@@ -169,7 +177,8 @@ def find_effects(
 
     flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
     validation: rows that no fit sees; None: the last third of the flights. judged: the given model
-    on these rows; what makes its predictions worse is taken back. own: effects of the user's own as
+    on these rows; what makes its predictions worse is taken back. train: the same on the flights,
+    so that what is slow there may be followed; None: it is not. own: effects of the user's own as
     further candidates.
 
     Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
@@ -201,11 +210,12 @@ def find_effects(
         given = tuple(key for variant in known for key in variant.keys)
         tried = [*candidates, *(one for one in RENAMES if one not in known)]
 
-        def judge(point: Point) -> Predicted:
+        def model_at(point: Point) -> Model:
             keys = (*given, *(key for one in tried for key in one.keys if key in point))
-            return judged.judge(model_of(point, {}, keys, model, every_own))
+            return model_of(point, {}, keys, model, every_own)
 
-        search.judge = judge
+        search.judge = judge = Judge(judged, model_at, train)
+        search.follow = judge.follow
     outcome = with_sensor_lag(search_effects(search), problem, held)
     warnings = _require_told(outcome, problem)
     findings = _findings(outcome, problem, held, model, known, lost, warnings)

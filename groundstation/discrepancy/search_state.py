@@ -46,6 +46,8 @@ class SearchState:
         board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
+        self.follow: Callable[[Point], None] = lambda point: None
+        """Lets what is slow at a point be followed in predictions from then on."""
         self.candidates = list(candidates)
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]

@@ -89,7 +89,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     train: the given model on the rows that were fitted.
     """
     base = findings.model
-    if any(term.name == WIND.name for term in base.effects):
+    if has_wind(base):
         return findings
     now = held.judge(base)
     if now.gap < EXCESS:
@@ -99,7 +99,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     if why := lasting_refusal(Stage.WEIGHED, slow.asked()):
         return _refused(findings, slow, why)
     slow = best_followed(slow, fitted)
-    found = held.judge(_with_term(base, slow))
+    found = held.judge(with_term(base, slow))
     while found.worse and slow.spread.any():
         # Where following makes it worse it is not followed.
         away = [channel % 3 + (3 if 3 <= channel < 6 else 0) for channel in found.worse]
@@ -108,11 +108,16 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
         if (rest == slow.spread).all():
             rest[:] = 0.0
         slow = replace(slow, spread=rest)
-        found = held.judge(_with_term(base, slow))
+        found = held.judge(with_term(base, slow))
     predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
     if why := lasting_refusal(Stage.FOLLOWED, slow.asked(predicted)):
         return _refused(findings, slow, why)
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
+
+
+def has_wind(model: Model) -> bool:
+    """Whether a model says of itself what is slow."""
+    return any(term.name == WIND.name for term in model.effects)
 
 
 def best_followed(slow: Slow, fitted: Comparison) -> Slow:
@@ -123,7 +128,7 @@ def best_followed(slow: Slow, fitted: Comparison) -> Slow:
     found = []
     for time_s in PACES_S:
         one = slow.at(time_s)
-        after = fitted.with_model(_with_term(fitted.model, one)).rms / fitted.noise_floor
+        after = fitted.with_model(with_term(fitted.model, one)).rms / fitted.noise_floor
         gained = before - _squares(after, told)
         kept = replace(one, spread=np.where(gained > 0.0, one.spread, 0.0))
         found.append((float(gained[gained > 0.0].sum()), kept))
@@ -174,7 +179,8 @@ def _means(one: AheadErrors) -> Array:
     return np.where(count * 2 >= size, sums / np.maximum(count, 1), np.nan)
 
 
-def _with_term(model: Model, slow: Slow) -> Model:
+def with_term(model: Model, slow: Slow) -> Model:
+    """A model whose observer follows what is slow."""
     import msgspec
 
     if not slow.spread.any():
@@ -185,7 +191,7 @@ def _with_term(model: Model, slow: Slow) -> Model:
 
 def _joined(findings: Findings, slow: Slow, after: Slow, gaps: tuple[float, float]) -> Findings:
     """after: what lasts on held-out rows. gaps: of held-out predictions before and after."""
-    model = _with_term(findings.model, slow)
+    model = with_term(findings.model, slow)
     effect = FoundEffect(
         name=WIND.name,
         order=len(findings.effects) + 1,

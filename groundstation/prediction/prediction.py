@@ -20,7 +20,7 @@ from groundstation.dynamics.sensors import FILTER
 from groundstation.dynamics.state import QUATERNION, STATES
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.attitude_walk import AHEAD_S, walk_of
+from groundstation.prediction.attitude_walk import AHEAD_S, Walk, walk_of
 from groundstation.prediction.drive import Drive, Flown, drive_run, flying_rows, height_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
 from groundstation.prediction.start_velocity import start_velocity
@@ -110,6 +110,11 @@ def predict_ahead(
     Raises BadInputError where PWM, battery voltage or gyro are missing.
     """
     seen = observe_run(model, run, height_m=height_m, noise=noise)
+    return predict_observed(run, seen, horizons, stride=stride)
+
+
+def predict_observed(run: Flown, seen: Observed, horizons: ArrayLike, *, stride: int = 1) -> Ahead:
+    """The same of a run that has been observed."""
     steps = np.unique(np.atleast_1d(np.asarray(horizons, np.int64)))
     return fly_ahead(run, seen, airborne(seen, int(steps[-1]))[::stride], steps)
 
@@ -148,25 +153,26 @@ def noise_of(model: Model, run: Flown) -> Noise:
     )
 
 
-def noise_of_angles(model: Model, run: Flown) -> Noise | None:
-    """The usual noise with angles that wander as this run's do (``attitude_walk``).
+def walk_of_angles(run: Flown, flying: Mask) -> Walk:
+    """How far a run's reported angles wander off its gyro's integral (``attitude_walk``), rad in a
+    second about the body's axes. flying: (n,) rows in the air.
 
-    None where they do not, or where what the model says of the sensors foretells them better as it
-    is. The whole run is used: for a live stream, take an earlier flight's.
-
-    Raises BadInputError as ``observe_run``.
+    The whole run is used: for a live stream, take an earlier flight's.
     """
-    usual, still = Noise(), observe_run(model, run)
-    if still.leans:  # its filter says how far they are off
-        return None
-    shown = np.where(still.fresh[:, None], run.attitude, np.nan)
+    usual = Noise()
+    shown = np.where(fresh_rows(run.attitude)[:, None], run.attitude, np.nan)
     noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
-    walk = walk_of(shown, run.gyro, still.flying, run.period_s, **noises)
-    if not any(walk):
-        return None
-    other = replace(usual, walk=walk)
-    known = observe_run(model, run, noise=other)
-    return other if _attitude_error(run, known) < _attitude_error(run, still) else None
+    return walk_of(shown, run.gyro, flying, run.period_s, **noises)
+
+
+def observe_walking(model: Model, run: Flown, walk: Walk) -> Observed:
+    """As ``observe_run``, with angles that wander so (``walk_of_angles``), unless what the model
+    says of the sensors foretells them better as it is."""
+    still = observe_run(model, run)
+    if still.leans or not any(walk):  # a filter of its own says how far they are off
+        return still
+    other = observe_run(model, run, noise=replace(Noise(), walk=walk))
+    return other if _attitude_error(run, other) < _attitude_error(run, still) else still
 
 
 def _attitude_error(run: Flown, seen: Observed) -> float:

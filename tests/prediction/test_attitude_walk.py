@@ -8,7 +8,12 @@ from affected_flights import BASE, affected, flown
 
 from groundstation.prediction.attitude_walk import walk_of
 from groundstation.prediction.observer import Noise
-from groundstation.prediction.prediction import noise_of_angles, observe_run, predict_ahead
+from groundstation.prediction.prediction import (
+    observe_run,
+    observe_walking,
+    predict_observed,
+    walk_of_angles,
+)
 
 HORIZONS = (10, 25)
 
@@ -62,18 +67,27 @@ def test_lost_rows_are_none(clean):
 def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean):
     run = wandering(clean, 0.02)
 
-    def yaw_error(noise):
-        return predict_ahead(BASE, run, HORIZONS, noise=noise).errors(run)[..., 8].std()
+    def yaw_error(seen):
+        return predict_observed(run, seen, HORIZONS).errors(run)[..., 8].std()
 
-    assert yaw_error(noise_of_angles(BASE, run)) < 0.7 * yaw_error(None)
+    still = observe_run(BASE, run)
+    walking = observe_walking(BASE, run, walk_of_angles(run, still.flying))
+    assert yaw_error(walking) < 0.7 * yaw_error(still)
+
+
+def follows(model, run):
+    """Whether a model's observer expects the angles to wander."""
+    still = observe_run(model, run)
+    seen = observe_walking(model, run, walk_of_angles(run, still.flying))
+    return not np.array_equal(seen.gains.fresh, still.gains.fresh)
 
 
 def test_a_clean_flight_is_observed_as_in_still_air(clean):
-    assert noise_of_angles(BASE, clean) is None
+    assert not follows(BASE, clean)
 
 
 def test_angles_that_the_model_explains_do_not_wander():
     run, _ = flown(40.0, 3, "gyro_low_pass")
     assert any(walk(run))
-    assert noise_of_angles(BASE, run) is not None
-    assert noise_of_angles(affected("gyro_low_pass"), run) is None
+    assert follows(BASE, run)
+    assert not follows(affected("gyro_low_pass"), run)
