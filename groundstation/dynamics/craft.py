@@ -58,6 +58,7 @@ CRAFT = np.dtype(
         ("body_initial", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),
         ("body_made", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # the same of a made flight
         ("body_noise", "f8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # standard deviation, or 0
+        ("body_inertial", "i8", (LISTED_STATES["body"] + STATE_SLOTS,)),  # 1: x, 2: y, 0: neither
         ("sensor_initial", "f8", (SENSOR_STATES,)),
         ("follows", "i8", (SENSOR_STATES,)),  # gyro 0-2, force 3-5, or -1
         # of an effect that turns reported angles: the angle 0-2, 3 for its other states, else -1
@@ -229,6 +230,7 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
             craft["body_made"][place] = state.initial if state.made is None else state.made
         if there and stage == "body":
             craft["body_noise"][place] = values[state.noise] if state.noise else state.moving
+            craft["body_inertial"][place] = ("", "x", "y").index(state.inertial)
         # An observer takes the last that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)

@@ -138,7 +138,8 @@ class State:
     delayed copy of: it begins at that channel's value and an observer corrects the two alike.
     noise: the parameter that is the state's standard deviation, where noise drives it: an observer
     estimates it. moving: the standard deviation of what its law leaves of it, where nobody saw how
-    it began: an observer corrects it as well. made: what it begins with in a made flight, where
+    it began: an observer corrects it as well. inertial: of such a vector in inertial axes, x and y
+    one behind the other. made: what it begins with in a made flight, where
     ``initial`` is no more than what can be expected of a recorded one (of an angle that nobody
     measures).
     turns: of a sensor, the reported angle that is off by it, in rad.
@@ -149,6 +150,7 @@ class State:
     follows: Channel | None = None
     noise: str = ""
     moving: float = 0.0
+    inertial: Literal["", "x", "y"] = ""
     made: float | None = None
     turns: Literal["", "roll", "pitch", "yaw"] = ""
 

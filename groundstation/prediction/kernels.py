@@ -452,13 +452,21 @@ def _correct(craft: Any, gain: Any, places: Any, error: Any, y: Any, z: Any) -> 
         delta[i] = total
     q = (y[6], y[7], y[8], y[9])
     velocity = quaternion.to_inertial(q, (delta[9], delta[10], delta[11]))
+    nose = quaternion.to_inertial(q, (1.0, 0.0, 0.0))
+    level = max(math.hypot(nose[0], nose[1]), 1e-9)
+    ahead = nose[0] / level, nose[1] / level
     for i in range(3):
         y[10 + i] += delta[3 + i]
         y[3 + i] += velocity[i]
     place = 12
     for i in range(craft.body_states):
         if place < len(gain) and craft.body_noise[i] > 0.0:
-            y[17 + i] += delta[place]
+            more = delta[place]
+            if craft.body_inertial[i] == 1:  # gains are those of a craft that heads along x
+                more = ahead[0] * delta[place] - ahead[1] * delta[place + 1]
+            elif craft.body_inertial[i] == 2:
+                more = ahead[1] * delta[place - 1] + ahead[0] * delta[place]
+            y[17 + i] += more
             place += 1
     for i in range(len(places)):
         if places[i] >= 0:

@@ -83,11 +83,11 @@ EFFECT = Effect(
     law=law,
     order=10,  # of the force on the craft with its load
     states=(
-        State("line x", moving=SWING),
-        State("line y", moving=SWING),
+        State("line x", moving=SWING, inertial="x"),
+        State("line y", moving=SWING, inertial="y"),
         State("line z", -1.0),
-        State("slope of line x", moving=SWING_PER_S),
-        State("slope of line y", moving=SWING_PER_S),
+        State("slope of line x", moving=SWING_PER_S, inertial="x"),
+        State("slope of line y", moving=SWING_PER_S, inertial="y"),
         State("slope of line z"),
     ),
     fastest=_fastest,

@@ -110,7 +110,7 @@ class Motion:
         if not flight.rests[0]:
             flown = flight.rows
             start = start_velocity(attitude[flown], sensed[flown], self.period)
-        return velocity_from(attitude, sensed, self.period, leak, flight.first, start)
+        return velocity_from(attitude, sensed, self.period, leak, flight.whole.start, start)
 
     def follow(self, gyro: Array) -> None:
         """Take the last row's rate for the next one's."""
