@@ -215,7 +215,7 @@ def find_effects(
             return model_of(point, {}, keys, model, every_own)
 
         search.judge = judge = Judge(judged, model_at, train)
-        search.follow = judge.follow
+        search.follow, search.raises_plainly = judge.follow, judge.raises_plainly
     outcome = with_sensor_lag(search_effects(search), problem, held)
     warnings = _require_told(outcome, problem)
     findings = _findings(outcome, problem, held, model, known, lost, warnings)

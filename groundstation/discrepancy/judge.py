@@ -8,6 +8,7 @@ name is asked of the final model (``slow_disturbance``), and so is whether that 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
 from groundstation.discrepancy.findings import Predicted
@@ -40,7 +41,21 @@ class Judge:
 
     def __call__(self, point: Point) -> Predicted:
         model = self._model_at(point)
-        return self._held.judge(model if self._slow is None else with_term(model, self._slow))
+        if self._slow is None:
+            return self._given.judge(model)
+        found = self._held.judge(with_term(model, self._slow))
+        if not found.worse:
+            return found
+        # A channel that is predicted better where nothing is followed is no witness.
+        before, plain = (self._given.judge(one).gaps for one in (self._given.before.model, model))
+        worse = {c: t for c, t in found.worse.items() if not plain[c] < before[c]}
+        return replace(found, worse=worse)
+
+    def raises_plainly(self, before: Point, after: Point) -> bool:
+        """Whether the gap of one point is above another's where nothing is followed."""
+        gaps = (self._given.judge(self._model_at(point)).gap for point in (before, after))
+        low, high = gaps
+        return high > low
 
     def follow(self, point: Point) -> None:
         """What the model at a point leaves that lasts, if anything does."""

@@ -133,10 +133,12 @@ def _touching(search: SearchState, worse: Iterable[int]) -> Sequence[Accepted | 
 def _raising(search: SearchState, judge: Judge) -> Sequence[Accepted]:
     """Effects whose step, in their order and at their final sizes, raises the gap."""
     found = []
-    before = judge(search.point_with([])).gap
+    point = search.point_with([])
+    before = judge(point).gap
     for number, one in enumerate(search.accepted, 1):
-        gap = judge(search.point_with(search.accepted[:number])).gap
-        if gap > (1.0 + RAISES) * before:
+        last, point = point, search.point_with(search.accepted[:number])
+        gap = judge(point).gap
+        if gap > (1.0 + RAISES) * before and search.raises_plainly(last, point):
             found.append(one)
         before = gap
     return found

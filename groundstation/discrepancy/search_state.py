@@ -46,6 +46,8 @@ class SearchState:
         board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
+        self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
+        """Whether predictions are worse at the second point with nothing followed, too."""
         self.follow: Callable[[Point], None] = lambda point: None
         """Lets what is slow at a point be followed in predictions from then on."""
         self.candidates = list(candidates)

@@ -40,6 +40,7 @@ class Hunt:
     held: set = field(default_factory=set)
     refused: dict = field(default_factory=dict)
     progress: object = print
+    raises_plainly: object = lambda before, after: True
 
     def point_with(self, accepted, held=None):
         moved = {group[0] for group in self.groups} - (self.held if held is None else set(held))
@@ -77,6 +78,12 @@ def test_an_effect_that_raises_the_gap_is_taken_back(hunt):
     assert [one.label for one in hunt.accepted] == ["drag"]
     assert hunt.refused["bias"].reason is Reason.PREDICTS_WORSE
     assert "predicted better without it" in hunt.refused["bias"].words
+
+
+def test_one_that_raises_it_only_beside_what_is_slow_stays(hunt):
+    hunt.raises_plainly = lambda before, after: False
+    assert not answer_to_predictions(hunt, judged({"drag": 0.5, "bias": -0.3}, []))
+    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
 
 
 def test_a_gap_that_falls_by_less_than_seconds_scatter_takes_nothing_out(hunt):
