@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison, compare
-from groundstation.comparison.consistency import broken_rotor_sensors, require_consistent
+from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.refusals import require_channels
 from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
@@ -33,6 +33,7 @@ from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.slow_disturbance import with_wind
+from groundstation.discrepancy.usable import usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
@@ -103,7 +104,7 @@ def find_discrepancy(
     """
     report: Progress = progress or (lambda what, share: None)
     report("comparing", 0.05)
-    (recordings, validation), broken = _without_broken_sensors((recordings, validation), model)
+    (recordings, validation), left_out = usable((recordings, validation), model)
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
     black_box = train.before.black_box
@@ -130,37 +131,16 @@ def find_discrepancy(
         return with_wind(effects, train, judged)
 
     findings = found(train)
-    if judged.judge(findings.model).worse:  # only beside what is slow, which has no name then
+    # What is right only beside what is slow stays out where that has no name.
+    if findings.followed and judged.judge(findings.model).worse:
         findings = found(None)
-    findings = replace(findings, warnings=(*broken, *findings.warnings))
+    findings = replace(findings, warnings=(*left_out, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     if given is not None:
         better = given.with_model(findings.model)
         looked = tuple((one, given, better) for one in asked)
     return Discrepancy(findings, proof, parts.what, looked)
-
-
-def _without_broken_sensors(
-    groups: Sequence[Sequence[Sequence[Run]]], model: Model
-) -> tuple[list[list[list[Run]]], list[str]]:
-    """Runs without rotor speeds that do not follow PWM and voltage, and what was left out."""
-    warnings: dict[str, str] = {}
-
-    def mended(run: Run) -> Run:
-        broken = broken_rotor_sensors(run, model)
-        if not broken:
-            return run
-        motors = " and ".join(f"M{rotor + 1}" for rotor in broken)
-        warnings[run.name] = (
-            f"{run.name}: the measured speed of {motors} does not follow its PWM and voltage (a"
-            " dead sensor, or its column is another motor's): rotor speeds are taken from the motor"
-            " model"
-        )
-        return replace(run, rotor_rev_s=np.full_like(run.rotor_rev_s, np.nan))
-
-    mended_groups = [[[mended(run) for run in part] for part in group] for group in groups]
-    return mended_groups, list(warnings.values())
 
 
 def find_effects(
@@ -206,6 +186,7 @@ def find_effects(
     out = {*lost, *there}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
     search = SearchState(problem, held, known, candidates, report)
+    judge: Judge | None = None
     if judged is not None:
         given = tuple(key for variant in known for key in variant.keys)
         tried = [*candidates, *(one for one in RENAMES if one not in known)]
@@ -219,6 +200,7 @@ def find_effects(
     outcome = with_sensor_lag(search_effects(search), problem, held)
     warnings = _require_told(outcome, problem)
     findings = _findings(outcome, problem, held, model, known, lost, warnings)
+    findings = replace(findings, followed=judge is not None and judge.follows)
     return with_imbalance(findings, problem, held, outcome.final.point)
 
 

@@ -192,7 +192,8 @@ class Findings:
     that moved; those that these data cannot improve have not. moved: the given model with these
     changes alone. model: moved constants and effects, fitted jointly. candidates: every effect,
     strongest first. not_shown: excitation check. lost: effect name -> the channel that is missing
-    to show it. channels: by channel name. warnings: in words.
+    to show it. channels: by channel name. warnings: in words. followed: what is
+    slow was, where effects were weighed by predictions.
     """
 
     verdict: Verdict
@@ -207,6 +208,7 @@ class Findings:
     channels: dict[str, ChannelResidual]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
+    followed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

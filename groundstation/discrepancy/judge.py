@@ -47,15 +47,19 @@ class Judge:
         if not found.worse:
             return found
         # A channel that is predicted better where nothing is followed is no witness.
-        before, plain = (self._given.judge(one).gaps for one in (self._given.before.model, model))
-        worse = {c: t for c, t in found.worse.items() if not plain[c] < before[c]}
+        better = self._given.of(model).rms < self._given.before.rms
+        worse = {c: t for c, t in found.worse.items() if not better[c]}
         return replace(found, worse=worse)
 
     def raises_plainly(self, before: Point, after: Point) -> bool:
         """Whether the gap of one point is above another's where nothing is followed."""
-        gaps = (self._given.judge(self._model_at(point)).gap for point in (before, after))
-        low, high = gaps
+        low, high = (self._given.judge(self._model_at(point)).gap for point in (before, after))
         return high > low
+
+    @property
+    def follows(self) -> bool:
+        """Whether anything is followed."""
+        return self._slow is not None
 
     def follow(self, point: Point) -> None:
         """What the model at a point leaves that lasts, if anything does."""

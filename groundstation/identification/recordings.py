@@ -25,13 +25,13 @@ LEAST_S = 5.0
 def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
     """The runs of a recording that last at least ``least_s``, rows lost in between being NaN.
 
-    A row whose gyro does not read counts as lost.
+    A row whose gyro does not read counts as lost, and so does one with an impossible duty.
 
     Raises BadInputError where no run is long enough or the rate is not one of inertial
     telemetry.
     """
     label = name or "recording"
-    read: NDArray[np.bool_] = np.asarray(np.isfinite(samples.gyro).all(axis=1))
+    read = np.isfinite(samples.gyro).all(axis=1) & ~samples.overdriven
     whole = samples[read] if read.any() else samples
     return [
         _on_grid(whole[rows], label, float(samples.time_s[0]))

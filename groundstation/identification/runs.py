@@ -98,6 +98,7 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     Raises BadInputError where none does, or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
+    samples = samples[~samples.overdriven]
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.identification.airborne import flights_in
+from groundstation.identification.flight import Flight
 from groundstation.identification.runs import Run
+from groundstation.prediction.start_velocity import start_velocity
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -38,8 +41,23 @@ def velocity_from(
     return velocity
 
 
+def velocity_in(flight: Flight, attitude: Array, force: Array, leak_s: float) -> Array:
+    """Velocity (n, 3) m/s in a flight: from rest where it began on the ground, or else with what
+    its first seconds tell."""
+    start, rows = REST, flight.rows
+    if not flight.rests[0]:
+        start = start_velocity(attitude[rows], force[rows], flight.period_s)
+    first = flight.whole.start
+    return velocity_from(attitude, force, flight.period_s, leak_s, first, start)
+
+
 def velocity_of(run: Run, leak_s: float = LEANING_LEAK_S) -> Array:
     """Velocity (n, 3) m/s of a run as recorded; zero without accelerometer or attitude."""
-    if not (np.isfinite(run.accelerometer).all() and np.isfinite(run.attitude).all()):
+    attitude, force = run.attitude, run.accelerometer
+    if not (np.isfinite(force).all() and np.isfinite(attitude).all()):
         return np.zeros((len(run), 3))
-    return velocity_from(run.attitude, run.accelerometer, run.period_s, leak_s)
+    start, flights = REST, flights_in(run)
+    if flights and flights[0].start == 0 and not flights[0].rests[0]:
+        rows = slice(0, flights[0].stop)
+        start = start_velocity(attitude[rows], force[rows], run.period_s)
+    return velocity_from(attitude, force, run.period_s, leak_s, 0, start)

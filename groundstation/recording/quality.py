@@ -143,6 +143,9 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"a sample every {report['period_s'] * 1e3:.3g} ms where the telemetry has 2 ms"
     for channel, count in report["clipping"].items():
         yield f"{channel} at its limit in {count} samples"
+    beyond = int(samples.overdriven.sum())
+    if beyond:
+        yield f"a motor beyond full duty in {beyond} samples: fits take them as lost"
     specific_force = np.linalg.norm(samples.accelerometer.astype(np.float64), axis=1)
     specific_force_g = specific_force[np.isfinite(specific_force)] / STANDARD_GRAVITY
     if len(specific_force_g):

@@ -21,6 +21,9 @@ from groundstation.telemetry.packet import (
     motor_counts,
 )
 
+OVERDRIVEN = 1.001
+"""A duty beyond full by more than rounding."""
+
 
 @dataclass(frozen=True, slots=True)
 class RawBatch:
@@ -118,6 +121,14 @@ class SampleBatch:
     def time_s(self) -> NDArray[np.float64]:
         """Device time in seconds, shape (n,)."""
         return self.ticks.astype(np.float64) * self.tick_s
+
+    @property
+    def overdriven(self) -> NDArray[np.bool_]:
+        """Rows (n,) with a motor beyond full duty, which none can be: nothing was received there.
+
+        Who joins the topics of a flight on one clock may extrapolate those that ended first.
+        """
+        return np.asarray((self.duty > OVERDRIVEN).any(axis=1))
 
     def __getitem__(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> SampleBatch:
         """The chosen rows as a new batch."""

@@ -8,6 +8,7 @@ from stand_in_flights import recorded
 
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import flights_of, without_gaps
+from groundstation.identification.runs import runs_of
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,15 @@ def test_a_gyro_that_is_gone_for_long_ends_the_run(samples):
     one, other = flights_of(changed(samples, "gyro", slice(4000, 4100), np.nan))
     assert (len(one), len(other)) == (4000, len(samples) - 4100)
     assert other.recording_start_s == one.start_s < other.start_s
+
+
+def test_rows_with_a_motor_beyond_full_duty_are_lost(samples):
+    beyond = samples.duty[:, 1] + np.linspace(0.0, 1000.0, len(samples)).clip(500.0) - 500.0
+    wrong = changed(samples, "duty", (slice(None), 1), beyond)
+    (run,) = flights_of(wrong)
+    (strict,) = runs_of(wrong)
+    assert len(run) == len(strict) == np.argmax(wrong.overdriven)
+    assert run.duty.max() <= 1.001
 
 
 def test_what_is_not_finite_does_not_read(samples):

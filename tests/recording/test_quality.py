@@ -176,6 +176,14 @@ def other_source(**channels):
     return Recording(Path("other"), "microsd", samples)
 
 
+def test_a_motor_beyond_full_duty_is_told():
+    duty = np.full((1000, 4), 0.6)
+    duty[700:, 2] = np.linspace(0.6, 20.0, 300)
+    report = inspect_recording(other_source(duty=duty))
+    beyond = np.count_nonzero(duty.max(axis=1) > 1.001)
+    assert f"a motor beyond full duty in {beyond} samples" in report["verdict"]
+
+
 def test_another_source_is_clipped_where_it_sticks_at_a_range_of_the_sensor():
     accelerometer = np.tile([0.0, 0.0, 9.81], (1000, 1))
     accelerometer[100:120, 0] = 15.999 * 9.80665

@@ -30,7 +30,7 @@ from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.residuals import Columns, evaluate
 from groundstation.identification.motor.supply import LAG, SAG
 from groundstation.identification.stretches import Stretch
-from groundstation.identification.velocity import velocity_from
+from groundstation.identification.velocity import velocity_in
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
@@ -303,7 +303,7 @@ def _slow_moments(flights: Sequence[Flight]) -> dict[str, list[Columns]]:
             level = np.cos(run.attitude[:, 0]) * np.cos(run.attitude[:, 1])
             force = np.zeros_like(run.gyro)
             force[:, 2] = STANDARD_GRAVITY / np.maximum(level, 0.1)
-        velocity = velocity_from(run.attitude, force, run.period_s, LEAK_S, flight.first)
+        velocity = velocity_in(flight, run.attitude, force, LEAK_S)
         columns = velocity[flight.rows, :2] * [-1.0, 1.0]
         for axis, key in enumerate(SLOW_MOMENTS):
             column = flight.gaps.spread(columns[:, 1 - axis : 2 - axis])[:, 0]

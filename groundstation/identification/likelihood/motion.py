@@ -14,13 +14,7 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
-from groundstation.identification.velocity import (
-    LEAK_S,
-    LEANING_LEAK_S,
-    REST,
-    velocity_from,
-)
-from groundstation.prediction.start_velocity import start_velocity
+from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S, velocity_in
 
 Array = NDArray[np.float64]
 Rows = tuple[Any, ...]
@@ -106,11 +100,7 @@ class Motion:
         if leaning and flight.carried is not None:
             attitude = flight.carried
         leak = LEANING_LEAK_S if leaning else LEAK_S
-        start = REST
-        if not flight.rests[0]:
-            flown = flight.rows
-            start = start_velocity(attitude[flown], sensed[flown], self.period)
-        return velocity_from(attitude, sensed, self.period, leak, flight.whole.start, start)
+        return velocity_in(flight, attitude, sensed, leak)
 
     def follow(self, gyro: Array) -> None:
         """Take the last row's rate for the next one's."""

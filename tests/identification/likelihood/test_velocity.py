@@ -10,6 +10,7 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.residuals import generic_signals
+from groundstation.identification.velocity import velocity_of
 
 AXES = ("forward", "leftward", "upward")
 
@@ -42,3 +43,13 @@ def test_a_flight_that_begins_in_motion_begins_with_it(flight):
     first = 5000 + int(np.argmax(speed))
     error, size = off(run[first:], truth, first)
     assert np.hypot(*error[:2]) < 0.3 * np.hypot(*size[:2])
+
+
+def test_a_run_that_begins_in_motion_begins_with_it(flight):
+    run, truth = flight
+    first = 5000 + int(np.argmax(np.hypot(*truth["velocity_m_s"][5000 : len(run) - 5000, :2].T)))
+    rows = slice(first, first + 1000)
+    turned = rotation_matrix(attitude_of_quaternion(truth["quaternion"][rows]))
+    true = np.einsum("nji,nj->ni", turned, truth["velocity_m_s"][rows])[:, :2]
+    found = velocity_of(run[first:])[:1000, :2]
+    assert np.linalg.norm(found - true) < 0.4 * np.linalg.norm(true)

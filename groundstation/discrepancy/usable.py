@@ -1,0 +1,60 @@
+"""What of recordings a search can use: flights that PWM steers, rotor sensors that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.comparison.consistency import broken_rotor_sensors
+from groundstation.dynamics.model import Model
+from groundstation.identification.runs import Run
+from groundstation.identification.torque import mostly_saturated
+
+Groups = Sequence[Sequence[Sequence[Run]]]
+"""To be fitted and held out, of recordings, of runs."""
+
+
+def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
+    """The groups without what a search cannot use, and what was left out, in words."""
+    steered, saturated = _without_saturated(groups)
+    mended, broken = _without_broken_sensors(steered, model)
+    return mended, [*saturated, *broken]
+
+
+def _without_saturated(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without those in which PWM steers nothing, where others of their group are left, and
+    what was left out."""
+    kept, warnings = [], []
+    for group in groups:
+        steered = [[run for run in part if not mostly_saturated(run)] for part in group]
+        if any(steered):
+            lost = {run.name: None for part in group for run in part if mostly_saturated(run)}
+            warnings += [f"{name}: left out, a motor is saturated in most rows" for name in lost]
+            kept.append([part for part in steered if part])
+        else:
+            kept.append([list(part) for part in group])
+    return kept, warnings
+
+
+def _without_broken_sensors(
+    groups: Groups, model: Model
+) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without rotor speeds that do not follow PWM and voltage, and what was left out."""
+    warnings: dict[str, str] = {}
+
+    def mended(run: Run) -> Run:
+        broken = broken_rotor_sensors(run, model)
+        if not broken:
+            return run
+        motors = " and ".join(f"M{rotor + 1}" for rotor in broken)
+        warnings[run.name] = (
+            f"{run.name}: the measured speed of {motors} does not follow its PWM and voltage (a"
+            " dead sensor, or its column is another motor's): rotor speeds are taken from the motor"
+            " model"
+        )
+        return replace(run, rotor_rev_s=np.full_like(run.rotor_rev_s, np.nan))
+
+    mended_groups = [[[mended(run) for run in part] for part in group] for group in groups]
+    return mended_groups, list(warnings.values())

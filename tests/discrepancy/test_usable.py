@@ -1,0 +1,48 @@
+"""What a search leaves out of recordings, and says so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from affected_flights import BASE, flown
+
+from groundstation.discrepancy.usable import usable
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return flown(10.0, 3)[0]
+
+
+def at_full_duty(run, share):
+    duty = run.duty.copy()
+    duty[: round(share * len(run)), 3] = 1.0
+    return replace(run, name="full", duty=duty)
+
+
+def test_a_flight_whose_motor_is_mostly_saturated_is_left_out_where_another_is_left(flight):
+    groups = [[flight], [at_full_duty(flight, 0.6)]], [[flight]]
+    (fitted, held), warnings = usable(groups, BASE)
+    assert [[run.name for run in part] for part in fitted] == [[flight.name]]
+    assert len(held) == 1
+    assert warnings == ["full: left out, a motor is saturated in most rows"]
+
+
+def test_one_that_is_saturated_less_often_stays(flight):
+    (fitted, _), warnings = usable(([[at_full_duty(flight, 0.4)], [flight]], []), BASE)
+    assert len(fitted) == 2
+    assert not warnings
+
+
+def test_where_none_else_is_left_it_stays_to_be_refused(flight):
+    (fitted, _), warnings = usable(([[at_full_duty(flight, 0.6)]], [[flight]]), BASE)
+    assert len(fitted) == 1
+    assert not warnings
+
+
+def test_a_dead_rotor_sensor_is_left_out_by_name(flight):
+    speeds = np.full_like(flight.rotor_rev_s, 250.0) * (1.0 + 0.1 * flight.duty)
+    speeds[:, 1] = 3.0
+    (((run,),), _), warnings = usable(([[replace(flight, rotor_rev_s=speeds)]], []), BASE)
+    assert np.isnan(run.rotor_rev_s).all()
+    assert len(warnings) == 1
