@@ -14,15 +14,20 @@ from groundstation.identification.likelihood.free_spectra import cost_of, smooth
 from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
 from groundstation.identification.likelihood.problem import Fit, Problem, bounded
+from groundstation.identification.likelihood.residuals import ACCELEROMETER, evaluate
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Group = tuple[str, ...]
 """Constants that change or stay together."""
 
+THRUST = "thrust_per_mass"
+SAME_PERCENT = 1.0
+"""What a change of thrust per mass and one of the push at the same PWM differ by at most."""
 TOUCHES: dict[str, tuple[int, ...]] = {
     "c0": (0, 6),
     "c1": (1, 7),
     "c2": (2, 8),
-    "thrust_per_mass": (5,),
+    THRUST: (5,),
 }
 """Channels (0..8 as in ``comparison.channels``) that a constant moves first; others move all."""
 
@@ -105,16 +110,39 @@ def _gone_back(fit: Fit, group: Group, start: Point) -> Fit:
 
 
 def base_changes(
-    start: Point, final: Point, errors: Mapping[str, float], keys: Sequence[str]
+    problem: Problem, fit: Fit, final: Point, errors: Mapping[str, float], keys: Sequence[str]
 ) -> tuple[BaseChange, ...]:
-    """The constants among ``keys`` that moved. errors: standard errors by key."""
+    """The constants among ``keys`` that moved to ``final``, what effects are other names of
+    (``renames``) included. errors: standard errors by key.
+    """
     found = []
     for key in keys:
-        given, now = start.get(key, absent(key)), final.get(key, absent(key))
+        given, now = problem.start.get(key, absent(key)), final.get(key, absent(key))
         if given != now:
             percent = 100.0 * (now / given - 1.0) if given else None
-            found.append(BaseChange(key, given, now, errors.get(key), percent))
+            pushed = None
+            if key == THRUST and percent is not None:
+                pushed = _pushed(problem, fit.point)
+                if pushed is not None and abs(pushed - percent) < SAME_PERCENT:
+                    pushed = None
+            found.append(BaseChange(key, given, now, errors.get(key), percent, pushed))
     return tuple(found)
+
+
+def _pushed(problem: Problem, final: Point) -> float | None:
+    """By how many per cent the mean vertical force that a model makes of the flights is another
+    than the given model's; None where rotor speeds are measured, or nothing tells the vertical."""
+    ratios = []
+    for flight in problem.flights:
+        if not flight.rotor_measured:
+            ends = (
+                evaluate(flight, problem.frame, point, (), (ACCELEROMETER + 2,)).lift
+                for point in (problem.start, final)
+            )
+            given, now = (STANDARD_GRAVITY - one[0] if one else None for one in ends)
+            if given and now:
+                ratios.append(now / given)
+    return 100.0 * (float(np.mean(ratios)) - 1.0) if ratios else None
 
 
 def in_words(change: BaseChange) -> str:
@@ -128,7 +156,13 @@ def in_words(change: BaseChange) -> str:
 
 
 def _meaning(change: BaseChange) -> str:
-    if change.name == "thrust_per_mass":
+    if change.pushed is not None:
+        how = "more" if change.pushed > 0.0 else "less"
+        return (
+            f" with rotors of other speeds: at the same PWM they push the craft"
+            f" {_short(abs(change.pushed))} % {how}"
+        )
+    if change.name == THRUST:
         heavier = 100.0 * (change.given / change.value - 1.0)
         if heavier > 0.0:
             return f": the craft is {_short(heavier)} % heavier or its rotors weaker"

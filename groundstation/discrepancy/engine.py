@@ -284,7 +284,7 @@ def _findings(
         base=model,
         moved=model_of(final.point, errors, given, model, problem.frame.own),
         base_changes=base_changes(
-            problem.start, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
+            problem, final, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
         ),
         model=model_of(final.point, errors, keys, model, problem.frame.own),
         candidates=_candidates(outcome),

@@ -158,7 +158,8 @@ class ChannelResidual:
 class BaseChange:
     """A constant of the given model that the search changed: name and unit as in the model file.
 
-    stderr: of the new value. percent: of the given one, None where that is zero.
+    stderr: of the new value. percent: of the given one, None where that is zero. pushed: by how
+    many per cent the rotors, as modelled, push more at the same PWM; None: by as much.
     """
 
     name: str
@@ -166,6 +167,7 @@ class BaseChange:
     value: float
     stderr: float | None
     percent: float | None
+    pushed: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.discrepancy.division import divide
+from groundstation.errors import BadInputError
 from groundstation.identification.runs import CHANNELS, Run
 
 PERIOD_S = 0.01
@@ -68,3 +69,40 @@ def test_given_recordings_are_held_out_as_they_are():
     assert parts.what == ""
     assert len(parts.held_out[0]) == 6000
     assert len(parts.fit_on[0]) == 6000
+
+
+def test_thirds_are_those_of_the_rows_in_the_air():
+    (run,) = flown(seed=3)
+    duty = run.duty.copy()
+    duty[:1500], duty[3000:] = 0.0, 0.0
+    parts = divide([[replace(run, duty=duty)]], [], "plus")
+    assert spans(parts.fit_on) == [(0.0, pytest.approx(25.0))]
+    assert spans(parts.held_out) == [(pytest.approx(25.0), pytest.approx(60.0))]
+
+
+def cut_to(seconds, seed, name, steering=1.0):
+    (run,) = flown(seed=seed)
+    duty = 0.6 + steering * (run.duty - 0.6)
+    return replace(run, name=name, duty=duty)[: round(seconds / PERIOD_S)]
+
+
+def test_of_short_flights_a_whole_one_is_held_out():
+    short = [cut_to(8.0, 4, "calm", 0.1), cut_to(8.0, 5, "one"), cut_to(8.0, 6, "two")]
+    parts = divide([[run] for run in short], [], "plus")
+    (held,) = parts.held_out
+    assert held.name in ("one", "two")
+    assert parts.what == f"all of {held.name}"
+    assert sorted(run.name for run in (*parts.fit_on, held)) == ["calm", "one", "two"]
+    assert [(one.first, one.last) for one in parts.judged] == [(0, 800)]
+
+
+def test_beside_a_long_flight_a_short_one_is_fitted_whole():
+    long, short = cut_to(30.0, 7, "long"), cut_to(8.0, 8, "short")
+    parts = divide([[short], [long]], [], "plus")
+    assert [run.name for run in parts.held_out] == ["long"]
+    assert [(run.name, len(run)) for run in parts.fit_on] == [("short", 800), ("long", 2000)]
+
+
+def test_one_short_flight_is_not_enough():
+    with pytest.raises(BadInputError, match=r"of 8\.0 s in the air none can be held out"):
+        divide([[cut_to(8.0, 9, "short")]], [], "plus")

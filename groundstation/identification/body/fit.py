@@ -61,6 +61,8 @@ TRIAL_STEP_S, TRIED_S, TRIED_LAG_S = 2e-3, 0.016, 3e-3
 """Delays some ms apart can predict almost equally well: each is tried, the best are followed."""
 FOLLOWED = 2
 BLOCK_S = 0.5
+LEAST_SHARE = 0.1
+"""Of what the profile's geometry says, for a gain of a craft that its rotors turn."""
 PACE_ERRORS = 3.0
 """Standard errors from which a motor is said to answer faster or slower than its constants."""
 
@@ -172,15 +174,26 @@ def likeliest(setup: Setup) -> FreeFit:
         starts = [{**setup.start, DELAY: delay} for _, delay in trials[:FOLLOWED]]
     fits = [fit_free(setup.linearise, point, plain, white=False) for point in starts]
     fits.append(fit_free(setup.linearise, starts[0], plain))
-    best = min(fits, key=lambda one: one.cost)
+    best = likeliest_that_turns(setup, fits)
     if SENSOR_LAG in setup.keys:
         later = best.point[DELAY] + TRIED_LAG_S if DELAY in setup.keys else 0.0
         point = {**best.point, SENSOR_LAG: TRIED_LAG_S, **({DELAY: later} if later else {})}
         lagging = fit_free(setup.linearise, point, limits, white=False)
-        best = min(best, lagging, key=lambda one: one.cost)
+        best = likeliest_that_turns(setup, [best, lagging])
     if not setup.tied:
         return best
     return replace(best, point={**best.point, "c1": best.point["c0"]})
+
+
+def likeliest_that_turns(setup: Setup, fits: Sequence[FreeFit]) -> FreeFit:
+    """The likeliest of those whose rotors turn the craft about roll and pitch, if there are any.
+
+    Where rows are a row and more late against each other, each channel in its own way, no torque
+    at all may be likelier than one that comes too early: the rest of its sizes is free then.
+    """
+    least = LEAST_SHARE * np.array(setup.problem.frame.vehicle.body_constants[:2])
+    turning = [one for one in fits if one.point["c0"] > least[0] and one.point["c1"] > least[1]]
+    return min(turning or fits, key=lambda one: one.cost)
 
 
 def _trial(setup: Setup, linear: Linear, delay: float, limits: Limits) -> float:

@@ -9,7 +9,7 @@ from stand_in_flights import recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.body.fit import fit_body
+from groundstation.identification.body.fit import fit_body, likeliest_that_turns
 from groundstation.identification.body.validation import (
     fit_free_run,
     prediction_errors,
@@ -56,6 +56,15 @@ def test_on_the_reduced_plant_the_constants_are_found_and_the_intervals_honest()
     assert np.abs(errors).max() < 0.03
     assert np.abs(np.mean(errors, axis=0)).max() < 0.005
     assert np.sum(~np.array(inside)) <= 2
+
+
+def test_no_fit_in_which_rotors_turn_nothing_is_taken_before_one_in_which_they_do(reduced):
+    found = fit_body(stretches_of(reduced, THESIS_MOTOR), VEHICLE)
+    setup, whole = found.setup, found.free
+    still = replace(whole, point={**whole.point, "c1": 1e-3 * TRUE[1]}, cost=whole.cost - 300.0)
+    assert likeliest_that_turns(setup, [still, whole]) is whole
+    assert likeliest_that_turns(setup, [replace(whole, cost=whole.cost + 1.0), whole]) is whole
+    assert likeliest_that_turns(setup, [still]) is still  # which is refused, with its reason
 
 
 def test_on_the_faithful_plant_they_are_within_3_percent_once_known_effects_are_fitted_along(

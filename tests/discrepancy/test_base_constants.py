@@ -1,0 +1,51 @@
+"""What a change of the given model's constants is said to mean."""
+
+import msgspec
+import pytest
+from affected_flights import BASE, flown
+
+from groundstation.discrepancy.base_constants import base_changes, in_words
+from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, point_of
+from groundstation.identification.likelihood.problem import Fit, Problem
+
+KEYS = (*BODY_KEYS, *MOTOR_KEYS)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return Problem(prepare([flown(12.0, 3)[0]]), BASE, point_of(BASE))
+
+
+def changed(problem, **factors):
+    point = {**problem.start, **{key: problem.start[key] * by for key, by in factors.items()}}
+    fit = Fit(point, KEYS, 0.0, None)
+    return {one.name: one for one in base_changes(problem, fit, point, {}, KEYS)}
+
+
+def test_more_thrust_at_the_same_speeds_is_a_lighter_craft(problem):
+    change = changed(problem, thrust_per_mass=1.25)["thrust_per_mass"]
+    assert change.percent == pytest.approx(25.0)
+    assert change.pushed is None
+    assert in_words(change) == (
+        "thrust_per_mass +25 %: the craft is 20 % lighter or its rotors stronger"
+    )
+
+
+def test_more_thrust_of_rotors_that_turn_slower_is_told_by_what_they_push(problem):
+    volts = 3000.0
+    fast, slow = (
+        motor.steady_rev_s(volts)
+        for motor in (BASE.motor, msgspec.structs.replace(BASE.motor, a0=0.85 * BASE.motor.a0))
+    )
+    made_up = (fast / slow) ** 2
+    change = changed(problem, thrust_per_mass=made_up, a0=0.85)["thrust_per_mass"]
+    assert change.percent > 20.0
+    assert abs(change.pushed) < 2.0
+    assert "at the same PWM they push the craft" in in_words(change)
+
+
+def test_a_change_of_another_constant_says_nothing_of_speeds(problem):
+    change = changed(problem, c0=0.9)["c0"]
+    assert change.pushed is None
+    assert in_words(change).startswith("c0 -10 %: roll answers less")
