@@ -104,6 +104,7 @@ def find_discrepancy(
     """
     report: Progress = progress or (lambda what, share: None)
     report("comparing", 0.05)
+    require_channels([run for part in (*recordings, *validation) for run in part])
     (recordings, validation), left_out = usable((recordings, validation), model)
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
@@ -115,7 +116,6 @@ def find_discrepancy(
     if given is not None:
         for one in asked:
             within(given, one)  # says, before anything is searched, where nothing of it flew
-    require_channels(parts.held_out)
 
     def found(beside: Predictions | None) -> Findings:
         effects = find_effects(
