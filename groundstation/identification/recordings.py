@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from groundstation.gaps import filled
 from groundstation.identification.runs import CHANNELS, Run, uninterrupted
+from groundstation.identification.supply_answer import at_the_rows_voltage
 from groundstation.telemetry.samples import SampleBatch
 
 LONGEST_GAP_S = 0.1
@@ -57,18 +58,20 @@ def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
         out[place] = np.where(np.isfinite(values), values, np.nan)
         return out
 
+    inputs = grid(samples.duty), grid(samples.duty_step), grid(samples.battery_v)
+    duty, duty_step = at_the_rows_voltage(*inputs)
     return Run(
         name=label,
         start_s=float(time[0]),
         period_s=period,
-        duty=grid(samples.duty),
-        supply_v=grid(samples.battery_v),
+        duty=duty,
+        supply_v=inputs[2],
         gyro=grid(samples.gyro),
         accelerometer=grid(samples.accelerometer),
         attitude=grid(_unwrapped(samples.attitude.astype(np.float64))),
         rotor_rev_s=grid(samples.rotor_rev_s),
         debug_s=grid(samples.debug * samples.tick_s),
-        duty_step=grid(samples.duty_step),
+        duty_step=duty_step,
         recording_start_s=recording_start_s,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
+from groundstation.identification.supply_answer import at_the_rows_voltage
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -31,8 +32,8 @@ class Run:
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad.
     rotor_rev_s: (n, 4) measured speeds. debug_s: (n,) half a rotor revolution on the motor bench,
     in seconds. duty_step: (n, 4), where ``duty`` is the mean of two settings, the second less the
-    first. start_s: device time of the first row; recording_start_s: of the recording's. A
-    channel that is not there is NaN.
+    first, both at the row's voltage (``supply_answer``). start_s: device time of the first row;
+    recording_start_s: of the recording's. A channel that is not there is NaN.
     """
 
     name: str
@@ -115,6 +116,8 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
         }
         period = float((time[-1] - time[0]) / (len(part) - 1))
         parts = {key: np.asarray(values, np.float64) for key, values in columns.items()}
+        inputs = parts["duty"], parts["duty_step"], parts["supply_v"]
+        parts["duty"], parts["duty_step"] = at_the_rows_voltage(*inputs)
         start = float(samples.time_s[0])
         found.append(Run(label, float(time[0]), period, **parts, recording_start_s=start))
     return found

@@ -13,6 +13,7 @@ from groundstation.errors import BadInputError
 from groundstation.gaps import filled
 from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
+from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows_voltage
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
 
@@ -23,6 +24,7 @@ SLOWEST_HZ = 200.0
 RHYTHM_ROWS = 50
 """Samples from which the period is told."""
 WIDTH = 18
+DUTY, SUPPLY, STEP = slice(0, 4), 4, slice(14, 18)
 INPUTS = (0, 1, 2, 3, 4, 14, 15, 16, 17)
 """Columns that are known between their neighbours: duty, supply and the step of the duty."""
 
@@ -71,6 +73,7 @@ class Rows:
         self.period_s = period_s
         self.first = self.count = 0
         self._tick_s = tick_s
+        self._answer = SupplyAnswer()
         self._table = np.empty((0, WIDTH))
         self._time_s = np.empty(0)
         self._host_ns = np.empty(0, np.int64)
@@ -93,6 +96,8 @@ class Rows:
                 samples.duty_step,
             ]
         )
+        inputs = new[:, DUTY], new[:, STEP], new[:, SUPPLY]
+        new[:, DUTY], new[:, STEP] = at_the_rows_voltage(*inputs, self._answer.learn(*inputs))
         # With the row before, so that what is lost first lies between two neighbours.
         start = max(len(self._table) - 1, 0)
         self._table = np.concatenate([self._table, new])

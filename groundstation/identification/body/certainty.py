@@ -78,7 +78,8 @@ def settings_a_row(run: Run) -> float:
     are. Telemetry of today's craft may hold the mean of two (``links/log_rows.py``): it lies
     half-way between the 65536 that there are."""
     away = np.abs((run.duty * FULL_16_BIT) % 1.0 - 0.5) < HALF_WAY
-    settings = CONTROL_HZ * run.period_s / (2.0 if away.mean() > MEANS else 1.0)
+    told = np.isfinite(run.duty_step).all(axis=1).mean() > MEANS
+    settings = CONTROL_HZ * run.period_s / (2.0 if told or away.mean() > MEANS else 1.0)
     return settings if settings >= SLOW else 1.0
 
 

@@ -7,6 +7,7 @@ import pytest
 from stand_in_flights import recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.identification.body.certainty import settings_a_row, unseen_delay_s
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.runs import CHANNELS, runs_of
 from groundstation.identification.stretches import stretches_of
@@ -47,3 +48,15 @@ def test_rows_with_every_setting_cost_nothing(run):
     assert np.abs(off).max() < 0.03
     assert error.max() < 0.01
     assert not any("one in" in line for line in fit.warnings)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_rows_that_tell_both_settings_hold_all_there_are_at_whatever_voltage(run, told):
+    """Two settings at one voltage make a mean that lies anywhere between the steps of a PWM."""
+    first, second = run.duty[1:-1:2], run.duty[2::2]
+    step = second - first if told else np.full_like(first, np.nan)
+    rows = {name: getattr(run, name)[2::2] for name in CHANNELS}
+    rows |= {"duty": first * 1.0003 + 0.5 * (second - first), "duty_step": step}
+    slow = replace(run, period_s=2 * run.period_s, **rows)
+    assert settings_a_row(slow) == pytest.approx(1.0 if told else 2.0, rel=1e-3)
+    assert unseen_delay_s(slow) == pytest.approx(0.0 if told else 2e-3, abs=1e-5)
