@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from held_up import in_real_time
 from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
 from programs import Program, run_program
 
@@ -45,14 +46,6 @@ def connected(status):
     return command is not None and command["state"] == "connected"
 
 
-def require_flown(stderr):
-    """Skips where the machine was too busy to fly in real time, which ends a flight."""
-    silent = "no telemetry for" in stderr or "telemetry lost (link silent)" in stderr
-    if silent and os.getloadavg()[0] > 2 * (os.cpu_count() or 1):
-        pytest.skip(f"machine too busy for real time: {stderr.splitlines()[-1]}")
-    raise AssertionError(stderr)
-
-
 class Station:
     """A daemon, and ``pid`` commands beside it with a state folder of their own."""
 
@@ -72,6 +65,13 @@ class Station:
             timeout=120,
         )
 
+    def flown(self, *arguments):
+        """The same, to a good end."""
+        with in_real_time():
+            flight = self.fly(*arguments)
+            assert flight.returncode == 0, flight.stderr
+        return flight
+
     @contextlib.contextmanager
     def flying(self, *arguments, mark="pid fly programme"):
         """``pid fly`` in the midst of its programme; killed in the end if it still runs."""
@@ -82,13 +82,13 @@ class Station:
             text=True,
             env=self._environment,
         ) as flight:
-            until(self._in_programme(flight, mark), "the programme is flown")
+            with in_real_time():
+                until(self._in_programme(flight, mark), "the programme is flown")
             yield flight
 
     def _in_programme(self, flight, mark):
         def look():
-            if flight.poll() is not None:
-                require_flown(flight.stderr.read())
+            assert flight.poll() is None, f"it ended by itself: {flight.stderr.read()}"
             return mark in self.marks()
 
         return look
@@ -129,11 +129,9 @@ def station(tmp_path, port, craft, deck):
 
 def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tmp_path):
     page = tmp_path / "flight.html"
-    flight = station.fly(
+    flight = station.flown(
         "--gains", GAINS, "--model", BODY, *SHORT, "--restore", "--html", page, "--json"
     )
-    if flight.returncode:
-        require_flown(flight.stderr)
     report = json.loads(flight.stdout)
     roll = report["axes"]["roll"]
     assert roll["edges"] == 6
@@ -209,12 +207,11 @@ def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station
 def test_gains_that_cannot_fly_end_in_an_abort_and_are_put_back(station, tmp_path):
     gains = tmp_path / "wild.toml"
     gains.write_text('"pid_attitude.roll_kp" = 30.0\n"pid_attitude.pitch_kp" = 30.0\n')
-    flight = station.fly("--gains", gains, *ONCE)
-    assert flight.returncode == 1
-    assert "flight aborted: " in flight.stderr
-    if "no telemetry" in flight.stderr:
-        require_flown(flight.stderr)
-    assert "tilt of" in flight.stderr or "rate of" in flight.stderr
+    with in_real_time():
+        flight = station.fly("--gains", gains, *ONCE)
+        assert flight.returncode == 1
+        assert "flight aborted: " in flight.stderr
+        assert "tilt of" in flight.stderr or "rate of" in flight.stderr
     values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
     assert values["pid_attitude.roll_kp"] == 3.5
     assert "nothing was left changed" in station.fly("--undo").stdout
@@ -306,9 +303,7 @@ def test_telemetry_may_come_through_a_pseudo_terminal(tmp_path, port):
             daemon.status_when(connected, "the command link is connected")
             daemon.status_when(lambda s: s["link"]["rate_hz"] > 400, "telemetry comes")
             station = Station(daemon, tmp_path)
-            flight = station.fly("--gains", GAINS, "--model", BODY, *ONCE, "--json")
-            if flight.returncode:
-                require_flown(flight.stderr)
+            flight = station.flown("--gains", GAINS, "--model", BODY, *ONCE, "--json")
             report = json.loads(flight.stdout)
             recording = open_recording(Path(report["recording"]))
             assert recording.link == f"serial:{name}"
@@ -328,9 +323,7 @@ def test_todays_craft_flies_its_own_gains_and_is_never_given_those_of_2014(stati
     assert station.gain() == before
     gains = tmp_path / "today.toml"
     gains.write_text('firmware = "2.x"\n"pid_rate.roll_kp" = 200.0\n')
-    flight = station.fly("--gains", gains, "--restore", "--json", *SHORT)
-    if flight.returncode:
-        require_flown(flight.stderr)
+    flight = station.flown("--gains", gains, "--restore", "--json", *SHORT)
     report = json.loads(flight.stdout)
     assert report["firmware"] == "2.x"
     assert report["gains"]["pid_rate.roll_kp"] == 200.0
@@ -341,9 +334,7 @@ def test_todays_craft_flies_its_own_gains_and_is_never_given_those_of_2014(stati
 
 @pytest.mark.parametrize(("craft", "deck"), [("crazyflie21", True)])
 def test_a_craft_with_a_deck_holds_its_height_by_itself_in_the_programme(station):
-    flight = station.fly("--thrust", "height:0.6", "--json", *SHORT)
-    if flight.returncode:
-        require_flown(flight.stderr)
+    flight = station.flown("--thrust", "height:0.6", "--json", *SHORT)
     assert "the craft holds 0.6 m by itself" in flight.stderr
     report = json.loads(flight.stdout)
     assert not report["aborted"]

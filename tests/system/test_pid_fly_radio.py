@@ -13,6 +13,7 @@ import time
 
 import pytest
 from flown_link import free_udp_port
+from held_up import in_real_time
 from installed import COMMAND, Daemon, require_failure, until
 from narrow_radio import narrow
 from programs import Program, run_program
@@ -52,6 +53,7 @@ class Field:
         ) as flight:  # fmt: skip
             until(lambda: flight.poll() is not None or "pid fly programme" in self.events("mark"),
                   "the programme is flown")  # fmt: skip
+            assert flight.poll() is None, f"it ended by itself: {flight.communicate()[1]}"
             yield flight
 
     def connected_again(self):
@@ -102,33 +104,36 @@ def last_line(flight):
 def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(field):
     """Today's firmware locks a craft whose setpoints cease within 2 s after its motors turned."""
     for _ in range(2):
-        flight = field.run("pid", "fly", *ONCE, "--json")
-        assert flight.returncode == 0, flight.stderr
-        assert json.loads(flight.stdout)["motors"] == "motors are off"
-        time.sleep(3.0)
-    assert field.events("fault") == []
-    assert not any("Locked" in line for line in field.events("console"))
+        with in_real_time():
+            flight = field.run("pid", "fly", *ONCE, "--json")
+            assert flight.returncode == 0, flight.stderr
+            assert json.loads(flight.stdout)["motors"] == "motors are off"
+            time.sleep(3.0)
+            assert field.events("fault") == []
+            assert not any("Locked" in line for line in field.events("console"))
 
 
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_half_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
-    with field.flying() as flight:
-        field.radio.stalled = True
-        time.sleep(0.7)
-        field.radio.stalled = False
-        last = last_line(flight)
-    assert "telemetry lost (link silent)" in last
-    assert "motors are off" in last
+    with in_real_time():
+        with field.flying() as flight:
+            field.radio.stalled = True
+            time.sleep(0.7)
+            field.radio.stalled = False
+            last = last_line(flight)
+        assert "telemetry lost (link silent)" in last
+        assert "motors are off" in last
     # it disarms itself 3 s after it has landed, whoever arms it before that
     field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
     assert field.run("motors", "arm").stdout == "armed\n"
-    again = field.run("pid", "fly", *ONCE)
-    assert again.returncode == 0, again.stderr
+    with in_real_time():
+        again = field.run("pid", "fly", *ONCE)
+        assert again.returncode == 0, again.stderr
 
 
 @pytest.mark.parametrize("field", [{"craft": '"crazyflie21plus"', "protocol": "7"}], indirect=True)
 def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopped(field):
-    with field.flying() as flight:
+    with in_real_time(), field.flying() as flight:
         field.radio.stalled = True
         last = last_line(flight)
         assert "nothing says that the motors stopped" in last
@@ -149,7 +154,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
 @pytest.mark.parametrize("field", [{"craft": '"brushless"'}], indirect=True)
 def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(field):
     """Its time stands still too, unlike a radio's; what was sent meanwhile comes late."""
-    with field.flying() as flight:
+    with in_real_time(), field.flying() as flight:
         field.craft.send_signal(signal.SIGSTOP)
         try:
             last = last_line(flight)

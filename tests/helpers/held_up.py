@@ -1,0 +1,110 @@
+"""Tells what the machine's load ended from what a fault ended, for programs that fly in real time.
+
+Late telemetry looks the same either way. The kernel counts, for each thread, how long it was ready
+to run and another had the processor; a program that waits, sleeps, is locked up or has lost a
+packet is not ready, so nothing that a fault of ours does is counted.
+"""
+
+import contextlib
+import os
+import subprocess
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+import pytest
+
+EVERY_S, SPAN_S = 0.1, 1.0
+HELD_UP_S = 0.25
+"""In ``SPAN_S``. Telemetry is taken for lost after 0.5 s (``LinkState.SILENT``), in which craft,
+relay and daemon have to run one after the other."""
+LAST_S = 10.0
+"""What was that long ago did not end a flight: motors are watched for 3 s after it, parameters
+are put back."""
+
+
+@contextlib.contextmanager
+def in_real_time(programs=lambda: [os.getpid(), *children()]):
+    """What fails in here is skipped where the machine held one of the programs up before it.
+
+    programs: their process ids; by default this one and those it started.
+    """
+    with _Watch(programs) as watch:
+        try:
+            yield
+        except (AssertionError, subprocess.TimeoutExpired) as error:
+            held_s, name = watch.longest()
+            if held_s < HELD_UP_S:
+                raise
+            pytest.skip(f"{name} was held up for {held_s:.2f} s of {SPAN_S:g} s: {error}"[:500])
+
+
+def waited_s(pid):
+    """How long each thread of a program was ready to run and did not: thread id -> s."""
+    found = {}
+    for thread in _listed(f"/proc/{pid}/task"):
+        with contextlib.suppress(OSError):  # it has ended
+            text = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text()
+            found[int(thread)] = int(text.split()[1]) * 1e-9
+    return found
+
+
+def children():
+    """Process ids of what this process has started."""
+    found = []
+    for thread in _listed("/proc/self/task"):
+        with contextlib.suppress(OSError):
+            found += map(int, Path(f"/proc/self/task/{thread}/children").read_text().split())
+    return found
+
+
+def _listed(folder):
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
+
+
+class _Watch:
+    """Looks ten times a second, from a thread of its own."""
+
+    def __init__(self, programs):
+        self._programs = programs
+        self._seen = deque(maxlen=round(SPAN_S / EVERY_S) + 1)
+        self._worst = deque(maxlen=round(LAST_S / EVERY_S))
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._look)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._ended.set()
+        self._thread.join()
+
+    def longest(self):
+        """(s, name) of the program that was held up most in any ``SPAN_S`` lately."""
+        return max(self._worst, default=(0.0, "nothing"))
+
+    def _look(self):
+        while not self._ended.wait(EVERY_S):
+            now_s, now = time.monotonic(), {pid: waited_s(pid) for pid in self._programs()}
+            self._seen.append((now_s, now))
+            # a look that comes late itself must not make a longer span of it
+            before = next(seen for at_s, seen in self._seen if at_s >= now_s - SPAN_S - EVERY_S)
+            rises = [
+                (waited - before.get(pid, {}).get(thread, waited), pid)
+                for pid, threads in now.items()
+                for thread, waited in threads.items()
+            ]
+            rise_s, pid = max(rises, default=(0.0, 0))
+            self._worst.append((rise_s, _name(pid)))
+
+
+def _name(pid):
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+        return " ".join(Path(word).name for word in words[:4]).strip()
+    return str(pid)
