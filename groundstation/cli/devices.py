@@ -12,7 +12,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
+from groundstation.errors import BadInputError, TakenError
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -55,13 +55,16 @@ def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str
     """Stock craft that answer a dongle or cable among ``usb``, and why they cannot be looked for.
     Keys as ``usb_devices``."""
     from groundstation.cli.usb_devices import CRAZYFLIE
-    from groundstation.links.crazyflie_connection import in_reach
+    from groundstation.links.craft_address import LOOKED_THROUGH, in_reach
+    from groundstation.service.dongles import Dongles
 
     if not any(row["name"] in CRAZYFLIE for row in usb):
         return [], ""
     try:
-        found = in_reach()
-    except BadInputError as error:
+        with contextlib.closing(Dongles()) as dongles:
+            dongles.hold(LOOKED_THROUGH)
+            found = in_reach()
+    except (BadInputError, TakenError) as error:
         return [], str(error)
     rows = [
         {"kind": "craft", "name": uri, "link": uri, "description": "", "usable": True, "why": ""}

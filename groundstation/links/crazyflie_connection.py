@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import io
 import logging
 import os
 import random
@@ -19,17 +18,12 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, LinkError
+from groundstation.links.craft_address import ADDRESSES, HINT, is_address
 from groundstation.links.log_plan import Variable
 
-ADDRESSES = (
-    "udp://HOST:PORT, usb://0 or radio://0/80/2M/E7E7E7E7E7 (dongle or its serial number, channel 0"
-    " to 125, rate 250K, 1M or 2M, address of ten hexadecimal digits)"
-)
-HINT = "install it with pip install -e '.[radio]' in the program's folder, or pip install cflib"
 CONNECT_S, FIRST_S = 10.0, 3.0
 """Until everything has been read; until the first packet, which over UDP nobody sends again."""
 ANSWER_S = 1.0
@@ -47,12 +41,6 @@ _LOG_CONTROL, _VERSION = 1, 1
 _START_V2 = 8
 _FIRMWARE, _DEVICE = 1, 2
 
-_RADIO = re.compile(
-    r"radio://(\d{1,9}|[0-9A-Fa-f]{10,32})/(?P<channel>\d{1,3})"
-    r"(/(250K|1M|2M)(/[0-9A-Fa-f]{1,10})?)?/?(\?rate_limit=\d+)?"
-)
-_CABLE = re.compile(r"usb://\d+")
-_LAST_CHANNEL = 125
 _ERROR_NAME = re.compile(r"^([\w.]+\.)?\w*(Error|Exception): ")
 _UNHEARD = logging.NullHandler()
 
@@ -78,7 +66,7 @@ class Connection:
     """
 
     def __init__(self, uri: str) -> None:
-        if not _is_address(uri):
+        if not is_address(uri):
             raise BadInputError(f"{uri!r} is no address of a craft: give {ADDRESSES}")
         try:
             import cflib.crtp
@@ -416,37 +404,6 @@ class Connection:
         *lines, self._console = (self._console + text).split("\n")
         for line in filter(None, map(str.strip, lines)):
             self.on_console(line)
-
-
-def in_reach() -> list[str]:
-    """Addresses of the craft that answer a dongle or a cable; takes seconds with a dongle.
-
-    Raises BadInputError without cflib.
-    """
-    try:
-        from cflib.crtp.radiodriver import RadioDriver
-        from cflib.crtp.usbdriver import UsbDriver
-    except ImportError as error:
-        raise BadInputError(f"to look for craft cflib is needed: {HINT}") from error
-    found: list[str] = []
-    with contextlib.redirect_stdout(io.StringIO()):  # cflib prints what it does not find
-        for driver in (RadioDriver(), UsbDriver()):
-            found += [uri for uri, *_ in driver.scan_interface(None)]
-    return found
-
-
-def _is_address(uri: str) -> bool:
-    """Whether cflib can make anything of it: of what it cannot it says so in words of Python, and
-    a wrong channel it finds only once there is a dongle."""
-    if radio := _RADIO.fullmatch(uri):
-        return int(radio["channel"]) <= _LAST_CHANNEL
-    if not uri.startswith("udp://"):
-        return _CABLE.fullmatch(uri) is not None
-    try:
-        parts = urlsplit(uri)
-        return bool(parts.hostname and parts.port)
-    except ValueError:  # the port
-        return False
 
 
 def _elsewhere(function: Callable[[], None]) -> None:

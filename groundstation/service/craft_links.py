@@ -22,6 +22,7 @@ from groundstation.links.factory import (
 )
 from groundstation.service.commander import Commander
 from groundstation.service.config import DEFAULT_VEHICLE, Config, link_speed
+from groundstation.service.dongles import Dongles
 from groundstation.service.journal import Journal
 from groundstation.service.receiver import Receiver
 from groundstation.telemetry.log_table import LogTable
@@ -86,6 +87,7 @@ class CraftLinks:
         self._on_entry = on_entry
         self._port = config.command  # at which a stand-in takes commands
         self._switching = False
+        self._dongles = Dongles()
         self.command_uri = ""
         if commander.link is not None:
             self._listen(commander.link)
@@ -105,6 +107,7 @@ class CraftLinks:
             raise TakenError("the link is being switched already")
         self._switching = True
         try:
+            self.hold_dongles(name)
             link = telemetry_link(
                 self._config,
                 name,
@@ -121,6 +124,7 @@ class CraftLinks:
                 await self._commander.disconnect()
         finally:
             self._switching = False
+            self.hold_dongles()
         self.tell()
 
     async def connect_command(self, uri: str) -> None:
@@ -133,8 +137,12 @@ class CraftLinks:
         own = telemetry.commands
         if own is None or own.uri != uri:
             own = make_command_link(uri, clock=self._clock)
-        await serve_commands(telemetry, uri)
-        await self._commander.replace(own)
+        self.hold_dongles(uri)
+        try:
+            await serve_commands(telemetry, uri)
+            await self._commander.replace(own)
+        finally:
+            self.hold_dongles()
         self._listen(own)
         self._port = uri
         self.tell_no_craft()
@@ -163,9 +171,20 @@ class CraftLinks:
 
     def flies_by_dongle(self) -> bool:
         """Whether a dongle or cable is in use, so that nobody else may look for craft with it."""
+        return any(uri.startswith(("radio://", "usb://")) for uri in self._uris())
+
+    def hold_dongles(self, also: str = "") -> None:
+        """What the links of the moment use, and ``also`` leads through, is ours alone. Raises
+        TakenError where another program has one."""
+        self._dongles.hold([*self._uris(), also])
+
+    def close(self) -> None:
+        """Leave the dongles to others, when the links are closed. Safe to call twice."""
+        self._dongles.close()
+
+    def _uris(self) -> tuple[str, str]:
         command = self._commander.link
-        uris = self._receiver.link.name, "" if command is None else command.uri
-        return any(uri.startswith(("radio://", "usb://")) for uri in uris)
+        return self._receiver.link.name, "" if command is None else command.uri
 
     def _tell_vehicle(self) -> None:
         """What the craft says it is goes into the recordings, unless the configuration says."""

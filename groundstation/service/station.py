@@ -175,7 +175,8 @@ class Station:
         self._stopping.set()
 
     async def run(self, announce: Callable[[], None] = lambda: None) -> None:
-        """Receive until stopped. Raises BadInputError when the link can never be opened.
+        """Receive until stopped. Raises BadInputError when the link can never be opened,
+        TakenError where another program has its dongle.
 
         announce: called once the viewer's ports are known to be free.
         """
@@ -183,6 +184,8 @@ class Station:
         self._loop.set_exception_handler(self._unexpected)
         # in reverse order, each whatever became of the others
         async with contextlib.AsyncExitStack() as closing:
+            closing.callback(self.craft.close)
+            self.craft.hold_dongles()
             closing.push_async_callback(self.viewer.stop)
             await self.viewer.start()
             closing.push_async_callback(self.page.close)

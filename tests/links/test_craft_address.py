@@ -1,0 +1,29 @@
+"""What a craft's address leads through, by whichever of its names a dongle is given."""
+
+import pytest
+
+from groundstation.links.craft_address import both_names, ways_of
+
+SERIALS = ("5CC6CC66B8", "e7a0b1c2d3")
+
+
+@pytest.mark.parametrize(
+    ("dongle", "names"),
+    [
+        ("0", {"dongle 0", "dongle 5CC6CC66B8"}),
+        ("01", {"dongle 1", "dongle E7A0B1C2D3"}),
+        ("5cc6cc66b8", {"dongle 0", "dongle 5CC6CC66B8"}),
+        ("E7A0B1C2D3", {"dongle 1", "dongle E7A0B1C2D3"}),
+        ("2", {"dongle 2"}),  # not plugged in yet
+        ("0123456789", {"dongle 0123456789"}),
+    ],
+)
+def test_a_dongle_has_its_number_and_its_serial_number(dongle, names):
+    assert both_names(dongle, SERIALS) == names
+
+
+def test_links_without_one_lead_through_none():
+    for link in ("udp://127.0.0.1:19850", "stand-in", "usb", "serial:/dev/ttyUSB0", ""):
+        assert ways_of(link) == set()
+    assert ways_of("usb://0") == {"cable 0"}
+    assert "dongle 71" in ways_of("radio://71/80/2M/E7E7E7E7E7")
