@@ -12,8 +12,9 @@ from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
+from groundstation.links.cflib_calls import resolve
 from groundstation.links.command import CommandLink, CommandState
-from groundstation.links.crazyflie_connection import Connection, resolve
+from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
 from groundstation.links.supervisor import BATTERY_LOW, INFO, POWER, Supervisor
 
@@ -103,7 +104,7 @@ class CrazyflieLink(CommandLink):
                 loop.call_soon_threadsafe(self._take_state, Supervisor.of(values))
 
         try:
-            await self._connection.watch(watched, tell)
+            await self._connection.blocks.watch(watched, tell)
         except GroundStationError as error:
             if self.state is CommandState.CONNECTED:
                 self._tell("waiting", f"what keeps the craft from flying is not told: {error}")

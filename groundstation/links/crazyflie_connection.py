@@ -1,51 +1,38 @@
 """One connection to one Crazyflie, for telemetry and commands alike.
 
-The only module that imports cflib, which is GPLv3 and an optional extra. cflib calls back from
-threads of its own; what they say reaches the event loop here or through the callables given.
+cflib, which is GPLv3 and an optional extra, calls back from threads of its own; what they say
+reaches the event loop here or through the callables given.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import logging
 import os
-import random
 import re
-import threading
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, LinkError
+from groundstation.links.cflib_calls import crtp_packet, elsewhere, protocol_of, resolve
 from groundstation.links.craft_address import ADDRESSES, HINT, is_address
-from groundstation.links.log_plan import Variable
+from groundstation.links.log_blocks import LogBlocks
 
 CONNECT_S, FIRST_S = 10.0, 3.0
 """Until everything has been read; until the first packet, which over UDP nobody sends again."""
 ANSWER_S = 1.0
 """For what a firmware may not know how to answer."""
-BLOCK_S = CLOSE_S = 5.0
-STOP_S = 0.05
-"""Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
-STAGGER_TRIES = 40
-LEAST_CFLIB_MS = 10
-"""cflib's own commands know no shorter period."""
-WATCH_MS = 100
+CLOSE_S = 5.0
 
-_LOG, _PLATFORM = 5, 13
-_LOG_CONTROL, _VERSION = 1, 1
-_START_V2 = 8
+_PLATFORM, _VERSION = 13, 1
 _FIRMWARE, _DEVICE = 1, 2
 
 _ERROR_NAME = re.compile(r"^([\w.]+\.)?\w*(Error|Exception): ")
 _UNHEARD = logging.NullHandler()
-
-OnValues = Callable[[int, int, tuple[float, ...]], None]
-"""Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +49,7 @@ class Connection:
 
     on_lost: told, on the event loop, why the connection ended by itself. on_console: told every
     line of the craft's console. commanded: setpoints went through it, so that closing stops the
-    motors, as cflib does.
+    motors, as cflib does. blocks: what it logs.
     """
 
     def __init__(self, uri: str) -> None:
@@ -85,10 +72,7 @@ class Connection:
         self._craft: Any = None
         self._complete: asyncio.Future[bool] | None = None
         self._console = ""
-        self._blocks: list[Any] = []
-        self._slow: Any = None
-        self._between = 0
-        self._stamps: dict[int, int] = {}
+        self.blocks = LogBlocks(uri, lambda: self.craft)
 
     @property
     def craft(self) -> Any:
@@ -104,11 +88,11 @@ class Connection:
     @property
     def protocol(self) -> int:
         """Version of CRTP that the craft speaks, -1 for one that knows no versions."""
-        return int(self.craft.platform.get_protocol_version())
+        return protocol_of(self.craft)
 
     def send(self, port: int, channel: int, data: bytes) -> None:
         """Send one packet that nothing answers."""
-        self.craft.send_packet(_packet(port, channel, data))
+        self.craft.send_packet(crtp_packet(port, channel, data))
 
     async def open(self) -> None:
         """Connect, until the tables of contents are known. Raises LinkError."""
@@ -142,7 +126,7 @@ class Connection:
         stop_pings = craft.link_statistics.stop
         # it joins the thread of the pings, and fails, silently for us, where a ping finds the craft
         # gone: nobody is told of the loss then
-        craft.link_statistics.stop = lambda: _elsewhere(stop_pings)
+        craft.link_statistics.stop = lambda: elsewhere(stop_pings)
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
@@ -188,7 +172,7 @@ class Connection:
                     await in_background(lambda: self._disconnect(craft))
 
     def _disconnect(self, craft: Any) -> None:
-        self._stop_blocks(craft)
+        self.blocks.stop(craft)
         link = craft.link
         if link is not None and not self.commanded:
             # cflib would send zero thrust, which who only listens has no business to
@@ -217,7 +201,9 @@ class Connection:
 
         craft.add_header_callback(heard, port, channel)
         try:
-            craft.send_packet(_packet(port, channel, bytes([command])), expected_reply=(command,))
+            craft.send_packet(
+                crtp_packet(port, channel, bytes([command])), expected_reply=(command,)
+            )
             async with asyncio.timeout(ANSWER_S):
                 return await answer
         except TimeoutError:
@@ -233,167 +219,6 @@ class Connection:
             for name, element in elements.items()
         }
 
-    async def start_log(
-        self,
-        blocks: Sequence[Sequence[Variable]],
-        period_ms: int,
-        on_values: OnValues,
-        between: int = 0,
-    ) -> None:
-        """Let the craft send blocks, each every ``period_ms``.
-
-        between: number of the block that is to come half-way between those of the first; 0: none.
-
-        Raises LinkError where it refuses one, or does not know so short a period.
-        """
-        stamps = self._stamps = {}
-        self._between = between
-        running = threading.Event()  # nothing is passed on before the last block has its period
-        for number, variables in enumerate(blocks):
-
-            def received(stamp: int, values: Any, block: Any, number: int = number) -> None:
-                stamps[number] = stamp
-                if running.is_set():
-                    on_values(number, stamp, tuple(values.values()))
-
-            name, slow_ms = f"block {number}", max(period_ms, LEAST_CFLIB_MS)
-            self._blocks.append(await self._begin(name, variables, slow_ms, received))
-        await self.pace_log(period_ms)
-        running.set()
-
-    async def watch(
-        self, variables: Sequence[Variable], on_values: Callable[[dict[str, float]], None]
-    ) -> None:
-        """Let the craft say these as well, ten times a second, however fast its other blocks are;
-        told from cflib's thread. Raises LinkError where it refuses."""
-        self._slow = await self._begin(
-            "watch", variables, WATCH_MS, lambda stamp, values, block: on_values(dict(values))
-        )
-
-    async def _begin(
-        self,
-        name: str,
-        variables: Sequence[Variable],
-        period_ms: int,
-        received: Callable[[int, Any, Any], None],
-    ) -> Any:
-        """A block that the craft has started. Raises LinkError where it refuses, BadInputError
-        where there are too many."""
-        from cflib.crazyflie.log import LogConfig
-
-        craft, loop = self.craft, asyncio.get_running_loop()
-        block = LogConfig(name, period_ms)
-        for variable, kind in variables:
-            block.add_variable(variable, kind)
-        started: asyncio.Future[None] = loop.create_future()
-
-        def begun(block: Any, is_started: bool) -> None:
-            loop.call_soon_threadsafe(resolve, started, None)
-
-        def refused(block: Any, reason: str) -> None:
-            error = LinkError(f"{self.uri}: the craft refused a log block: {reason}")
-            loop.call_soon_threadsafe(resolve, started, error)
-
-        block.started_cb.add_callback(begun)
-        block.error_cb.add_callback(refused)
-        block.data_received_cb.add_callback(received)
-        try:
-            craft.log.add_config(block)
-            block.start()
-        except (AttributeError, KeyError) as error:  # cflib's own limits
-            raise BadInputError(
-                f"{self.uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
-                " and 128 variables; ask for fewer with --log"
-            ) from error
-        await self._within(started, "did not start a log block")
-        return block
-
-    async def pace_log(self, period_ms: int) -> None:
-        """Let the blocks that run come every ``period_ms``; commands go on meanwhile.
-
-        Raises LinkError where the craft does not confirm it.
-        """
-        await self._set_period(period_ms, self._blocks)
-        if self._between and self.protocol >= 0:
-            await self._stagger(self._blocks[self._between], period_ms, self._between)
-
-    async def _stagger(self, block: Any, period_ms: int, number: int) -> None:
-        """Start a block again until it comes half a period after the first one.
-
-        When a packet arrives in the craft is chance, by some ms. Where it does not succeed, the
-        block is merely of another moment.
-        """
-        near_ms, stamps = (period_ms - 1) // 4, self._stamps
-
-        async def both() -> None:
-            while not {0, number} <= stamps.keys():
-                await asyncio.sleep(1e-3 * period_ms)
-
-        for _ in range(STAGGER_TRIES):
-            stamps.clear()
-            await self._within(both(), "did not send what it was asked to log")
-            off_ms = (stamps[number] - stamps[0]) % period_ms - period_ms // 2
-            if abs(off_ms) <= near_ms:
-                return
-            await asyncio.sleep(1e-3 * random.uniform(0.0, 2.0 * period_ms))
-            await self._set_period(period_ms, [block])
-
-    async def _set_period(self, period_ms: int, blocks: Sequence[Any]) -> None:
-        """Start blocks again, as close to each other as packets go, in ms: cflib itself
-        starts one when the craft has confirmed it, and knows tens of ms only."""
-        if self.protocol < 0:
-            if period_ms % LEAST_CFLIB_MS:
-                raise LinkError(
-                    f"{self.uri}: this firmware logs every 10, 20, 30 ... ms only, not every"
-                    f" {period_ms}; say --rate 100"
-                )
-            return
-        craft, loop = self.craft, asyncio.get_running_loop()
-        answers: dict[int, asyncio.Future[int]] = {
-            block.id: loop.create_future() for block in blocks
-        }
-
-        def heard(packet: Any) -> None:
-            data = bytes(packet.data)
-            if len(data) > 2 and data[0] == _START_V2 and data[1] in answers:
-                loop.call_soon_threadsafe(resolve, answers[data[1]], data[2])
-
-        craft.add_header_callback(heard, _LOG, _LOG_CONTROL)
-        try:
-            for number in answers:
-                data = bytes([_START_V2, number]) + period_ms.to_bytes(2, "little")
-                craft.send_packet(
-                    _packet(_LOG, _LOG_CONTROL, data), expected_reply=(_START_V2, number)
-                )
-            for answer in answers.values():
-                error = await self._within(answer, "did not confirm the period of its log")
-                if error and period_ms % LEAST_CFLIB_MS:
-                    raise LinkError(
-                        f"{self.uri}: this firmware does not log every {period_ms} ms"
-                        f" ({errno.errorcode.get(error, error)}); say --rate 100"
-                    )
-        finally:
-            craft.remove_header_callback(heard, _LOG, _LOG_CONTROL)
-
-    async def _within(self, answer: Awaitable[Any], what: str) -> Any:
-        try:
-            async with asyncio.timeout(BLOCK_S):
-                return await answer
-        except TimeoutError as error:
-            raise LinkError(f"{self.uri}: the craft {what} within {BLOCK_S:g} s") from error
-
-    def _stop_blocks(self, craft: Any) -> None:
-        blocks = [*self._blocks, *([self._slow] if self._slow is not None else [])]
-        self._blocks, self._slow = [], None
-        if craft.link is None:
-            return
-        for block in blocks:
-            block.stop()
-        if blocks:
-            threading.Event().wait(STOP_S)
-        for block in blocks:
-            block.delete()
-
     def _lose(self, craft: Any, reason: str) -> None:
         if craft is self._craft:
             for tell in self.on_lost:
@@ -404,20 +229,6 @@ class Connection:
         *lines, self._console = (self._console + text).split("\n")
         for line in filter(None, map(str.strip, lines)):
             self.on_console(line)
-
-
-def _elsewhere(function: Callable[[], None]) -> None:
-    """Let a thread of its own call it: one that may not wait for the thread that asks."""
-    threading.Thread(target=function, daemon=True).start()
-
-
-def _packet(port: int, channel: int, data: bytes) -> Any:
-    from cflib.crtp.crtpstack import CRTPPacket
-
-    packet = CRTPPacket()
-    packet.set_header(port, channel)
-    packet.data = data
-    return packet
 
 
 def _explained(reason: str) -> str:
@@ -458,13 +269,3 @@ async def _either(one: asyncio.Future[Any], other: asyncio.Future[Any], patience
         (one, other), timeout=patience_s, return_when=asyncio.FIRST_COMPLETED
     )
     return bool(done)
-
-
-def resolve(future: asyncio.Future[Any], result: Any) -> None:
-    """Set a future once, from whichever callback comes first."""
-    if future.done():
-        return
-    if isinstance(result, Exception):
-        future.set_exception(result)
-    else:
-        future.set_result(result)

@@ -131,7 +131,7 @@ class CrazyflieTelemetry(Link):
             else:
                 self._rows.restart(plan, self._period_ms)
             blocks = [*plan.blocks, *plan.extra]
-            await self._connection.start_log(blocks, self._period_ms, self._take, plan.again)
+            await self._connection.blocks.start(blocks, self._period_ms, self._take, plan.again)
             if self._measures:
                 await self._take_what_is_borne(len(blocks))
                 self._rows.restart(plan, self._period_ms)
@@ -163,7 +163,7 @@ class CrazyflieTelemetry(Link):
         if came_hz < BORNE * MOST_HZ:
             rates = [rate for rate in RATES_HZ if LEAST_HZ < rate <= SPARE * came_hz]
             self._period_ms = 1000 // (rates[0] if rates else LEAST_HZ)
-            await self._connection.pace_log(self._period_ms)
+            await self._connection.blocks.pace(self._period_ms)
             self.emit(
                 "loss",
                 f"the link bears {came_hz:.0f} of {MOST_HZ} rows a second:"
@@ -232,7 +232,7 @@ class CrazyflieTelemetry(Link):
     async def _slow_down(self, rate_hz: int, told: str, rows: LogRows) -> None:
         """Rows that follow are another segment; commands do not notice."""
         try:
-            await self._connection.pace_log(1000 // rate_hz)
+            await self._connection.blocks.pace(1000 // rate_hz)
         except Exception as error:  # cflib raises what it likes, and nobody waits for this task
             self.emit("loss", f"{told}, and they cannot be made fewer: {error}")
             return

@@ -9,7 +9,6 @@ firmware's own limits of 0.5 s and 2 s, which still hold when the daemon itself 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import hmac
 import secrets
 import time
@@ -26,53 +25,19 @@ from groundstation.errors import (
 )
 from groundstation.links.base import LinkState
 from groundstation.links.command import CommandLink, CommandState
+from groundstation.service.arming import ask_to_arm
 from groundstation.service.config import DeadManConfig
 from groundstation.service.limits import RateLimit
+from groundstation.service.motor_stop import Motors, Note, Stopping, send_level
 from groundstation.service.requests import Lease as Granted
 
 SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 """100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""
 WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
-ENDS_S, FLIES_ON_S = 0.25, 5.0
-"""How long zero thrust is sent at an end, for a radio may lose some; how much longer to a craft
-that still takes itself for flying."""
-ANSWER_S = 2.0
-"""A craft that has not answered a request to arm by then does not."""
-STATE_S = 0.3
-"""After so long the craft has said what state it is in, and has left one that passes."""
-STILL_S = 0.5
-"""Motors that turn so long after they were asked to stop are disarmed, then stopped by the
-firmware's emergency stop, again and again."""
-UNSEEN_S, SEEN_S = 2.0, 2.5
-"""Without telemetry for so long nobody knows whether they have stopped; how long an operator is
-kept waiting for what becomes of them."""
-STOPPED = "stopped"
-STILL_TURN = "asked to stop, motors still turn"
-NOT_TOLD = "asked to stop; no telemetry says whether the motors still turn"
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
 DEAD_MAN = "dead man"
 OPERATOR = "operator"
-
-Note = Callable[[str, str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Motors:
-    """What the craft last said of its motors: how long ago, s, and the largest duty."""
-
-    age_s: float
-    duty: float
-
-
-@dataclass(slots=True)
-class Stop:
-    """Motors that were asked to stop. forced: how often more than zero thrust was tried. stopped:
-    whether they were seen to; None: there is no telemetry that says so."""
-
-    asked_s: float
-    forced: int = 0
-    stopped: bool | None = False
 
 
 @dataclass(slots=True)
@@ -124,12 +89,10 @@ class Commander:
         self.link = link
         self.limits = limits
         self.setpoints = self.refused = self.interventions = 0
-        self._note, self._telemetry, self._motors = note, telemetry, motors
-        self._stop: Stop | None = None
+        self._note, self._telemetry = note, telemetry
+        self._stopping = Stopping(lambda: self.link, motors, note, DEAD_MAN)
         self._lease: Lease | None = None
-        self._zero_until_s = 0.0  # zero thrust is repeated until then
         self._connecting = asyncio.Lock()
-        self._stopped_by = DEAD_MAN
         self._closing = False
         self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
 
@@ -196,11 +159,7 @@ class Commander:
             "nobody commanded" if self._lease is None else f"{self._lease.client} commands no more"
         )
         self._end(f"the operator stops the motors; {holder}", kind="stop")
-        stop = self._stop
-        assert stop is not None
-        while stop.stopped is False and time.monotonic() < stop.asked_s + SEEN_S:
-            await asyncio.sleep(WATCH_S / 5)
-        return STOPPED if stop.stopped else STILL_TURN if stop.stopped is False else NOT_TOLD
+        return await self._stopping.outcome()
 
     def level(self, on: bool) -> None:
         """Whether attitude and yaw rate of every setpoint are replaced by zero, the client's thrust
@@ -224,30 +183,9 @@ class Commander:
             raise BadInputError(f"no craft can be armed: {reason}")
         if link.state is not CommandState.CONNECTED:
             raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
-        word = "arm" if on else "disarm"
-        if not await self._armed(link, on):
-            await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
-            if link.supervisor.trouble or not await self._armed(link, on):
-                why = link.supervisor.refusal
-                raise LinkError(f"the craft refuses to {word} its motors{why and ': '}{why}")
-        if not on and link.supervisor.arms_itself:
-            raise LinkError(
-                "the craft was disarmed and has armed itself again, as a brushed one does: its"
-                " motors are stopped by `groundstation motors stop`"
-            )
-        self._note("armed" if on else "disarmed", f"the operator {word}s the motors")
-
-    async def _armed(self, link: CommandLink, on: bool) -> bool:
-        """Whether the craft does as it is asked; raises as ``arm``."""
-        if not link.arm(on):
-            raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
-        asked_s = time.monotonic()
-        while link.armed is None and time.monotonic() - asked_s < ANSWER_S:
-            await asyncio.sleep(WATCH_S / 5)
-        if link.armed is None:
-            word = "arm" if on else "disarm"
-            raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
-        return link.armed is on
+        await ask_to_arm(link, on)
+        kind, does = ("armed", "arms") if on else ("disarmed", "disarms")
+        self._note(kind, f"the operator {does} the motors")
 
     async def replace(self, link: CommandLink) -> None:
         """Command through another link from now on. Raises TakenError while a client commands."""
@@ -293,9 +231,9 @@ class Commander:
         lease.setpoint_s, lease.levelled = lease.heard_s, False
         lease.thrust, lease.height_m = thrust, height_m
         if lease.flies:
-            self._stop, self._zero_until_s = None, 0.0
+            self._stopping.cancel()
         elif flew:
-            self._zero_until_s, self._stopped_by = lease.heard_s + link.settles_s, lease.client
+            self._stopping.settle(lease.heard_s, lease.client)
         self.setpoints += 1
         return sent_ns
 
@@ -379,9 +317,7 @@ class Commander:
     def look(self, now_s: float) -> None:
         """Do what the time since the client's last words demands."""
         lease = self._lease
-        if self._settles(now_s) and (lease is None or now_s > lease.setpoint_s + WATCH_S):
-            self._send(0, self._stopped_by)
-        self._watch_stop(now_s)
+        self._stopping.look(now_s, repeat=lease is None or now_s > lease.setpoint_s + WATCH_S)
         if lease is None:
             return
         silent_s = now_s - lease.setpoint_s
@@ -393,7 +329,7 @@ class Commander:
             if not lease.levelled:
                 lease.levelled = True
                 self._note("dead man", f"no setpoint from {lease.client}: level attitude")
-            self._send(lease.thrust, DEAD_MAN, lease.height_m)
+            send_level(self.link, lease.thrust, DEAD_MAN, lease.height_m)
         elif not lease.flies and now_s - lease.heard_s >= self.limits.lease_s:
             self._end(f"{lease.client} was silent for {self.limits.lease_s:g} s: its lease is over")
 
@@ -407,8 +343,8 @@ class Commander:
                 self._stop_motors(DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
-            while self.link.state is CommandState.CONNECTED and (
-                self._stop or self._settles(time.monotonic())
+            while self.link.state is CommandState.CONNECTED and self._stopping.goes_on(
+                time.monotonic()
             ):
                 self.look(time.monotonic())
                 await asyncio.sleep(WATCH_S / 5)
@@ -438,59 +374,10 @@ class Commander:
         lease.heard_s = now_s
         return lease
 
-    def _settles(self, now_s: float) -> bool:
-        """Whether zero thrust has to go on: a craft that takes itself for flying is locked by its
-        firmware where setpoints cease."""
-        late_s = now_s - self._zero_until_s
-        flies = self.link is not None and self.link.supervisor.flies
-        return late_s < 0.0 or (flies and late_s < FLIES_ON_S)
-
     def _stop_motors(self, client: str) -> None:
         if self._lease is not None:
             self._lease.set_down()
-        now_s = time.monotonic()
-        settles_s = 0.0 if self.link is None else self.link.settles_s
-        self._zero_until_s, self._stopped_by = now_s + max(settles_s, ENDS_S), client
-        self._stop = Stop(now_s)
-        cleared = [] if self.link is None else self.link.clear_assists()
-        if cleared:
-            self._note(
-                "command", f"{', '.join(cleared)} set to 0: it would keep the motors running"
-            )
-        self._send(0, self._stopped_by)
-
-    def _watch_stop(self, now_s: float) -> None:
-        """Say that motors have stopped when the craft says so, and not before."""
-        stop = self._stop
-        if stop is None:
-            return
-        waited_s, said = now_s - stop.asked_s, self._motors()
-        # when the craft said so, behind the request; what it said before tells nothing
-        said_s = -1.0 if said is None else waited_s - said.age_s
-        if said is not None and said_s > 0.0 and said.duty <= 0.0:
-            self._note("command", f"motors stopped, {waited_s:.2f} s after they were asked to")
-            self._stop, stop.stopped = None, True
-        elif waited_s > max(said_s, 0.0) + UNSEEN_S:
-            self._note("fault", NOT_TOLD)
-            self._stop, stop.stopped = None, None
-        elif said_s > STILL_S * (stop.forced + 1):
-            stop.forced += 1
-            self._zero_until_s = max(self._zero_until_s, now_s + ENDS_S)
-            means = "asked again"
-            if self.link is not None:
-                # armed motors may idle: disarmed first, for an emergency stop ends the flying
-                if stop.forced == 1 and self.link.arm(False):
-                    means = "disarmed"
-                elif stop.forced > 1 and self.link.emergency_stop():
-                    means = "emergency stop"
-            self._note("fault", f"{STILL_TURN}: {means}")
-
-    def _send(self, thrust: int, client: str, height_m: float | None = None) -> None:
-        link = self.link
-        if link is not None:
-            # without the craft there is nothing to be done: its own limits stop it
-            with contextlib.suppress(LinkError):
-                link.setpoint(0.0, 0.0, 0.0, thrust, height_m=height_m, client=client)
+        self._stopping.ask(client)
 
     def _end(self, text: str, *, kind: str = "command") -> None:
         self._lease = None

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.service.commander import Motors
+from groundstation.service.motor_stop import Motors
 from groundstation.service.requests import Telemetry
 from groundstation.telemetry.samples import SampleBatch
 

@@ -101,7 +101,7 @@ def test_more_than_a_craft_can_log_is_refused_in_one_line() -> None:
         await connection.open()
         try:
             with pytest.raises(BadInputError, match=r"16 blocks .* fewer with --log") as refusal:
-                await connection.start_log([GYRO] * 17, 100, lambda *packet: None)
+                await connection.blocks.start([GYRO] * 17, 100, lambda *packet: None)
             assert "\n" not in str(refusal.value)
         finally:
             await connection.close()
@@ -130,7 +130,7 @@ def test_a_library_that_locks_itself_up_holds_nobody_up(monkeypatch: pytest.Monk
     async def session(uri: str) -> None:
         connection = Connection(uri)
         await connection.open()
-        await connection.start_log([GYRO], 10, lambda *packet: None)
+        await connection.blocks.start([GYRO], 10, lambda *packet: None)
         lock = connection.craft._send_lock
         lock.acquire()
         try:

@@ -80,7 +80,7 @@ def test_a_library_that_fails_while_the_rate_is_lowered_is_told_and_the_rows_go_
         link.on_event = lambda event: told.append(f"{event.kind}: {event.text}")
         async with link:
             await link.read()
-            link._connection.pace_log = broken
+            link._connection.blocks.pace = broken
             assert link._rows is not None
             await link._slow_down(100, "half of the rows lost", link._rows)
             assert len(await link.read())

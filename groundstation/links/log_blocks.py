@@ -1,0 +1,211 @@
+"""What a craft is asked to log: blocks of variables, how often they come, and when.
+
+cflib asks for them; periods under 10 ms and the moment within a period are asked for here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import random
+import threading
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
+
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.cflib_calls import crtp_packet, protocol_of, resolve
+from groundstation.links.log_plan import Variable
+
+BLOCK_S = 5.0
+STOP_S = 0.05
+"""Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
+STAGGER_TRIES = 40
+LEAST_CFLIB_MS = 10
+"""cflib's own commands know no shorter period."""
+WATCH_MS = 100
+
+_LOG, _LOG_CONTROL = 5, 1
+_START_V2 = 8
+
+OnValues = Callable[[int, int, tuple[float, ...]], None]
+"""Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
+
+
+class LogBlocks:
+    """The log blocks of one craft.
+
+    uri: named in errors. craft: cflib's object, raising LinkError where nothing is connected.
+    """
+
+    def __init__(self, uri: str, craft: Callable[[], Any]) -> None:
+        self._uri, self._craft = uri, craft
+        self._blocks: list[Any] = []
+        self._slow: Any = None
+        self._between = 0
+        self._stamps: dict[int, int] = {}
+
+    @property
+    def _protocol(self) -> int:
+        return protocol_of(self._craft())
+
+    async def start(
+        self,
+        blocks: Sequence[Sequence[Variable]],
+        period_ms: int,
+        on_values: OnValues,
+        between: int = 0,
+    ) -> None:
+        """Let the craft send blocks, each every ``period_ms``.
+
+        between: number of the block that is to come half-way between those of the first; 0: none.
+
+        Raises LinkError where it refuses one, or does not know so short a period.
+        """
+        stamps = self._stamps = {}
+        self._between = between
+        running = threading.Event()  # nothing is passed on before the last block has its period
+        for number, variables in enumerate(blocks):
+
+            def received(stamp: int, values: Any, block: Any, number: int = number) -> None:
+                stamps[number] = stamp
+                if running.is_set():
+                    on_values(number, stamp, tuple(values.values()))
+
+            name, slow_ms = f"block {number}", max(period_ms, LEAST_CFLIB_MS)
+            self._blocks.append(await self._begin(name, variables, slow_ms, received))
+        await self.pace(period_ms)
+        running.set()
+
+    async def watch(
+        self, variables: Sequence[Variable], on_values: Callable[[dict[str, float]], None]
+    ) -> None:
+        """Let the craft say these as well, ten times a second, however fast its other blocks are;
+        told from cflib's thread. Raises LinkError where it refuses."""
+        self._slow = await self._begin(
+            "watch", variables, WATCH_MS, lambda stamp, values, block: on_values(dict(values))
+        )
+
+    async def _begin(
+        self,
+        name: str,
+        variables: Sequence[Variable],
+        period_ms: int,
+        received: Callable[[int, Any, Any], None],
+    ) -> Any:
+        """A block that the craft has started. Raises LinkError where it refuses, BadInputError
+        where there are too many."""
+        from cflib.crazyflie.log import LogConfig
+
+        craft, loop = self._craft(), asyncio.get_running_loop()
+        block = LogConfig(name, period_ms)
+        for variable, kind in variables:
+            block.add_variable(variable, kind)
+        started: asyncio.Future[None] = loop.create_future()
+
+        def begun(block: Any, is_started: bool) -> None:
+            loop.call_soon_threadsafe(resolve, started, None)
+
+        def refused(block: Any, reason: str) -> None:
+            error = LinkError(f"{self._uri}: the craft refused a log block: {reason}")
+            loop.call_soon_threadsafe(resolve, started, error)
+
+        block.started_cb.add_callback(begun)
+        block.error_cb.add_callback(refused)
+        block.data_received_cb.add_callback(received)
+        try:
+            craft.log.add_config(block)
+            block.start()
+        except (AttributeError, KeyError) as error:  # cflib's own limits
+            raise BadInputError(
+                f"{self._uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
+                " and 128 variables; ask for fewer with --log"
+            ) from error
+        await self._within(started, "did not start a log block")
+        return block
+
+    async def pace(self, period_ms: int) -> None:
+        """Let the blocks that run come every ``period_ms``; commands go on meanwhile.
+
+        Raises LinkError where the craft does not confirm it.
+        """
+        await self._set_period(period_ms, self._blocks)
+        if self._between and self._protocol >= 0:
+            await self._stagger(self._blocks[self._between], period_ms, self._between)
+
+    async def _stagger(self, block: Any, period_ms: int, number: int) -> None:
+        """Start a block again until it comes half a period after the first one.
+
+        When a packet arrives in the craft is chance, by some ms. Where it does not succeed, the
+        block is merely of another moment.
+        """
+        near_ms, stamps = (period_ms - 1) // 4, self._stamps
+
+        async def both() -> None:
+            while not {0, number} <= stamps.keys():
+                await asyncio.sleep(1e-3 * period_ms)
+
+        for _ in range(STAGGER_TRIES):
+            stamps.clear()
+            await self._within(both(), "did not send what it was asked to log")
+            off_ms = (stamps[number] - stamps[0]) % period_ms - period_ms // 2
+            if abs(off_ms) <= near_ms:
+                return
+            await asyncio.sleep(1e-3 * random.uniform(0.0, 2.0 * period_ms))
+            await self._set_period(period_ms, [block])
+
+    async def _set_period(self, period_ms: int, blocks: Sequence[Any]) -> None:
+        """Start blocks again, as close to each other as packets go, in ms: cflib itself
+        starts one when the craft has confirmed it, and knows tens of ms only."""
+        if self._protocol < 0:
+            if period_ms % LEAST_CFLIB_MS:
+                raise LinkError(
+                    f"{self._uri}: this firmware logs every 10, 20, 30 ... ms only, not every"
+                    f" {period_ms}; say --rate 100"
+                )
+            return
+        craft, loop = self._craft(), asyncio.get_running_loop()
+        answers: dict[int, asyncio.Future[int]] = {
+            block.id: loop.create_future() for block in blocks
+        }
+
+        def heard(packet: Any) -> None:
+            data = bytes(packet.data)
+            if len(data) > 2 and data[0] == _START_V2 and data[1] in answers:
+                loop.call_soon_threadsafe(resolve, answers[data[1]], data[2])
+
+        craft.add_header_callback(heard, _LOG, _LOG_CONTROL)
+        try:
+            for number in answers:
+                data = bytes([_START_V2, number]) + period_ms.to_bytes(2, "little")
+                craft.send_packet(
+                    crtp_packet(_LOG, _LOG_CONTROL, data), expected_reply=(_START_V2, number)
+                )
+            for answer in answers.values():
+                error = await self._within(answer, "did not confirm the period of its log")
+                if error and period_ms % LEAST_CFLIB_MS:
+                    raise LinkError(
+                        f"{self._uri}: this firmware does not log every {period_ms} ms"
+                        f" ({errno.errorcode.get(error, error)}); say --rate 100"
+                    )
+        finally:
+            craft.remove_header_callback(heard, _LOG, _LOG_CONTROL)
+
+    def stop(self, craft: Any) -> None:
+        """End all blocks of a craft that is about to be left; waits, so not on the event loop."""
+        blocks = [*self._blocks, *([self._slow] if self._slow is not None else [])]
+        self._blocks, self._slow = [], None
+        if craft.link is None:
+            return
+        for block in blocks:
+            block.stop()
+        if blocks:
+            threading.Event().wait(STOP_S)
+        for block in blocks:
+            block.delete()
+
+    async def _within(self, answer: Awaitable[Any], what: str) -> Any:
+        try:
+            async with asyncio.timeout(BLOCK_S):
+                return await answer
+        except TimeoutError as error:
+            raise LinkError(f"{self._uri}: the craft {what} within {BLOCK_S:g} s") from error

@@ -1,0 +1,46 @@
+"""Asking a craft to arm its motors or disarm them, until it has answered."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.command import CommandLink
+
+ANSWER_S = 2.0
+"""A craft that has not answered a request to arm by then does not."""
+STATE_S = 0.3
+"""After so long the craft has said what state it is in, and has left one that passes."""
+LOOK_S = 0.01
+
+
+async def ask_to_arm(link: CommandLink, on: bool) -> None:
+    """Arm the motors or disarm them, and wait for the craft's answer.
+
+    Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or does
+    not answer."""
+    word = "arm" if on else "disarm"
+    if not await _armed(link, on):
+        await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
+        if link.supervisor.trouble or not await _armed(link, on):
+            why = link.supervisor.refusal
+            raise LinkError(f"the craft refuses to {word} its motors{why and ': '}{why}")
+    if not on and link.supervisor.arms_itself:
+        raise LinkError(
+            "the craft was disarmed and has armed itself again, as a brushed one does: its"
+            " motors are stopped by `groundstation motors stop`"
+        )
+
+
+async def _armed(link: CommandLink, on: bool) -> bool:
+    """Whether the craft does as it is asked; raises as ``ask_to_arm``."""
+    if not link.arm(on):
+        raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
+    asked_s = time.monotonic()
+    while link.armed is None and time.monotonic() - asked_s < ANSWER_S:
+        await asyncio.sleep(LOOK_S)
+    if link.armed is None:
+        word = "arm" if on else "disarm"
+        raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
+    return link.armed is on
