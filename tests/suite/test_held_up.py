@@ -40,7 +40,7 @@ def ended(flight):
 
 
 def test_a_flight_that_ends_while_the_machine_holds_its_programs_up_is_skipped():
-    what = r"held up for 0\.\d+ s of 1 s: no telemetry"
+    what = r"held python.* up for \d\.\d+ s: no telemetry"
     with crowded() as flight, pytest.raises(pytest.skip.Exception, match=what):
         ended(flight)
 
