@@ -10,11 +10,12 @@ from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.evaluation import ACCELEROMETER
 from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
 from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
 from groundstation.identification.likelihood.problem import Fit, Problem, bounded
-from groundstation.identification.likelihood.residuals import ACCELEROMETER, evaluate
+from groundstation.identification.likelihood.residuals import evaluate
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Group = tuple[str, ...]

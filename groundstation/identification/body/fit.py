@@ -41,6 +41,7 @@ from groundstation.identification.body.setup import (
     set_up,
 )
 from groundstation.identification.estimate import Estimates, inverse, sandwich
+from groundstation.identification.likelihood.columns import BASE_STEPS
 from groundstation.identification.likelihood.free_spectra import (
     FreeFit,
     Limits,
@@ -51,7 +52,6 @@ from groundstation.identification.likelihood.free_spectra import (
 )
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
-from groundstation.identification.likelihood.residuals import BASE_STEPS
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.stretches import Stretch, paced
 

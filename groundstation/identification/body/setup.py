@@ -23,11 +23,12 @@ from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle, mean
 from groundstation.errors import BadInputError
 from groundstation.identification.attitude_rows import Gaps, attitude_rows
 from groundstation.identification.flight import Flight, is_force_between
+from groundstation.identification.likelihood.evaluation import Columns
 from groundstation.identification.likelihood.free_spectra import Limits, joined
 from groundstation.identification.likelihood.linearisation import Linear, linearise
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.residuals import Columns, evaluate
+from groundstation.identification.likelihood.residuals import evaluate
 from groundstation.identification.motor.supply import LAG, SAG
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.velocity import velocity_in

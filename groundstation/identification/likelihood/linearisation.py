@@ -9,15 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.evaluation import ACCELEROMETER, ATTITUDE, Columns
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import Point
-from groundstation.identification.likelihood.residuals import (
-    ACCELEROMETER,
-    ATTITUDE,
-    Columns,
-    Series,
-    evaluate,
-)
+from groundstation.identification.likelihood.residuals import Series, evaluate
 from groundstation.identification.likelihood.spectra import Spectrum, Vertical, transform
 
 Array = NDArray[np.float64]

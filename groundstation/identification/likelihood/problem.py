@@ -13,6 +13,7 @@ from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import bounded_step, inverse
 from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.evaluation import ACCELEROMETER
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.linearisation import Linear, linearise
 from groundstation.identification.likelihood.parameters import (
@@ -32,7 +33,7 @@ from groundstation.identification.likelihood.prior import (
     sensor_lag,
     trim_of,
 )
-from groundstation.identification.likelihood.residuals import ACCELEROMETER, rate_errors
+from groundstation.identification.likelihood.residuals import rate_errors
 from groundstation.identification.likelihood.spectra import (
     Noise,
     Quadratic,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.residuals import ATTITUDE, Series
+from groundstation.identification.likelihood.evaluation import ATTITUDE
+from groundstation.identification.likelihood.residuals import Series
 
 Array = NDArray[np.float64]
 TAPER = 0.03

@@ -12,10 +12,10 @@ from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.evaluation import ATTITUDE
 from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import TIMING, point_of
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.residuals import ATTITUDE
 from groundstation.identification.recordings import flights_of
 
 SLOW_HZ = 2.0

@@ -18,8 +18,7 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.on_board import filters_of
 from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.problem import Problem
-from groundstation.identification.likelihood.residuals import FORCES
-from groundstation.identification.likelihood.sensing import Moving, Sensors
+from groundstation.identification.likelihood.sensing import FORCES, Moving, Sensors
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import predict_ahead
