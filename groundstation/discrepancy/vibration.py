@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ COMMON = np.linspace(-0.04, 0.04, 21)
 NEAR = np.linspace(-0.01, 0.01, 9)
 """By which shares speeds may be off: all alike (a clock, a motor model), then each by itself."""
 LEAST_WINDOWS, LEVEL_ROUNDS = 30, 5
+LINES_KEPT = 8
 LINE_BINS = 5
 """Width of a line behind Hann's taper."""
 ROUNDED = 1e-20
@@ -47,17 +49,18 @@ ROUNDED = 1e-20
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """A flight in windows. turned: (w, rows, 4) angle of each rotor since the window began, rad.
-    power: (w, k, 6) of gyro and accelerometer in the bins that are used, over that of noise.
+    """A flight in windows. line: power (w, k) of a vibration of unit amplitude and any phase at the
+    speed of a rotor that turned faster by a share; the latest are kept, for a rotor's share is
+    tried beside the others as they were.
+    power: (6, w, k) of gyro and accelerometer in the bins that are used, over that of noise, less
+    what a bin has at all times and what a window has in all bins. noise: (w, k, 6).
     per_size: (w, 2, 6, 4), what one squared unit of each size adds to a channel's power, over that
-    of noise, spread over bins by the line. bins, taper: of the transform. block: (w,)."""
+    of noise, spread over bins by the line. block: (w,)."""
 
-    turned: Array
+    line: Callable[[int, float], Array]
     power: Array
     noise: Array
     per_size: Array
-    bins: NDArray[np.intp]
-    taper: Array
     block: NDArray[np.int64]
     measured: bool
 
@@ -130,7 +133,9 @@ def windows_of(
     per_size = _per_size(craft, speed[at].mean(axis=1), corners) * told[None, None, :, None]
     block = np.asarray((starts - starts[0]) * period // BLOCK_S, np.int64)
     power = np.where(told, power, 0.0) / noise
-    return Windows(turned, power, noise, per_size, bins, taper, block, flight.rotor_measured)
+    power = np.array([_without_means(channel) for channel in np.moveaxis(power, 2, 0)])
+    line = lru_cache(LINES_KEPT)(partial(_line, turned, taper, bins))
+    return Windows(line, power, noise, per_size, block, flight.rotor_measured)
 
 
 def shares_of(flights: Sequence[Windows], worth: float) -> Array:
@@ -210,20 +215,21 @@ def _summed(flights: Sequence[Windows], shares: Array) -> tuple[Array, Array]:
 def _regressed(one: Windows, shares: Array) -> list[tuple[int, Array, Array]]:
     """(kind of size, lines (w, k, 4), power (w, k)) of each channel that shows that kind; what a
     bin has at all times and what a window has in all bins is taken out of both."""
-    line = _lines(one, shares)
+    line = np.stack([one.line(rotor, share) for rotor, share in enumerate(shares.tolist())], axis=2)
     found = []
     for kind, channel in zip(*np.nonzero(one.per_size.any(axis=(0, 3))), strict=True):
         lines = line * one.per_size[:, None, kind, channel] / one.noise[:, :, channel, None]
-        found.append((int(kind), _without_means(lines), _without_means(one.power[:, :, channel])))
+        found.append((int(kind), _without_means(lines), one.power[channel]))
     return found
 
 
-def _lines(one: Windows, shares: Array) -> Array:
-    """Power (w, k, 4) of a vibration of unit amplitude and any phase at each rotor's speed."""
-    spin = np.exp(1j * (1.0 + shares) * one.turned) * one.taper[None, :, None]
+def _line(turned: Array, taper: Array, bins: NDArray[np.intp], rotor: int, share: float) -> Array:
+    """Power (w, k) in bins. turned: (w, rows, 4) angle of each rotor since the window began, rad.
+    taper: (rows,)"""
+    spin = np.exp(1j * (1.0 + share) * turned[:, :, rotor]) * taper
     up = np.fft.fft(spin, axis=1)
-    down = up[:, -one.bins]
-    return np.asarray(0.25 * (np.abs(up[:, one.bins]) ** 2 + np.abs(down) ** 2), np.float64)
+    down = up[:, -bins]
+    return np.asarray(0.25 * (np.abs(up[:, bins]) ** 2 + np.abs(down) ** 2), np.float64)
 
 
 def _without_means(values: Array) -> Array:
