@@ -103,10 +103,11 @@ def search(
 def pareto_front(costs: Array) -> NDArray[np.intp]:
     """Rows of costs (n, c) that no other row equals or beats in every column, sorted by the
     first column."""
-    order = np.lexsort(costs.T[::-1])
-    left, front = order, []
+    left = np.lexsort(costs.T[::-1])
+    # In the first column none is better than one before it.
+    others, front = np.ascontiguousarray(costs.T[1:]).take(left, axis=1), []
     while len(left):
-        head, rest = left[0], left[1:]
-        front.append(head)
-        left = rest[(costs[rest] < costs[head]).any(axis=1)]
+        front.append(left[0])
+        better = np.flatnonzero((others < others[:, :1]).any(axis=0))
+        left, others = left[better], others.take(better, axis=1)
     return np.array(front, np.intp)
