@@ -22,6 +22,8 @@ Group = tuple[str, ...]
 """Constants that change or stay together."""
 
 THRUST = "thrust_per_mass"
+DRIVING = ("supply", "motor")
+"""Stages of effects that change how fast a rotor turns by its PWM."""
 SAME_PERCENT = 1.0
 """What a change of thrust per mass and one of the push at the same PWM differ by at most."""
 TOUCHES: dict[str, tuple[int, ...]] = {
@@ -122,12 +124,23 @@ def base_changes(
         if given != now:
             percent = 100.0 * (now / given - 1.0) if given else None
             pushed = None
-            if key == THRUST and percent is not None:
+            if key == THRUST and percent is not None and _turn_otherwise(problem, fit.point):
                 pushed = _pushed(problem, fit.point)
                 if pushed is not None and abs(pushed - percent) < SAME_PERCENT:
                     pushed = None
             found.append(BaseChange(key, given, now, errors.get(key), percent, pushed))
     return tuple(found)
+
+
+def _turn_otherwise(problem: Problem, final: Point) -> bool:
+    """Whether rotors turn at other speeds by the same PWM: their constants moved, or an effect of
+    supply or motors came."""
+    unknowns = problem.frame.unknowns
+    return any(
+        now != problem.start.get(key, absent(key))
+        and (key in MOTOR_KEYS or (key in unknowns and unknowns[key].effect.stage in DRIVING))
+        for key, now in final.items()
+    )
 
 
 def _pushed(problem: Problem, final: Point) -> float | None:
@@ -158,11 +171,10 @@ def in_words(change: BaseChange) -> str:
 
 def _meaning(change: BaseChange) -> str:
     if change.pushed is not None:
-        how = "more" if change.pushed > 0.0 else "less"
-        return (
-            f" with rotors of other speeds: at the same PWM they push the craft"
-            f" {_short(abs(change.pushed))} % {how}"
-        )
+        how = f"{_short(abs(change.pushed))} % {'more' if change.pushed > 0.0 else 'less'}"
+        if abs(change.pushed) < SAME_PERCENT:
+            how = "as much as before"
+        return f" with rotors of other speeds: at the same PWM they push the craft {how}"
     if change.name == THRUST:
         heavier = 100.0 * (change.given / change.value - 1.0)
         if heavier > 0.0:

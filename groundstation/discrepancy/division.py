@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,69 +34,90 @@ class Division:
     what: str
 
 
+@dataclass(frozen=True, slots=True)
+class _Air:
+    """A run between its first and its last row with turning motors.
+
+    first: that row. moved: what moves the craft (n, 4) from there on, its mean where they stand in
+    between. seconds: in which they turn.
+    """
+
+    run: Run
+    first: int
+    moved: Array
+    seconds: float
+
+    def with_ground(self, spans: Sequence[Span]) -> list[Span]:
+        """Spans of these rows as spans of the run, the outer ones with what is on the ground."""
+        end, last = len(self.moved), len(self.run)
+        return [(a + self.first if a else 0, b + self.first if b < end else last) for a, b in spans]
+
+
 def divide(
     flights: Sequence[Sequence[Run]], held: Sequence[Sequence[Run]], configuration: str
 ) -> Division:
     """Hold out ``held``, or else a third of each recording (``identification.division``) that is
-    long enough for it; where none is, whole recordings.
+    long enough for it; where none is, a whole recording.
 
     flights, held: the runs of each recording. Raises BadInputError where nothing can be held out.
     """
-    if held:
-        rest = [run for part in held for run in part]
-        fit_on = [run for part in flights for run in part]
-        return Division(fit_on, rest, [Judged(run, 0, len(run)) for run in rest], "")
+    every = [run for part in flights for run in part]
     flown = [[_flown(run, configuration) for run in part] for part in flights]
-    moved = [np.vstack([rows for _, rows in part]) for part in flown]
-    period_s = flights[0][0].period_s
-    long = [period_s * len(rows) >= LONG_S for rows in moved]
-    if not any(long):
-        return _whole(flights, moved)
-    way = best_way(list(compress(moved, long)), LEAST_S / period_s)
-    fit_on, rest, judged = [], [], []
-    for part, air, is_long in zip(flights, flown, long, strict=True):
-        if not is_long:
-            fit_on += part
-            continue
-        cuts = cut(way, [len(rows) for _, rows in air])
-        for run, (first, rows), (fitted, spans) in zip(part, air, cuts, strict=True):
-            fit_on += [run[a:b] for a, b in _with_ground(fitted, first, len(rows), len(run))]
-            for a, b in _with_ground(spans, first, len(rows), len(run)):
-                rest.append(run[a:b])
-                judged.append(Judged(run, a, b))
-    return Division(fit_on, rest, judged, way)
+    seconds = [sum(one.seconds for one in part) for part in flown]
+    if held or not any(seconds):  # that nothing flies is told by what is asked next
+        rest = [run for part in held for run in part] if held else every
+        return Division(every, rest, [Judged(run, 0, len(run)) for run in rest], "")
+    long = [part for part, one in zip(flown, seconds, strict=True) if one >= LONG_S]
+    if not long:
+        return _whole(flown, seconds)
+    period_s = min(one.run.period_s for part in long for one in part)
+    moved = [np.vstack([one.moved for one in part]) for part in long]
+    way = best_way(moved, LEAST_S / period_s)
+    fit_on = [
+        run for part, one in zip(flights, seconds, strict=True) if one < LONG_S for run in part
+    ]
+    rest, judged = [], []
+    for part in long:
+        cuts = cut(way, [len(one.moved) for one in part])
+        for one, (fitted, spans) in zip(part, cuts, strict=True):
+            fit_on += [one.run[a:b] for a, b in one.with_ground(fitted)]
+            for a, b in one.with_ground(spans):
+                rest.append(one.run[a:b])
+                judged.append(Judged(one.run, a, b))
+    which = "" if len(long) == len(flights) else f" of those of {LONG_S:.0f} s and more"
+    return Division(fit_on, rest, judged, way + which)
 
 
-def _whole(flights: Sequence[Sequence[Run]], moved: Sequence[Array]) -> Division:
+def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Division:
     """Short flights: the recording is held out whose excitation divides best."""
-    if len(flights) < 2:
-        name = flights[0][0].name
-        seconds = flights[0][0].period_s * len(moved[0])
+    if len(flown) < 2:
         raise BadInputError(
-            f"{name}: of {seconds:.1f} s in the air none can be held out to be judged on; give"
-            f" another flight with --validate, or one of {LONG_S:.0f} s"
+            f"{flown[0][0].run.name}: of {seconds[0]:.1f} s in the air none can be held out to be"
+            f" judged on; give another flight with --validate, or one of {LONG_S:.0f} s"
         )
-    energy = np.array([((rows - rows.mean(axis=0)) ** 2).sum(axis=0) for rows in moved])
+    energy = np.array([sum(_energy(one) for one in part) for part in flown])
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
     most = int(np.argmax(np.minimum(share, 0.5 * (1.0 - share)).min(axis=1)))
-    fit_on = [run for number, part in enumerate(flights) if number != most for run in part]
-    rest = list(flights[most])
+    fit_on = [one.run for number, part in enumerate(flown) if number != most for one in part]
+    rest = [one.run for one in flown[most]]
     judged = [Judged(run, 0, len(run)) for run in rest]
     return Division(fit_on, rest, judged, f"all of {rest[0].name}")
 
 
-def _flown(run: Run, configuration: str) -> tuple[int, Array]:
-    """The first row with turning motors, and what moves the craft from there to the last such row,
-    (n, 4); its mean where they stand in between. Of a run that never turns them, all rows."""
+def _energy(one: _Air) -> Array:
+    """Of what moves the craft (4,), over time."""
+    if not len(one.moved):
+        return np.zeros(4)
+    away = one.moved - one.moved.mean(axis=0)
+    return np.asarray((away**2).sum(axis=0) * one.run.period_s)
+
+
+def _flown(run: Run, configuration: str) -> _Air:
     whole = without_gaps(run)
     moved, flying = excitation(whole, configuration), turning(whole)
     if not flying.any():
-        return 0, moved
+        return _Air(run, 0, moved[:0], 0.0)
     moved[~flying] = moved[flying].mean(axis=0)
     first, last = np.flatnonzero(flying)[[0, -1]].tolist()
-    return first, moved[first : last + 1]
-
-
-def _with_ground(spans: Sequence[Span], first: int, flown: int, rows: int) -> list[Span]:
-    """Spans of the flown rows as spans of the run, the outer ones with what is on the ground."""
-    return [(a + first if a else 0, b + first if b < flown else rows) for a, b in spans]
+    seconds = float(flying.sum()) * run.period_s
+    return _Air(run, first, moved[first : last + 1], seconds)

@@ -33,7 +33,7 @@ from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.slow_disturbance import with_wind
-from groundstation.discrepancy.usable import usable
+from groundstation.discrepancy.usable import still_there, usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
@@ -96,8 +96,8 @@ def find_discrepancy(
     """Find, name and add what ``model`` is missing, and prove it on rows that no fit saw.
 
     recordings: the runs of each (``recordings.flights_of``). validation: recordings that no fit
-    sees; none: a third of each of the others. own: effects of the user's own as further candidates.
-    asked: stretches to look at.
+    sees; none: parts of the others (``division``). own: effects of the user's own as further
+    candidates. asked: stretches to look at.
 
     Raises BadInputError where there is no gyro, PWM or battery voltage, no flight, no motion, or
     where the model is of another craft.
@@ -106,6 +106,7 @@ def find_discrepancy(
     report("comparing", 0.05)
     require_channels([run for part in (*recordings, *validation) for run in part])
     (recordings, validation), left_out = usable((recordings, validation), model)
+    asked, not_shown = still_there(asked, (recordings, validation))
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
     black_box = train.before.black_box
@@ -134,7 +135,7 @@ def find_discrepancy(
     # What is right only beside what is slow stays out where that has no name.
     if findings.followed and judged.judge(findings.model).worse:
         findings = found(None)
-    findings = replace(findings, warnings=(*left_out, *findings.warnings))
+    findings = replace(findings, warnings=(*left_out, *not_shown, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     if given is not None:

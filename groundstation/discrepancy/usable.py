@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.comparison.consistency import broken_rotor_sensors
+from groundstation.comparison.stretches import Marked
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import mostly_saturated
@@ -23,19 +24,40 @@ def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[st
     return mended, [*saturated, *broken]
 
 
+def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:
+    """The stretches of which a recording is left, and what is not shown, in words."""
+    names = {run.name for group in groups for part in group for run in part}
+    kept = [one for one in asked if one.recording in names]
+    gone = [one for one in asked if one.recording not in names]
+    return kept, [
+        f"{one.recording}: left out, so its seconds {one.begin_s:g} to {one.end_s:g} are not shown"
+        for one in gone
+    ]
+
+
 def _without_saturated(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:
     """Runs without those in which PWM steers nothing, where others of their group are left, and
     what was left out."""
     kept, warnings = [], []
     for group in groups:
         steered = [[run for run in part if not mostly_saturated(run)] for part in group]
-        if any(steered):
-            lost = {run.name: None for part in group for run in part if mostly_saturated(run)}
-            warnings += [f"{name}: left out, a motor is saturated in most rows" for name in lost]
-            kept.append([part for part in steered if part])
-        else:
+        if not any(steered):
             kept.append([list(part) for part in group])
+            continue
+        kept.append([part for part in steered if part])
+        for part, left in zip(group, steered, strict=True):
+            lost = [run for run in part if all(run is not other for other in left)]
+            warnings += [
+                f"{_called(run, alone=not left)}: left out, a motor is saturated in most rows"
+                for run in (lost if left else lost[:1])
+            ]
     return kept, warnings
+
+
+def _called(run: Run, alone: bool) -> str:
+    """A recording, or one run of it by its seconds."""
+    first = run.start_s - run.recording_start_s
+    return run.name if alone else f"{run.name}, {first:.0f} to {first + run.seconds:.0f} s"
 
 
 def _without_broken_sensors(

@@ -41,6 +41,7 @@ NEAR = np.linspace(-0.01, 0.01, 9)
 """By which shares speeds may be off: all alike (a clock, a motor model), then each by itself."""
 LEAST_WINDOWS, LEVEL_ROUNDS = 30, 5
 LINES_KEPT = 8
+"""Of four rotors, as they turn and as they are tried."""
 LINE_BINS = 5
 """Width of a line behind Hann's taper."""
 ROUNDED = 1e-20

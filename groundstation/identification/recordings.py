@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.gaps import filled
-from groundstation.identification.runs import CHANNELS, Run, uninterrupted
+from groundstation.identification.runs import CHANNELS, Run, can_be, uninterrupted
 from groundstation.identification.supply_answer import at_the_rows_voltage
 from groundstation.telemetry.samples import SampleBatch
 
@@ -32,8 +32,9 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
     telemetry.
     """
     label = name or "recording"
-    read = np.isfinite(samples.gyro).all(axis=1) & ~samples.overdriven
-    whole = samples[read] if read.any() else samples
+    driven = samples[can_be(samples, label)]
+    read: NDArray[np.bool_] = np.asarray(np.isfinite(driven.gyro).all(axis=1))
+    whole = driven[read] if read.any() else driven
     return [
         _on_grid(whole[rows], label, float(samples.time_s[0]))
         for rows in uninterrupted(whole, label, least_s, _silent)

@@ -22,6 +22,8 @@ Mask = NDArray[np.bool_]
 STEP_TOLERANCE = 0.5
 """A step that differs from the usual one by more than this share of it ends a run."""
 FASTEST_HZ, SLOWEST_HZ = 2000.0, 50.0
+OTHER_UNIT = 0.9
+"""Share of rows with turning motors beyond full duty from which duty is no share of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +98,12 @@ CHANNELS = tuple(f.name for f in fields(Run) if f.name not in SCALARS)
 def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[Run]:
     """The runs of a recording that last at least ``least_s`` seconds, in order of time.
 
-    Raises BadInputError where none does, or where the rate is not one of inertial telemetry.
+    A row with an impossible duty counts as lost. Raises BadInputError where no run is long enough,
+    or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
-    samples = samples[~samples.overdriven]
+    start = float(samples.time_s[0]) if len(samples) else 0.0
+    samples = samples[can_be(samples, label)]
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]
@@ -118,9 +122,22 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
         parts = {key: np.asarray(values, np.float64) for key, values in columns.items()}
         inputs = parts["duty"], parts["duty_step"], parts["supply_v"]
         parts["duty"], parts["duty_step"] = at_the_rows_voltage(*inputs)
-        start = float(samples.time_s[0])
         found.append(Run(label, float(time[0]), period, **parts, recording_start_s=start))
     return found
+
+
+def can_be(samples: SampleBatch, label: str) -> Mask:
+    """Rows (n,) whose duties can be.
+
+    Raises BadInputError where hardly any with turning motors can: duty is in another unit.
+    """
+    beyond, turning = samples.overdriven, (samples.duty > 0.0).any(axis=1)
+    if beyond.any() and beyond.sum() > OTHER_UNIT * turning.sum():
+        raise BadInputError(
+            f"{label}: duty up to {np.nanmax(samples.duty):.4g}, where 1 is all a motor can be"
+            " given; say in the column map how large full duty is"
+        )
+    return np.asarray(~beyond)
 
 
 def uninterrupted(

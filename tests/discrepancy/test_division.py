@@ -100,9 +100,41 @@ def test_beside_a_long_flight_a_short_one_is_fitted_whole():
     long, short = cut_to(30.0, 7, "long"), cut_to(8.0, 8, "short")
     parts = divide([[short], [long]], [], "plus")
     assert [run.name for run in parts.held_out] == ["long"]
+    assert parts.what == "last third of those of 14 s and more"
     assert [(run.name, len(run)) for run in parts.fit_on] == [("short", 800), ("long", 2000)]
 
 
 def test_one_short_flight_is_not_enough():
     with pytest.raises(BadInputError, match=r"of 8\.0 s in the air none can be held out"):
         divide([[cut_to(8.0, 9, "short")]], [], "plus")
+
+
+def on_ground(seconds, name="ground"):
+    run = cut_to(seconds, 10, name)
+    return replace(run, duty=np.zeros_like(run.duty))
+
+
+def test_a_recording_on_the_ground_is_no_flight_that_could_be_held_out():
+    short = [cut_to(8.0, 11, "one"), cut_to(8.0, 12, "two")]
+    parts = divide([[on_ground(20.0)], *([run] for run in short)], [], "plus")
+    (held,) = parts.held_out
+    assert held.name in ("one", "two")
+    nothing = divide([[on_ground(20.0)]], [], "plus")  # and then who asks for a flight refuses
+    assert len(nothing.held_out) == len(nothing.fit_on) == 1
+
+
+def test_a_rest_between_two_short_flights_makes_no_long_one():
+    run = cut_to(30.0, 13, "twice")
+    duty = run.duty.copy()
+    duty[300:2700] = 0.0
+    with pytest.raises(BadInputError, match=r"of 6\.0 s in the air"):
+        divide([[replace(run, duty=duty)]], [], "plus")
+
+
+def test_recordings_of_two_rates_are_each_judged_by_their_own():
+    fast = replace(cut_to(40.0, 14, "fast"), period_s=0.2 * PERIOD_S)  # 8 s
+    slow = cut_to(20.0, 15, "slow")
+    for order in ([[fast], [slow]], [[slow], [fast]]):
+        parts = divide(order, [], "plus")
+        assert [run.name for run in parts.held_out] == ["slow"]
+        assert parts.what == "last third of those of 14 s and more"

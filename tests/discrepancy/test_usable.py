@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
-from groundstation.discrepancy.usable import usable
+from groundstation.comparison.stretches import Marked
+from groundstation.discrepancy.usable import still_there, usable
 
 
 @pytest.fixture(scope="module")
@@ -46,3 +47,20 @@ def test_a_dead_rotor_sensor_is_left_out_by_name(flight):
     (((run,),), _), warnings = usable(([[replace(flight, rotor_rev_s=speeds)]], []), BASE)
     assert np.isnan(run.rotor_rev_s).all()
     assert len(warnings) == 1
+
+
+def test_of_a_recording_in_two_runs_one_may_be_left_out_by_its_seconds(flight):
+    full = replace(at_full_duty(flight, 0.6), name=flight.name, start_s=flight.start_s + 20.0)
+    (fitted, _), warnings = usable(([[flight, full]], []), BASE)
+    assert fitted == [[flight]]
+    assert warnings == [
+        f"{flight.name}, 20 to {20 + flight.seconds:.0f} s: left out, a motor is saturated in most"
+        " rows"
+    ]
+
+
+def test_stretches_of_what_was_left_out_are_told(flight):
+    asked = [Marked(flight.name, 1.0, 2.0, "by hand"), Marked("full", 1.0, 2.5, "by hand")]
+    kept, told = still_there(asked, [[[flight]], []])
+    assert kept == asked[:1]
+    assert told == ["full: left out, so its seconds 1 to 2.5 are not shown"]

@@ -50,6 +50,19 @@ def test_rows_with_a_motor_beyond_full_duty_are_lost(samples):
     assert run.duty.max() <= 1.001
 
 
+def test_a_run_counts_its_seconds_from_the_recordings_first_row_though_that_be_lost(samples):
+    wrong = changed(samples, "duty", (slice(0, 500), 0), 3.0)
+    for (run,) in (runs_of(wrong), flights_of(wrong)):
+        assert run.recording_start_s == samples.time_s[0]
+        assert run.start_s == samples.time_s[500]
+
+
+@pytest.mark.parametrize("read", [runs_of, flights_of])
+def test_a_duty_in_another_unit_is_told(samples, read):
+    with pytest.raises(BadInputError, match="where 1 is all a motor can be given"):
+        read(replace(samples, duty=100.0 * samples.duty))
+
+
 def test_what_is_not_finite_does_not_read(samples):
     (run,) = flights_of(changed(samples, "accelerometer", (6000, 2), np.inf))
     assert np.isnan(run.accelerometer[6000, 2])

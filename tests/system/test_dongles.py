@@ -4,6 +4,7 @@ The programs and the kernel are real; no dongle need be plugged in, for whoever 
 it. Dongles of other tests, or of whoever runs them, have other numbers.
 """
 
+import os
 import signal
 import subprocess
 import sys
@@ -19,10 +20,13 @@ from groundstation.links.craft_address import LOOKED_THROUGH
 from groundstation.service.client import ask
 from groundstation.service.dongles import Dongles
 
-FIRST, BESIDE, OTHER = "radio://71/80/2M/E7E7E7E7E7", "radio://71/90/1M", "radio://72/80/2M"
+DONGLE = os.getpid()
+"""The names are the machine's: every process that runs tests has numbers of its own."""
+BEYOND = DONGLE + 10_000_000
+FIRST, BESIDE = f"radio://{DONGLE}/80/2M/E7E7E7E7E7", f"radio://{DONGLE}/90/1M"
+OTHER = f"radio://{BEYOND}/80/2M"
 HOLDS = """
 import sys
-from groundstation.service.client import ask
 from groundstation.service.dongles import Dongles
 dongles = Dongles()
 dongles.hold(sys.argv[1:])
@@ -46,7 +50,7 @@ def test_the_second_daemon_ends_with_one_line_and_the_first_goes_on(first, tmp_p
         assert second.wait() == 1
     said = second.stderr.strip()
     before, _, after = said.partition(f" is in use by process {first.process.pid} (")
-    assert before == f"groundstation: {links[-1]}: dongle 71"
+    assert before == f"groundstation: {links[-1]}: dongle {DONGLE}"
     assert after.endswith("groundstation run); end it, or take another dongle")
     assert second.stdout == ""
     assert not second.files()
@@ -64,7 +68,7 @@ def test_a_dongle_is_free_when_its_holder_has_ended_however(first, tmp_path, end
 def test_a_daemon_with_another_link_may_not_go_over_to_it(first, tmp_path):
     with Daemon(tmp_path / "second", "--link", OTHER) as second:
         second.status_when(lambda status: status["link"]["state"] == "opening", "it waits")
-        with pytest.raises(GroundStationError, match="dongle 71 is in use by process"):
+        with pytest.raises(GroundStationError, match=f"dongle {DONGLE} is in use by process"):
             ask(second.socket, "POST", "/link", {"name": FIRST})
         assert second.status()["link"]["name"] == OTHER
 
@@ -73,11 +77,11 @@ def test_links_that_were_left_are_free_again():
     with closing(Dongles()) as ours, closing(Dongles()) as theirs:
         ours.hold([FIRST])
         ours.hold([BESIDE, OTHER])  # one dongle carries both
-        with pytest.raises(TakenError, match="dongle 71"):
+        with pytest.raises(TakenError, match=f"dongle {DONGLE}"):
             theirs.hold([FIRST, OTHER])
         ours.hold([OTHER])
         theirs.hold([FIRST, "udp://127.0.0.1:1", "serial:/dev/ttyS0", "stand-in"])
-        with pytest.raises(TakenError, match="dongle 72"):
+        with pytest.raises(TakenError, match=f"dongle {BEYOND}"):
             theirs.hold([FIRST, OTHER])
         ours.close()
         ours.close()

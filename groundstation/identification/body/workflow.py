@@ -86,9 +86,10 @@ def identify_body(
         require_grouping(by)
     names = _names(effects, before, measured)
     supplied = [name for name in names if name in SUPPLY_EFFECTS]
-    left_out = [] if measured else [one.name for one in runs if mostly_saturated(one)]
-    if len(left_out) < len(runs):
-        runs = [one for one in runs if one.name not in left_out]
+    steered = [one for one in runs if measured or not mostly_saturated(one)]
+    left_out = [one.name for one in runs if all(one is not other for other in steered)]
+    if steered:
+        runs = steered
     progress(0.0, "simulating the motors")
     stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
     if held:
