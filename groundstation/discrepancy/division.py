@@ -19,8 +19,10 @@ from groundstation.identification.stretches import LEAST_S
 
 Array = NDArray[np.float64]
 
-LONG_S = 3.0 * (LEAST_AIR_S + SETTLE_S)
-"""In the air, so that each third is a flight, which begins half a second after its first row."""
+PIECE_S = LEAST_AIR_S + SETTLE_S
+LONG_S = 3.0 * PIECE_S
+"""Of a piece that begins in the air, whose flight begins half a second later, and of a recording
+whose thirds are such pieces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +91,10 @@ def divide(
 
 
 def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Division:
-    """Short flights: the recording is held out whose excitation divides best."""
+    """Short flights: the recording is held out whose excitation divides best, of one alone its
+    last seconds."""
     if len(flown) < 2:
-        raise BadInputError(
-            f"{flown[0][0].run.name}: of {seconds[0]:.1f} s in the air none can be held out to be"
-            f" judged on; give another flight with --validate, or one of {LONG_S:.0f} s"
-        )
+        return _end(flown[0], seconds[0])
     energy = np.array([sum(_energy(one) for one in part) for part in flown])
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
     most = int(np.argmax(np.minimum(share, 0.5 * (1.0 - share)).min(axis=1)))
@@ -102,6 +102,22 @@ def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Divisio
     rest = [one.run for one in flown[most]]
     judged = [Judged(run, 0, len(run)) for run in rest]
     return Division(fit_on, rest, judged, f"all of {rest[0].name}")
+
+
+def _end(part: Sequence[_Air], seconds: float) -> Division:
+    """A short recording whose longest run leaves the fit as much as is judged."""
+    longest = max(part, key=lambda one: one.seconds)
+    run, name = longest.run, longest.run.name
+    if longest.seconds < 2.0 * PIECE_S:
+        raise BadInputError(
+            f"{name}: of {seconds:.1f} s in the air none can be held out to be judged on; give"
+            f" another flight with --validate, or one of {LONG_S:.0f} s"
+        )
+    held = round(PIECE_S / run.period_s)
+    edge = longest.first + len(longest.moved) - held
+    fit_on = [one.run for one in part if one is not longest]
+    what = f"last {PIECE_S:g} s"
+    return Division([*fit_on, run[:edge]], [run[edge:]], [Judged(run, edge, len(run))], what)
 
 
 def _energy(one: _Air) -> Array:

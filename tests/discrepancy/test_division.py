@@ -138,3 +138,13 @@ def test_recordings_of_two_rates_are_each_judged_by_their_own():
         parts = divide(order, [], "plus")
         assert [run.name for run in parts.held_out] == ["slow"]
         assert parts.what == "last third of those of 14 s and more"
+
+
+def test_of_one_flight_that_is_no_three_pieces_long_the_last_seconds_are_held_out():
+    run = cut_to(12.0, 16, "alone")
+    duty = run.duty.copy()
+    duty[:100], duty[1100:] = 0.0, 0.0
+    parts = divide([[replace(run, duty=duty)]], [], "plus")
+    assert parts.what == "last 4.5 s"
+    assert spans(parts.fit_on) == [(0.0, pytest.approx(6.5))]
+    assert spans(parts.held_out) == [(pytest.approx(6.5), pytest.approx(12.0))]
