@@ -23,6 +23,8 @@ PIECE_S = LEAST_AIR_S + SETTLE_S
 LONG_S = 3.0 * PIECE_S
 """Of a piece that begins in the air, whose flight begins half a second later, and of a recording
 whose thirds are such pieces."""
+END_SHARE = 0.45
+"""Of a shorter one, for rows that may be low are left out of its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +115,10 @@ def _end(part: Sequence[_Air], seconds: float) -> Division:
             f"{name}: of {seconds:.1f} s in the air none can be held out to be judged on; give"
             f" another flight with --validate, or one of {LONG_S:.0f} s"
         )
-    held = round(PIECE_S / run.period_s)
-    edge = longest.first + len(longest.moved) - held
+    held_s = max(PIECE_S, END_SHARE * longest.seconds)
+    edge = longest.first + len(longest.moved) - round(held_s / run.period_s)
     fit_on = [one.run for one in part if one is not longest]
-    what = f"last {PIECE_S:g} s"
+    what = f"last {held_s:.1f} s"
     return Division([*fit_on, run[:edge]], [run[edge:]], [Judged(run, edge, len(run))], what)
 
 

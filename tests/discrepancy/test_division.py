@@ -148,3 +148,6 @@ def test_of_one_flight_that_is_no_three_pieces_long_the_last_seconds_are_held_ou
     assert parts.what == "last 4.5 s"
     assert spans(parts.fit_on) == [(0.0, pytest.approx(6.5))]
     assert spans(parts.held_out) == [(pytest.approx(6.5), pytest.approx(12.0))]
+    longer = divide([[cut_to(12.0, 16, "alone")]], [], "plus")
+    assert longer.what == "last 5.4 s"
+    assert spans(longer.held_out) == [(pytest.approx(6.6), pytest.approx(12.0))]
