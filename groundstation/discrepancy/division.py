@@ -66,11 +66,12 @@ def divide(
     flights, held: the runs of each recording. Raises BadInputError where nothing can be held out.
     """
     every = [run for part in flights for run in part]
+    if held:
+        return _given(every, [run for part in held for run in part], "")
     flown = [[_flown(run, configuration) for run in part] for part in flights]
     seconds = [sum(one.seconds for one in part) for part in flown]
-    if held or not any(seconds):  # that nothing flies is told by what is asked next
-        rest = [run for part in held for run in part] if held else every
-        return Division(every, rest, [Judged(run, 0, len(run)) for run in rest], "")
+    if not any(seconds):  # that nothing flies is told by what is asked next
+        return _given(every, every, "")
     long = [part for part, one in zip(flown, seconds, strict=True) if one >= LONG_S]
     if not long:
         return _whole(flown, seconds)
@@ -92,6 +93,11 @@ def divide(
     return Division(fit_on, rest, judged, way + which)
 
 
+def _given(fit_on: list[Run], held: list[Run], what: str) -> Division:
+    """Whole runs on either side."""
+    return Division(fit_on, held, [Judged(run, 0, len(run)) for run in held], what)
+
+
 def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Division:
     """Short flights: the recording is held out whose excitation divides best, of one alone its
     last seconds."""
@@ -102,8 +108,7 @@ def _whole(flown: Sequence[Sequence[_Air]], seconds: Sequence[float]) -> Divisio
     most = int(np.argmax(np.minimum(share, 0.5 * (1.0 - share)).min(axis=1)))
     fit_on = [one.run for number, part in enumerate(flown) if number != most for one in part]
     rest = [one.run for one in flown[most]]
-    judged = [Judged(run, 0, len(run)) for run in rest]
-    return Division(fit_on, rest, judged, f"all of {rest[0].name}")
+    return _given(fit_on, rest, f"all of {rest[0].name}")
 
 
 def _end(part: Sequence[_Air], seconds: float) -> Division:

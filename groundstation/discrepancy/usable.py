@@ -46,7 +46,7 @@ def _without_saturated(groups: Groups) -> tuple[list[list[list[Run]]], list[str]
             continue
         kept.append([part for part in steered if part])
         for part, left in zip(group, steered, strict=True):
-            lost = [run for run in part if all(run is not other for other in left)]
+            lost = [run for run in part if mostly_saturated(run)]
             warnings += [
                 f"{_called(run, alone=not left)}: left out, a motor is saturated in most rows"
                 for run in (lost if left else lost[:1])
