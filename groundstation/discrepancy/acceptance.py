@@ -45,8 +45,13 @@ more than the others can do."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves: 3.7 standard errors, below what it
 took to join so that nothing joins and leaves in turn."""
-DISAGREE, DISAGREE_SHARE = 5.0, 0.4
-"""Parts disagree where they lie this many standard errors and this share of the size apart."""
+DISAGREE, UNEXPLAINED_SHARE = 5.0, 0.5
+"""Parts disagree where one lies this many standard errors from the others and their size leaves
+more than this share of what the effect explains there: it tells less than 0.59 or more than 3.4 of
+their size. One that tells 1.8 of it (the yaw rate, of a delay beside a rotor inertia that is not
+right yet) is explained better with their size than without."""
+APART_SHARE = 0.4
+"""Flights shake apart where a size lies so many standard errors and this share of it away."""
 DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
 """An effect that explains less than this share of the structure that is left in the channels it
 touches, or in all of them, is not believed."""
@@ -308,7 +313,7 @@ def shakes_fitted_rows(shaken: Shaken) -> str:
 def flights_disagree(shaken: Shaken) -> str:
     """Flights tell different sizes."""
     errors, share = shaken.recordings
-    if errors <= DISAGREE or share <= DISAGREE_SHARE:
+    if errors <= DISAGREE or share <= APART_SHARE:
         return ""
     return f"recordings disagree on its size by {errors:.0f} standard errors"
 
@@ -382,8 +387,9 @@ def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
 
 
 def _disagreement(evidence: Evidence, by: int, what: str) -> str:
-    errors, share = evidence.spread(by)
-    if errors <= DISAGREE or share <= DISAGREE_SHARE:
+    apart = [errors for errors, left in evidence.spread(by) if left > UNEXPLAINED_SHARE]
+    errors = max(apart, default=0.0)
+    if errors <= DISAGREE:
         return ""
     names = (evidence.recordings, CHANNELS)[by]
     told = ", ".join(

@@ -43,7 +43,7 @@ def drop_disputed(search: SearchState) -> bool:
         t, parts = by_parts(search.problem, separated(search.problem, search.now, one.variant))
         one.evidence = replace(one.evidence, t=t, parts=parts)
         why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
-        errors = max(one.evidence.spread(0)[0], one.evidence.spread(1)[0])
+        errors = max(one.evidence.apart(0), one.evidence.apart(1))
         if why is not None and (worst is None or errors > worst[0]):
             worst = errors, one, why
     if worst is None:

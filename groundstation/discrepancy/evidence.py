@@ -68,15 +68,24 @@ class Evidence:
             every += self.expected
         return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
 
-    def spread(self, by: int) -> tuple[float, float]:
-        """(standard deviations, share of the size) by which parts disagree most."""
+    def spread(self, by: int) -> list[tuple[float, float]]:
+        """(standard errors by which a part's size is away from all parts', share that theirs leaves
+        of what the effect explains there) of each part; none where there is only one.
+
+        Where the size is r times theirs, r^2 - (r - 1)^2 of r^2 is explained: at half of it
+        nothing, at twice three quarters.
+        """
         parts = np.array(list(self.sizes(by).values()))
         if len(parts) < 2:
-            return 0.0, 0.0
+            return []
         every, trust = parts.T
         away = np.abs(every - float((every * trust).sum() / trust.sum()))
-        worst = int(np.argmax(away * np.sqrt(trust)))
-        return float(away[worst] * np.sqrt(trust[worst])), float(away[worst])
+        left = (away / np.maximum(np.abs(every), 1e-300)) ** 2
+        return list(zip((away * np.sqrt(trust)).tolist(), left.tolist(), strict=True))
+
+    def apart(self, by: int) -> float:
+        """Standard errors by which parts lie apart most."""
+        return max((errors for errors, _ in self.spread(by)), default=0.0)
 
 
 def gather(

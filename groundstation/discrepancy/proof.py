@@ -27,6 +27,8 @@ WORSE_T, WORSE_SHARE = 1.0, 0.02
 from the spread of blocks, and the RMS by this share: a doubt counts against what was found, and
 what does not change a prediction is no doubt."""
 LEAST_BLOCKS = 3
+KEPT = 4
+"""Predictions of a minute take 10 MB, and a search asks for fifty."""
 LEFT = 1.1
 """A channel's gap from which something is left in it: what noise floors are off by (docs)."""
 BANDS_HZ = (0.0, 0.5, 2.0, 8.0, 30.0, 1000.0)
@@ -68,29 +70,40 @@ class Left:
 
 
 class Predictions:
-    """A given model on some rows, and others beside it, each predicted once."""
+    """A given model on some rows, and others beside it; the last few are not predicted again."""
 
     def __init__(self, before: Comparison) -> None:
         self.before = before
-        self._known = {_numbers(before.model): before}
+        self._last: dict[bytes, Comparison] = {}
 
     def of(self, model: Model) -> Comparison:
         """Another model on the same rows."""
         key = _numbers(model)
-        if key not in self._known:
-            self._known[key] = self.before.with_model(model)
-        return self._known[key]
+        if key == _numbers(self.before.model):
+            return self.before
+        found = self._last.pop(key, None) or self.before.with_model(model)
+        self._last[key] = found
+        if len(self._last) > KEPT:
+            del self._last[next(iter(self._last))]
+        return found
 
 
 class HeldOut(Predictions):
     """The same on rows that no fit saw."""
 
+    def __init__(self, before: Comparison) -> None:
+        super().__init__(before)
+        self._judged: dict[bytes, Predicted] = {}
+
     def judge(self, model: Model) -> Predicted:
         """The gap of another model, and the channels on which it is worse than the given one."""
-        after = self.of(model)
-        gaps = tuple((after.rms / self.before.noise_floor).tolist())
-        worse = worse_channels(self.before, after)
-        return Predicted(after.beside(self.before), worse, gaps, self._by_seconds(after))
+        key = _numbers(model)
+        if key not in self._judged:
+            after = self.of(model)
+            gaps = tuple((after.rms / self.before.noise_floor).tolist())
+            worse, seconds = worse_channels(self.before, after), self._by_seconds(after)
+            self._judged[key] = Predicted(after.beside(self.before), worse, gaps, seconds)
+        return self._judged[key]
 
     def _by_seconds(self, after: Comparison) -> tuple[float, ...]:
         """What each block adds to the squared gap of a model."""
@@ -120,10 +133,10 @@ def prove(findings: Findings, train: Predictions, held: HeldOut) -> tuple[Findin
     before, after = held.before, held.of(findings.model)
     steps = [(GIVEN, before.gap)]
     if findings.base_changes:
-        steps.append((BASE, held.of(findings.moved).beside(before)))
+        steps.append((BASE, held.judge(findings.moved).gap))
     effects = []
     for found in findings.effects:
-        gap = held.of(found.model).beside(before)
+        gap = held.judge(found.model).gap
         effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
         steps.append((found.name, gap))
     proof = Proof(train.before, train.of(findings.model), before, after, tuple(steps))

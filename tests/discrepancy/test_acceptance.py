@@ -99,6 +99,14 @@ def test_recordings_have_to_agree_too():
     assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.RECORDINGS_DISAGREE
 
 
+def test_a_channel_is_no_veto_that_is_explained_better_with_the_size_than_without():
+    # of a delay of 3 ms eckart12's yaw rate tells twice as much, beside too small a rotor inertia
+    parts = {(0, GYRO_Z): (1.8, 0.05), (0, FORCE_Z): (0.87, 0.02)}
+    assert said(Stage.STABLE, evidence=evidence(parts)) is None
+    parts[0, GYRO_Z] = (-1.8, 0.05)
+    assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.CHANNELS_DISAGREE
+
+
 def test_a_recording_that_hardly_tells_it_beside_those_no_fit_saw_is_no_veto():
     # jana02, 8 s of a figure of eight, tells half of the rotors' inertia that jana06, 20 s of
     # turns on the spot, confirms
@@ -126,6 +134,15 @@ def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():
     for point, reason in ((small, Reason.NEGLIGIBLE), (large, None)):
         place = Fit(point, (), 0.0, np.eye(0))
         assert said(Stage.NAMED, "gyro_bias", fit=place) is reason
+
+
+def test_a_gyro_that_lags_no_more_than_its_chip_always_does_is_no_effect():
+    # 218 and 282 Hz were named on a faithful craft without one, whose delay was told apart by
+    # half a millisecond in the gyro and in the accelerometer
+    (key,) = VARIANT["gyro_low_pass"].keys
+    for hz, reason in ((218.0, Reason.NEGLIGIBLE), (60.0, None)):
+        place = Fit({key: 1.0 / (2.0 * np.pi * hz)}, (), 0.0, np.eye(0))
+        assert said(Stage.NAMED, "gyro_low_pass", fit=place) is reason
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,15 @@ def test_a_constant_that_spoils_a_channel_is_given_back_and_no_effect_blamed(hun
     assert [one.label for one in hunt.accepted] == ["drag", "bias"]
 
 
+def test_what_spoils_a_channel_that_it_hardly_touches_is_found_and_none_blamed_that_is_right(hunt):
+    hunt.accepted = [Effect("inertia_coupling", (0, 1)), Effect("gyro_low_pass", (6, 7))]
+    judge = judged({"inertia_coupling": 0.1, "gyro_low_pass": 0.3}, [("gyro_low_pass", 0, 3.0)])
+    hunt.now = hunt.refit(hunt.accepted, hunt.held)
+    assert answer_to_predictions(hunt, judge)
+    assert [one.label for one in hunt.accepted] == ["inertia_coupling"]
+    assert not hunt.held
+
+
 def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
     everything = [(name, c, 5.0) for c, name in enumerate(["drag", "bias", "c0", "c2"])]
     answer_to_predictions(hunt, judged({}, everything))

@@ -25,6 +25,9 @@ from groundstation.dynamics.effect import (
 )
 from groundstation.dynamics.law import Reading
 
+WIDEST_S = 0.98e-3
+"""Delay of the chip's widest setting, 256 Hz (data sheet, register 26)."""
+
 
 def law(values: Any, craft: Any, body: Any, reading: Any, state: Any) -> Any:
     """(what the gyro shows, slopes of the lagged rates)."""
@@ -67,5 +70,7 @@ EFFECT = Effect(
     excited_by=DOUBLETS,
     channels=GYRO,
     regimes=TILTING | YAWING | ROTORS | STEADY,
+    negligible=WIDEST_S,
+    because="the chip is that late with its low-pass wide open (MPU-6050 data sheet, register 26)",
     confused_with=(Confusion("dead_time", f"{DOUBLETS}: a delay moves the attitude as well"),),
 )
