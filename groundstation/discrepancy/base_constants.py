@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
@@ -124,10 +125,8 @@ def base_changes(
         if given != now:
             percent = 100.0 * (now / given - 1.0) if given else None
             pushed = None
-            if key == THRUST and percent is not None and _turn_otherwise(problem, fit.point):
-                pushed = _pushed(problem, fit.point)
-                if pushed is not None and abs(pushed - percent) < SAME_PERCENT:
-                    pushed = None
+            if key == THRUST and percent is not None:
+                pushed = _pushed(problem, fit.point, percent)
             found.append(BaseChange(key, given, now, errors.get(key), percent, pushed))
     return tuple(found)
 
@@ -143,9 +142,12 @@ def _turn_otherwise(problem: Problem, final: Point) -> bool:
     )
 
 
-def _pushed(problem: Problem, final: Point) -> float | None:
+def _pushed(problem: Problem, final: Point, percent: float) -> float | None:
     """By how many per cent the mean vertical force that a model makes of the flights is another
-    than the given model's; None where rotor speeds are measured, or nothing tells the vertical."""
+    than the given model's; None where rotor speeds are measured, nothing tells the vertical, or
+    thrust per mass, which changed by ``percent``, says the same."""
+    if not _turn_otherwise(problem, final):
+        return None
     ratios = []
     for flight in problem.flights:
         if not flight.rotor_measured:
@@ -156,7 +158,8 @@ def _pushed(problem: Problem, final: Point) -> float | None:
             given, now = (STANDARD_GRAVITY - one[0] if one else None for one in ends)
             if given and now:
                 ratios.append(now / given)
-    return 100.0 * (float(np.mean(ratios)) - 1.0) if ratios else None
+    pushed = 100.0 * (float(np.mean(ratios)) - 1.0) if ratios else math.nan
+    return pushed if abs(pushed - percent) >= SAME_PERCENT else None
 
 
 def in_words(change: BaseChange) -> str:
