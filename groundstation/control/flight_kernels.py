@@ -1,6 +1,4 @@
-"""Compiled closed loops with the craft of ``simulate``: the thesis's Figure 8.10, and the
-firmware's cascade.
-"""
+"""The firmware's cascade around the craft of ``simulate``, compiled."""
 
 from __future__ import annotations
 
@@ -9,235 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.control.plant import RATES
+from groundstation.control.firmware_kernels import (
+    compensated,
+    fused,
+    rate_pid,
+    rate_today,
+    update,
+    update_today,
+    wrapped,
+)
+from groundstation.control.plant_kernels import RATE, ROTOR, STILL, body_on, move, turn
 from groundstation.dynamics import quaternion
-from groundstation.dynamics.arx import SLOPE_ROWS
-from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, fuse, smoothed
-from groundstation.dynamics.compiled import kernel, spliced
+from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, smoothed
+from groundstation.dynamics.compiled import kernel
 from groundstation.dynamics.craft import SENSOR_STATES
-from groundstation.dynamics.kernels import craft_step, normalise
-from groundstation.dynamics.mixer import PWM_FULL
-from groundstation.dynamics.motor_kernels import armature
-from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
+from groundstation.dynamics.rigid_body import ALL, body_slope, physics
 from groundstation.dynamics.sensing import begin, estimated, follow, sense
 from groundstation.telemetry.packet import FULL_16_BIT
 
 DEGREES = 180.0 / math.pi
-ROTOR, RATE = 13, 10
-STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-@spliced
-def _move(p: Any, duty: Any, supply: Any, k: int, period: float, y: Any, work: Any) -> Any:
-    """The craft over one period on duties (4); the armature voltages."""
-    n = (y[13], y[14], y[15], y[16])
-    volts = armature(p, duty, supply[k], supply[max(k - 1, 0)], period, n)
-    craft_step((p, volts, STILL), period, len(y), y, work[0], work[1], work[2])
-    normalise(y)
-    return volts
-
-
-@spliced
-def _body(p: Any, volts: Any, y: Any, dy: Any) -> Any:
-    """The body at a state, its rotors on armature voltages (4)."""
-    n = (y[13], y[14], y[15], y[16])
-    return body_slope(p, n, motor_slopes(p, volts, n, ALL), STILL, y, dy, ALL)
-
-
-@spliced
-def _answer(a: Any, b: Any, nk: Any, k: int, inputs: Any, outputs: Any) -> None:
-    """Outputs (n, 3) of polynomials a (3, na), b (3, nb), nk (3,) at row k, from rows before it and
-    inputs (n, 3) up to it; those not known yet are 0."""
-    for axis in range(3):
-        value = 0.0
-        for i in range(min(a.shape[1], k)):
-            value -= a[axis, i] * outputs[k - 1 - i, axis]
-        for j in range(b.shape[1]):
-            at = k - nk[axis] - j
-            if at >= 0:
-                value += b[axis, j] * inputs[at, axis]
-        outputs[k, axis] = value
-
-
-@kernel
-def whole_run(
-    craft: Any,
-    mixer: Any,
-    start: Any,
-    arx_a: Any,
-    arx_b: Any,
-    arx_nk: Any,
-    body: int,
-    gains: Any,
-    limit: float,
-    conditional: bool,
-    thrust: Any,
-    supply_mv: Any,
-    reference: Any,
-    period: float,
-    delay: int,
-    angles: Any,
-    controls: Any,
-    pwm: Any,
-) -> None:
-    """The whole simulation of thesis Figure 8.10, as long as ``reference`` (k, 3) in rad.
-
-    body: 0 ARX (arx_a (3, na), arx_b (3, nb), arx_nk (3,), the delays inside), 1 grey box
-    (decoupled accelerations, thesis 3.58-3.60), 2 rigid body. mixer: (3, 4). start: the state.
-    delay: samples from angle to controller, for bodies 1 and 2. gains (3, 3): kp, ki, kd per axis
-    in PWM counts; thrust (k,) counts, supply (k,) mV. Fills angles (k, 3) as the controller hears
-    them, controls (k, 3) and pwm (k, 4) in counts.
-    """
-    p, rows = physics(craft), len(reference)
-    half = 1.0 if mixer[0, 0] == 0.0 else 0.5  # in X two rotors on a side share roll and pitch
-    y, work = start.copy(), np.zeros((3, len(start)))
-    grey = np.zeros(3)
-    torque = np.zeros((rows, 3))
-    true = np.zeros((rows, 3))
-    integral, before, duty = np.zeros(3), np.zeros(3), np.zeros(4)
-    for k in range(rows):
-        if body == 0:
-            _answer(arx_a, arx_b, arx_nk, k, torque, angles)
-        else:
-            if body == 1:
-                for axis in range(3):
-                    true[k, axis] = grey[axis]
-            else:
-                turned = quaternion.angles((y[6], y[7], y[8], y[9]))
-                true[k, 0], true[k, 1], true[k, 2] = turned
-            for axis in range(3):
-                angles[k, axis] = true[k - delay, axis] if k >= delay else 0.0
-        for axis in range(3):
-            error = reference[k, axis] - angles[k, axis]
-            wanted = gains[axis, 0] * error + gains[axis, 1] * integral[axis]
-            wanted += gains[axis, 2] * (error - before[axis]) / period
-            given = min(max(wanted, -limit), limit)
-            if not (conditional and wanted != given and gains[axis, 1] * error * wanted > 0.0):
-                integral[axis] += period * error
-            before[axis] = error
-            controls[k, axis] = given
-        for i in range(4):
-            shared = half * (mixer[0, i] * controls[k, 0] + mixer[1, i] * controls[k, 1])
-            counts = thrust[k] + shared + mixer[2, i] * controls[k, 2]
-            pwm[k, i] = min(max(counts, 0.0), PWM_FULL)
-            duty[i] = pwm[k, i] / PWM_FULL
-        for axis in range(3):
-            for i in range(4):
-                torque[k, axis] += mixer[axis, i] * y[ROTOR + i] * y[ROTOR + i]
-            grey[axis] += 0.5 * period * y[RATE + axis]
-        _move(p, (duty[0], duty[1], duty[2], duty[3]), supply_mv, k, period, y, work)
-        for axis in range(3):
-            grey[axis] += 0.5 * period * y[RATE + axis]
-
-
-@spliced
-def _update(
-    f: Any, kind: int, axis: int, error: float, dt: float, limit: float, kp: float, ki: float,
-    kd: float,
-) -> float:  # fmt: skip
-    """One PID of the firmware: its integral is clamped, its output is not."""
-    lower = -5000.0 if f.quirk_lower_limit != 0 else -limit
-    value = min(max(f.integral[kind, axis] + error * dt, lower), limit)
-    f.integral[kind, axis] = value
-    output = kp * error + ki * value + kd * (error - f.previous[kind, axis]) / dt
-    f.previous[kind, axis] = error
-    return float(output)
-
-
-@spliced
-def _rate_pid(f: Any, axis: int, error: float) -> float:
-    """A rate PID as the clamp macro evaluates it: up to three times, truncated to 16 bits."""
-    output = 0.0
-    evaluations = 3 if f.quirk_clamp_macro != 0 else 1
-    for evaluation in range(evaluations):
-        output = _update(
-            f, 1, axis, error, 0.002, f.rate_limit[axis],
-            f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
-        )  # fmt: skip
-        if evaluation == 0 and output < -32768.0:
-            break
-        if (evaluation == 1 or evaluations == 1) and output > 32767.0:
-            break
-    output = min(max(output, -32768.0), 32767.0)
-    return float(int(output)) if f.quantised != 0 else output
-
-
-@spliced
-def _update_today(
-    f: Any, kind: int, axis: int, error: float, measured: float, limit: float, kp: float,
-    ki: float, kd: float,
-) -> float:  # fmt: skip
-    """One PID of today's firmware: the derivative is that of what is measured, in deg or deg/s."""
-    value = min(max(f.integral[kind, axis] + error * 0.002, -limit), limit)
-    f.integral[kind, axis] = value
-    change = measured - f.previous[kind, axis]
-    if kind == 0:
-        change = _turned(change)
-    f.previous[kind, axis] = measured
-    return float(kp * error + ki * value - kd * change / 0.002)
-
-
-@spliced
-def _rate_today(f: Any, axis: int, wanted: float, measured: float) -> float:
-    output = _update_today(
-        f, 1, axis, wanted - measured, measured, f.rate_limit[axis],
-        f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
-    )  # fmt: skip
-    return min(max(output, -32767.0), 32767.0)
-
-
-@spliced
-def _turned(degrees: float) -> float:
-    """The same direction within half a turn."""
-    return (degrees + 180.0) % 360.0 - 180.0
-
-
-@spliced
-def _compensated(f: Any, thrust: float, supply_v: float) -> float:
-    """PWM (16 bits, not yet limited) by which the firmware's thrust curve gives a thrust."""
-    if thrust <= 0.0:
-        return 0.0
-    wanted, volts = thrust / FULL_16_BIT * f.most_n, 2.0
-    c = f.curve
-    for _ in range(6):
-        value = c[0] + volts * (c[1] + volts * (c[2] + volts * c[3])) - wanted
-        slope = c[1] + volts * (2.0 * c[2] + 3.0 * volts * c[3])
-        volts = min(max(volts - value / slope, 0.0), 5.0)
-    return volts / supply_v * FULL_16_BIT
-
-
-@spliced
-def _fuse(f: Any, gyro: Any, felt: Any) -> Any:
-    """The firmware's Mahony update at 250 Hz; returns its quaternion."""
-    q, kept = f.quaternion, f.feedback
-    gains = (0.5 * f.fusion_kp, 0.5 * f.fusion_ki)
-    integral = (kept[0], kept[1], kept[2])
-    turned, integral = fuse((q[0], q[1], q[2], q[3]), integral, gyro, felt, gains, 0.004)
-    q[0], q[1], q[2], q[3] = turned
-    kept[0], kept[1], kept[2] = integral
-    return turned
-
-
-@spliced
-def _turn(
-    turns: int, a: Any, b: Any, nk: Any, period: float, k: int, inputs: Any, outputs: Any, y: Any
-) -> None:  # fmt: skip
-    """Rates, and angles where the polynomials are theirs, of row k into the state."""
-    _answer(a, b, nk, k, inputs, outputs)
-    if turns == RATES:
-        for axis in range(3):
-            y[RATE + axis] = outputs[k, axis]
-    else:
-        roll, pitch, yaw = outputs[k, 0], outputs[k, 1], outputs[k, 2]
-        turned = quaternion.of_angles((roll, pitch, yaw))
-        y[6], y[7], y[8], y[9] = turned
-        past, span = max(k - SLOPE_ROWS, 0), SLOPE_ROWS * period
-        droll = (roll - outputs[past, 0]) / span
-        dpitch = (pitch - outputs[past, 1]) / span
-        dyaw = (yaw - outputs[past, 2]) / span
-        y[RATE] = droll - math.sin(pitch) * dyaw
-        y[RATE + 1] = math.cos(roll) * dpitch + math.cos(pitch) * math.sin(roll) * dyaw
-        y[RATE + 2] = math.cos(pitch) * math.cos(roll) * dyaw - math.sin(roll) * dpitch
 
 
 @kernel
@@ -290,9 +78,9 @@ def cascade_run(
     for k in range(rows):
         now = past[k % depth]
         if turns != 0:
-            _turn(turns, arx_a, arx_b, arx_nk, period, k, inputs, outputs, y)
+            turn(turns, arx_a, arx_b, arx_nk, period, k, inputs, outputs, y)
         if k > 0:
-            after = _body(p, volts, y, work[0])
+            after = body_on(p, volts, y, work[0])
             follow(craft, before, after, period, z)
             before = after
         reading = sense(p, before, z[0], z[1])
@@ -315,7 +103,7 @@ def cascade_run(
         if k % 2 == 0:
             if fusion:
                 rate = (gyro[k, 0], gyro[k, 1], gyro[k, 2])
-                q = _fuse(f, rate, (past[low, 7], past[low, 8], past[low, 9]))
+                q = fused(f, rate, (past[low, 7], past[low, 8], past[low, 9]))
             else:
                 q = (past[low, 0], past[low, 1], past[low, 2], past[low, 3])
                 if turns == 0:
@@ -323,20 +111,20 @@ def cascade_run(
             found[0], found[1], found[2] = quaternion.angles(q)
         # the firmware's degrees, pitch nose up
         if f.today != 0:
-            f.heading = _turned(f.heading + DEGREES * setpoints[k, 2] * period)
+            f.heading = wrapped(f.heading + DEGREES * setpoints[k, 2] * period)
             for axis in range(3):
                 sign = -1.0 if axis == 1 else 1.0
                 at_deg = sign * DEGREES * found[axis]
                 goal = f.heading if axis == 2 else sign * DEGREES * setpoints[k, axis]
-                desired[axis] = _update_today(
-                    f, 0, axis, _turned(goal - at_deg), at_deg, f.angle_limit[axis],
+                desired[axis] = update_today(
+                    f, 0, axis, wrapped(goal - at_deg), at_deg, f.angle_limit[axis],
                     f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
                 )  # fmt: skip
         elif k % 2 == 0:
             for axis in range(2):
                 sign = 1.0 if axis == 0 else -1.0
                 error = sign * DEGREES * (setpoints[k, axis] - found[axis])
-                desired[axis] = _update(
+                desired[axis] = update(
                     f, 0, axis, error, angle_dt, f.angle_limit[axis],
                     f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
                 )  # fmt: skip
@@ -344,13 +132,13 @@ def cascade_run(
         for axis in range(3):
             angles[k, axis] = found[axis]
         if f.today != 0:
-            roll = _rate_today(f, 0, desired[0], DEGREES * gyro[k, 0])
-            pitch = _rate_today(f, 1, desired[1], -DEGREES * gyro[k, 1])
-            yaw = -_rate_today(f, 2, desired[2], DEGREES * gyro[k, 2])
+            roll = rate_today(f, 0, desired[0], DEGREES * gyro[k, 0])
+            pitch = rate_today(f, 1, desired[1], -DEGREES * gyro[k, 1])
+            yaw = -rate_today(f, 2, desired[2], DEGREES * gyro[k, 2])
         else:
-            roll = _rate_pid(f, 0, desired[0] - DEGREES * gyro[k, 0])
-            pitch = _rate_pid(f, 1, desired[1] + DEGREES * gyro[k, 1])
-            yaw = -_rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
+            roll = rate_pid(f, 0, desired[0] - DEGREES * gyro[k, 0])
+            pitch = rate_pid(f, 1, desired[1] + DEGREES * gyro[k, 1])
+            yaw = -rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
             if yaw > 32767.0:
                 yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
         if airframe_x:
@@ -365,7 +153,7 @@ def cascade_run(
         beyond = 0.0
         if f.today != 0:
             for i in range(4):
-                mixed[i] = _compensated(f, thrust[k] + mixed[i], supply_mv[k] / 1000.0)
+                mixed[i] = compensated(f, thrust[k] + mixed[i], supply_mv[k] / 1000.0)
                 beyond = max(beyond, mixed[i] - FULL_16_BIT)
         for i in range(4):
             # today's lowers all motors together: attitude comes before thrust
@@ -377,7 +165,7 @@ def cascade_run(
             duty[i] = steps / 512.0
         driven = (duty[0], duty[1], duty[2], duty[3])
         speed = (y[13], y[14], y[15], y[16])
-        volts = _move(p, driven, supply_mv, k, period, y, work)
+        volts = move(p, driven, supply_mv, k, period, y, work)
         if turns != 0 and k + 1 < rows:
             for i in range(4):
                 end = y[ROTOR + i]

@@ -74,7 +74,7 @@ def run_whole(
 
     Raises BadInputError for a model without the body asked for.
     """
-    from groundstation.control.flight_kernels import whole_run
+    from groundstation.control.thesis_loop_kernel import whole_run
 
     if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")

@@ -1,0 +1,98 @@
+"""What the firmware computes in its loops, compiled: PIDs, thrust curve, attitude filter. ``f`` is
+its state (``firmware_loop.py``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from groundstation.dynamics.attitude_filter import fuse
+from groundstation.dynamics.compiled import spliced
+from groundstation.telemetry.packet import FULL_16_BIT
+
+
+@spliced
+def update(
+    f: Any, kind: int, axis: int, error: float, dt: float, limit: float, kp: float, ki: float,
+    kd: float,
+) -> float:  # fmt: skip
+    """One PID of the firmware: its integral is clamped, its output is not."""
+    lower = -5000.0 if f.quirk_lower_limit != 0 else -limit
+    value = min(max(f.integral[kind, axis] + error * dt, lower), limit)
+    f.integral[kind, axis] = value
+    output = kp * error + ki * value + kd * (error - f.previous[kind, axis]) / dt
+    f.previous[kind, axis] = error
+    return float(output)
+
+
+@spliced
+def rate_pid(f: Any, axis: int, error: float) -> float:
+    """A rate PID as the clamp macro evaluates it: up to three times, truncated to 16 bits."""
+    output = 0.0
+    evaluations = 3 if f.quirk_clamp_macro != 0 else 1
+    for evaluation in range(evaluations):
+        output = update(
+            f, 1, axis, error, 0.002, f.rate_limit[axis],
+            f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
+        )  # fmt: skip
+        if evaluation == 0 and output < -32768.0:
+            break
+        if (evaluation == 1 or evaluations == 1) and output > 32767.0:
+            break
+    output = min(max(output, -32768.0), 32767.0)
+    return float(int(output)) if f.quantised != 0 else output
+
+
+@spliced
+def update_today(
+    f: Any, kind: int, axis: int, error: float, measured: float, limit: float, kp: float,
+    ki: float, kd: float,
+) -> float:  # fmt: skip
+    """One PID of today's firmware: the derivative is that of what is measured, in deg or deg/s."""
+    value = min(max(f.integral[kind, axis] + error * 0.002, -limit), limit)
+    f.integral[kind, axis] = value
+    change = measured - f.previous[kind, axis]
+    if kind == 0:
+        change = wrapped(change)
+    f.previous[kind, axis] = measured
+    return float(kp * error + ki * value - kd * change / 0.002)
+
+
+@spliced
+def rate_today(f: Any, axis: int, wanted: float, measured: float) -> float:
+    output = update_today(
+        f, 1, axis, wanted - measured, measured, f.rate_limit[axis],
+        f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
+    )  # fmt: skip
+    return min(max(output, -32767.0), 32767.0)
+
+
+@spliced
+def wrapped(degrees: float) -> float:
+    """The same direction within half a turn."""
+    return (degrees + 180.0) % 360.0 - 180.0
+
+
+@spliced
+def compensated(f: Any, thrust: float, supply_v: float) -> float:
+    """PWM (16 bits, not yet limited) by which the firmware's thrust curve gives a thrust."""
+    if thrust <= 0.0:
+        return 0.0
+    wanted, volts = thrust / FULL_16_BIT * f.most_n, 2.0
+    c = f.curve
+    for _ in range(6):
+        value = c[0] + volts * (c[1] + volts * (c[2] + volts * c[3])) - wanted
+        slope = c[1] + volts * (2.0 * c[2] + 3.0 * volts * c[3])
+        volts = min(max(volts - value / slope, 0.0), 5.0)
+    return volts / supply_v * FULL_16_BIT
+
+
+@spliced
+def fused(f: Any, gyro: Any, felt: Any) -> Any:
+    """The firmware's Mahony update at 250 Hz; returns its quaternion."""
+    q, kept = f.quaternion, f.feedback
+    gains = (0.5 * f.fusion_kp, 0.5 * f.fusion_ki)
+    integral = (kept[0], kept[1], kept[2])
+    turned, integral = fuse((q[0], q[1], q[2], q[3]), integral, gyro, felt, gains, 0.004)
+    q[0], q[1], q[2], q[3] = turned
+    kept[0], kept[1], kept[2] = integral
+    return turned

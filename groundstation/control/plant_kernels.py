@@ -1,0 +1,72 @@
+"""The craft of ``simulate`` in a compiled closed loop: one period of it, or of polynomials that
+answer in its place."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from groundstation.control.plant import RATES
+from groundstation.dynamics import quaternion
+from groundstation.dynamics.arx import SLOPE_ROWS
+from groundstation.dynamics.compiled import spliced
+from groundstation.dynamics.kernels import craft_step, normalise
+from groundstation.dynamics.motor_kernels import armature
+from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes
+
+ROTOR, RATE = 13, 10
+STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@spliced
+def move(p: Any, duty: Any, supply: Any, k: int, period: float, y: Any, work: Any) -> Any:
+    """The craft over one period on duties (4); the armature voltages."""
+    n = (y[13], y[14], y[15], y[16])
+    volts = armature(p, duty, supply[k], supply[max(k - 1, 0)], period, n)
+    craft_step((p, volts, STILL), period, len(y), y, work[0], work[1], work[2])
+    normalise(y)
+    return volts
+
+
+@spliced
+def body_on(p: Any, volts: Any, y: Any, dy: Any) -> Any:
+    """The body at a state, its rotors on armature voltages (4)."""
+    n = (y[13], y[14], y[15], y[16])
+    return body_slope(p, n, motor_slopes(p, volts, n, ALL), STILL, y, dy, ALL)
+
+
+@spliced
+def answer(a: Any, b: Any, nk: Any, k: int, inputs: Any, outputs: Any) -> None:
+    """Outputs (n, 3) of polynomials a (3, na), b (3, nb), nk (3,) at row k, from rows before it and
+    inputs (n, 3) up to it; those not known yet are 0."""
+    for axis in range(3):
+        value = 0.0
+        for i in range(min(a.shape[1], k)):
+            value -= a[axis, i] * outputs[k - 1 - i, axis]
+        for j in range(b.shape[1]):
+            at = k - nk[axis] - j
+            if at >= 0:
+                value += b[axis, j] * inputs[at, axis]
+        outputs[k, axis] = value
+
+
+@spliced
+def turn(
+    turns: int, a: Any, b: Any, nk: Any, period: float, k: int, inputs: Any, outputs: Any, y: Any
+) -> None:  # fmt: skip
+    """Rates, and angles where the polynomials are theirs, of row k into the state."""
+    answer(a, b, nk, k, inputs, outputs)
+    if turns == RATES:
+        for axis in range(3):
+            y[RATE + axis] = outputs[k, axis]
+    else:
+        roll, pitch, yaw = outputs[k, 0], outputs[k, 1], outputs[k, 2]
+        turned = quaternion.of_angles((roll, pitch, yaw))
+        y[6], y[7], y[8], y[9] = turned
+        past, span = max(k - SLOPE_ROWS, 0), SLOPE_ROWS * period
+        droll = (roll - outputs[past, 0]) / span
+        dpitch = (pitch - outputs[past, 1]) / span
+        dyaw = (yaw - outputs[past, 2]) / span
+        y[RATE] = droll - math.sin(pitch) * dyaw
+        y[RATE + 1] = math.cos(roll) * dpitch + math.cos(pitch) * math.sin(roll) * dyaw
+        y[RATE + 2] = math.cos(pitch) * math.cos(roll) * dyaw - math.sin(roll) * dpitch
