@@ -26,13 +26,13 @@ from groundstation.discrepancy.findings import (
     Verdict,
 )
 from groundstation.discrepancy.imbalance import with_imbalance
-from groundstation.discrepancy.judge import Judge
+from groundstation.discrepancy.judge import Judge, beside_what_is_slow, to_follow
 from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
 from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
-from groundstation.discrepancy.search import Outcome, search_effects
+from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
-from groundstation.discrepancy.slow_disturbance import with_wind
+from groundstation.discrepancy.slow_disturbance import Slow, with_wind
 from groundstation.discrepancy.usable import still_there, usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
@@ -118,23 +118,16 @@ def find_discrepancy(
         for one in asked:
             within(given, one)  # says, before anything is searched, where nothing of it flew
 
-    def found(beside: Predictions | None) -> Findings:
-        effects = find_effects(
-            parts.fit_on,
-            model,
-            parts.held_out,
-            judged=judged,
-            train=beside,
-            own=own,
-            progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
-        )
-        report("proving it on held-out rows", 0.8)
-        return with_wind(effects, train, judged)
-
-    findings = found(train)
-    # What is right only beside what is slow stays out where that has no name.
-    if findings.followed and judged.judge(findings.model).worse:
-        findings = found(None)
+    findings = find_effects(
+        parts.fit_on,
+        model,
+        parts.held_out,
+        judged=judged,
+        train=train,
+        own=own,
+        progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
+    )
+    report("proving it on held-out rows", 0.8)
     findings = replace(findings, warnings=(*left_out, *not_shown, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
@@ -159,8 +152,8 @@ def find_effects(
     flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
     validation: rows that no fit sees; None: the last third of the flights. judged: the given model
     on these rows; what makes its predictions worse is taken back. train: the same on the flights,
-    so that what is slow there may be followed; None: it is not. own: effects of the user's own as
-    further candidates.
+    so that what is slow there is followed and may get its name; None: it is not. own: effects of
+    the user's own as further candidates.
 
     Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
     craft.
@@ -187,22 +180,32 @@ def find_effects(
     out = {*lost, *there}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
     search = SearchState(problem, held, known, candidates, report)
-    judge: Judge | None = None
-    if judged is not None:
-        given = tuple(key for variant in known for key in variant.keys)
-        tried = [*candidates, *(one for one in RENAMES if one not in known)]
+    given = tuple(key for variant in known for key in variant.keys)
+    tried = [*candidates, *(one for one in RENAMES if one not in known)]
 
-        def model_at(point: Point) -> Model:
-            keys = (*given, *(key for one in tried for key in one.keys if key in point))
-            return model_of(point, {}, keys, model, every_own)
+    def model_at(point: Point) -> Model:
+        keys = (*given, *(key for one in tried for key in one.keys if key in point))
+        return model_of(point, {}, keys, model, every_own)
 
-        search.judge = judge = Judge(judged, model_at, train)
-        search.follow, search.raises_plainly = judge.follow, judge.raises_plainly
-    outcome = with_sensor_lag(search_effects(search), problem, held)
-    warnings = _require_told(outcome, problem)
-    findings = _findings(outcome, problem, held, model, known, lost, warnings)
-    findings = replace(findings, followed=judge is not None and judge.follows)
-    return with_imbalance(findings, problem, held, outcome.final.point)
+    def ended(judge: Judge | None) -> Findings:
+        end = search.copy()
+        if judge is not None:
+            end.judge, end.raises_plainly = judge, judge.raises_plainly
+        outcome = with_sensor_lag(concluded(end), end.problem, held)
+        warnings = _require_told(outcome, end.problem)
+        found = _findings(outcome, end.problem, held, model, known, lost, warnings)
+        return with_imbalance(found, end.problem, held, outcome.final.point)
+
+    plain = search.judge = None if judged is None else Judge(judged, model_at)
+    search_effects(search)
+    if judged is None or train is None:
+        return ended(plain)
+
+    def followed(slow: Slow | None) -> Findings:
+        return with_wind(ended(Judge(judged, model_at, slow)), train, judged)
+
+    slow = to_follow(train.of(model_at(search.named_point(search.now.point))))
+    return beside_what_is_slow(followed, slow, judged)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:

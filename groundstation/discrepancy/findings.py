@@ -194,8 +194,7 @@ class Findings:
     that moved; those that these data cannot improve have not. moved: the given model with these
     changes alone. model: moved constants and effects, fitted jointly. candidates: every effect,
     strongest first. not_shown: excitation check. lost: effect name -> the channel that is missing
-    to show it. channels: by channel name. warnings: in words. followed: whether
-    a slow disturbance was, while effects were weighed by predictions.
+    to show it. channels: by channel name. warnings: in words.
     """
 
     verdict: Verdict
@@ -210,7 +209,6 @@ class Findings:
     channels: dict[str, ChannelResidual]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
-    followed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

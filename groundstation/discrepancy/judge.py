@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
-from groundstation.discrepancy.findings import Predicted
-from groundstation.discrepancy.proof import HeldOut, Predictions
+from groundstation.discrepancy.findings import Findings, Predicted
+from groundstation.discrepancy.proof import HeldOut
 from groundstation.discrepancy.slow_disturbance import (
     Slow,
     best_followed,
@@ -25,19 +26,15 @@ from groundstation.identification.likelihood.parameters import Point
 
 
 class Judge:
-    """Held-out rows as the model at a point predicts them, beside what the given model says.
-
-    ``follow`` lets the observer follow what is slow from then on, in the given model and in all
-    others alike.
-    """
+    """Held-out rows as the model at a point predicts them, beside what the given model says; the
+    observer follows what is ``slow`` in both alike, where it is given."""
 
     def __init__(
-        self, held: HeldOut, model_at: Callable[[Point], Model], train: Predictions | None
+        self, held: HeldOut, model_at: Callable[[Point], Model], slow: Slow | None = None
     ) -> None:
-        """train: the given model on the rows that were fitted, None: nothing is ever followed."""
-        self._given, self._model_at, self._train = held, model_at, train
-        self._held = held
-        self._slow: Slow | None = None
+        self._given, self._model_at, self._slow = held, model_at, slow
+        given = held.before.model
+        self._held = HeldOut(held.of(with_term(given, slow))) if slow else held
 
     def __call__(self, point: Point) -> Predicted:
         model = self._model_at(point)
@@ -56,20 +53,23 @@ class Judge:
         low, high = (self._given.judge(self._model_at(point)).gap for point in (before, after))
         return high > low
 
-    @property
-    def follows(self) -> bool:
-        """Whether anything is followed."""
-        return self._slow is not None
 
-    def follow(self, point: Point) -> None:
-        """What the model at a point leaves that lasts, if anything does."""
-        base = self._model_at(point)
-        if self._train is None or has_wind(base):
-            return
-        fitted = self._train.of(base)
-        slow = slow_part(fitted.errors)
-        if lasting_refusal(Stage.WEIGHED, slow.asked()):
-            self._held, self._slow = self._given, None
-            return
-        self._slow = best_followed(slow, fitted)
-        self._held = HeldOut(self._given.of(with_term(self._given.before.model, self._slow)))
+def to_follow(fitted: Comparison) -> Slow | None:
+    """What a model leaves of fitted rows that lasts, as predictions are best; None: nothing does,
+    or the model says of itself what is slow."""
+    if has_wind(fitted.model):
+        return None
+    slow = slow_part(fitted.errors)
+    return None if lasting_refusal(Stage.WEIGHED, slow.asked()) else best_followed(slow, fitted)
+
+
+def beside_what_is_slow(
+    found: Callable[[Slow | None], Findings], slow: Slow | None, held: HeldOut
+) -> Findings:
+    """What is found where ``slow`` is followed; where that predicts a channel of held-out rows
+    worse than the given model, it was right only beside what has no name, and counts is what is
+    found without."""
+    findings = found(slow)
+    if slow is not None and held.judge(findings.model).worse:
+        return found(None)
+    return findings

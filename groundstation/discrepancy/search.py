@@ -1,8 +1,8 @@
 """The procedure: screen every effect, add the best one, drop what became needless, until stable.
 
-``search_effects`` is the whole of it. Columns of every effect are evaluated once a round
-(``screening.py``), the best few are fitted jointly with the base and what was accepted before,
-and each stage has its gates (``acceptance.py``).
+``search_effects`` and ``concluded`` are the whole of it. Columns of every effect are evaluated once
+a round (``screening.py``), the best few are fitted jointly with the base and what was accepted
+before, and each stage has its gates (``acceptance.py``).
 """
 
 from __future__ import annotations
@@ -49,15 +49,16 @@ class Outcome:
     last: Screening
 
 
-def search_effects(search: SearchState) -> Outcome:
-    """From the model as it was given to a set of effects that stays."""
+def search_effects(search: SearchState) -> None:
+    """From the model as it was given to a set of effects that stays, but for what predictions of
+    held-out rows say of it (``concluded``)."""
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor
     # place to linearise at. A centre of gravity off its place makes c0 vanish, for one.
     search.progress("screening", 0.1)
     search.first = settle(search.problem)
     plain = search.first.without_effects(search.base_keys)
-    scores = plain.scores(search.base_keys, search.candidates)
-    scores += [one for one, _ in best_tried(search, plain.point, search.base_keys)]
+    search.scores = plain.scores(search.base_keys, search.candidates)
+    search.scores += [one for one, _ in best_tried(search, plain.point, search.base_keys)]
     join_what_is_sure(search, plain)
     for number in range(MOST_ROUNDS):
         count = len(search.accepted)
@@ -72,14 +73,18 @@ def search_effects(search: SearchState) -> Outcome:
         ):
             break
     search.now = search.problem.fit(search.now.point, search.now.keys)
-    residual = drop_drowned(search)
+    search.residual = drop_drowned(search)
     settle_trim(search)
     hold_base(search)
     name_base_changes(search)
+
+
+def concluded(search: SearchState) -> Outcome:
+    """What stays of a search where predictions are asked."""
     if confirm(search):
-        residual, _ = leftover(search.problem, search.now, search.validation)
+        search.residual, _ = leftover(search.problem, search.now, search.validation)
     final = replace(search.now, point=search.named_point(search.now.point))
     return Outcome(
-        *(final, search.errors, search.accepted, residual, search.refused, search.held_out),
-        *(search.first, scores, search.last),
+        *(final, search.errors, search.accepted, search.residual, search.refused, search.held_out),
+        *(search.first, search.scores, search.last),
     )

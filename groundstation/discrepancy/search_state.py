@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 from groundstation.discrepancy.base_constants import groups
 from groundstation.discrepancy.evidence import Evidence
-from groundstation.discrepancy.findings import Predicted, Refusal
-from groundstation.discrepancy.screening import Screening, without
+from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
+from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
@@ -48,8 +49,6 @@ class SearchState:
         self.judge: Judge | None = None
         self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
         """Whether predictions are worse at the second point with nothing followed, too."""
-        self.follow: Callable[[Point], None] = lambda point: None
-        """Lets what is slow at a point be followed in predictions from then on."""
         self.candidates = list(candidates)
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]
@@ -73,8 +72,19 @@ class SearchState:
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
         self.first: Screening
+        self.scores: list[Scored]
         self.last: Screening
         self.now: Fit
+        self.residual: Leftover
+
+    def copy(self) -> SearchState:
+        """Where the search stands, to go on from without a change to it; no noise is learnt any
+        more."""
+        other = copy(self)
+        other.problem = copy(self.problem)  # its trim goes with what is accepted
+        other.accepted, other.held = list(self.accepted), set(self.held)
+        other.refused, other.held_out = dict(self.refused), dict(self.held_out)
+        return other
 
     def able(self) -> list[Variant]:
         """The candidates that may still join."""

@@ -74,8 +74,6 @@ def name_base_changes(search: SearchState) -> None:
 def confirm(search: SearchState) -> bool:
     """Ask predictions, and the sizes that are left at the very end; whether anything left."""
     changed, leaves = False, True
-    if search.judge is not None:
-        search.follow(search.named_point(search.now.point))
     while leaves:
         if search.judge is not None:
             changed |= answer_to_predictions(search, search.judged)

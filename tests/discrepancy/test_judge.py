@@ -1,12 +1,15 @@
 """Effects are judged beside what is slow, which is followed in every model alike."""
 
+from dataclasses import replace
+
+import made_findings
 import msgspec
 import pytest
 from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.judge import Judge
-from groundstation.discrepancy.proof import HeldOut, Predictions
+from groundstation.discrepancy.judge import Judge, beside_what_is_slow, to_follow
+from groundstation.discrepancy.proof import HeldOut
 
 BLOWN = {f"moment_{axis}": 3.0 for axis in "xyz"} | {f"force_{axis}": 0.3 for axis in "xyz"}
 
@@ -17,30 +20,35 @@ def model_at(point):
     return msgspec.structs.replace(base_model(), body=body)
 
 
-def judges(seed, effects):
-    """(one that follows what is slow, one that does not) of the same stand-in flights."""
+def findings_of(c2):
+    return replace(made_findings.findings(), model=model_at({"c2": c2}))
+
+
+def looked_at(seed, effects):
+    """(what is slow in stand-in flights, held-out rows of theirs)."""
     runs, held = flights(seed, effects)
-    train = Predictions(compare(runs, base_model()))
-    judged = HeldOut(compare(held, base_model(), train.before.black_box))
-    found = Judge(judged, model_at, train), Judge(judged, model_at, None)
-    for one in found:
-        one.follow({"c2": 1.0})
-    return found
+    fitted = compare(runs, base_model())
+    return to_follow(fitted), HeldOut(compare(held, base_model(), fitted.black_box))
 
 
 @pytest.fixture(scope="module")
 def blown():
-    return judges(8, {"wind": BLOWN | {"time_s": 2.0}})
+    return looked_at(8, {"wind": BLOWN | {"time_s": 2.0}})
 
 
-def test_what_is_slow_is_followed(blown):
-    following, plain = (judge({"c2": 1.0}) for judge in blown)
-    assert following.gap < 0.8 * plain.gap
-    assert not following.worse
+@pytest.fixture
+def following(blown):
+    slow, held = blown
+    return Judge(held, model_at, slow)
 
 
-def test_a_wrong_constant_is_worse_beside_it_too(blown):
-    following, _ = blown
+def test_what_is_slow_is_followed(blown, following):
+    found, plain = (judge({"c2": 1.0}) for judge in (following, Judge(blown[1], model_at)))
+    assert found.gap < 0.8 * plain.gap
+    assert not found.worse
+
+
+def test_a_wrong_constant_is_worse_beside_it_too(following):
     assert 2 in following({"c2": 1.5}).worse
     assert following.raises_plainly({"c2": 1.0}, {"c2": 1.5})
     assert not following.raises_plainly({"c2": 1.5}, {"c2": 1.0})
@@ -48,5 +56,21 @@ def test_a_wrong_constant_is_worse_beside_it_too(blown):
 
 
 def test_in_still_air_nothing_is():
-    following, plain = (judge({"c2": 1.0}) for judge in judges(9, {}))
-    assert following.gap == plain.gap
+    slow, _ = looked_at(9, {})
+    assert slow is None
+
+
+def test_what_predicts_worse_than_the_given_model_where_nothing_is_followed_stays_out(blown):
+    bent, plain = findings_of(1.5), findings_of(1.0)
+    assert beside_what_is_slow(lambda slow: bent if slow else plain, *blown) is plain
+
+
+def test_what_predicts_no_worse_stays_as_it_was_found_beside_it(blown):
+    bent, plain = findings_of(1.5), findings_of(1.0)
+    assert beside_what_is_slow(lambda slow: plain if slow else bent, *blown) is plain
+
+
+def test_where_nothing_is_slow_effects_are_weighed_once(blown):
+    asked = []
+    beside_what_is_slow(lambda slow: asked.append(slow) or findings_of(1.5), None, blown[1])
+    assert asked == [None]
