@@ -7,10 +7,15 @@ the model file, so that a report needs no knowledge of how it was found.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from groundstation.dynamics.model import Estimate, Model
+import msgspec
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.dynamics.effect import Effect
+from groundstation.dynamics.model import EffectTerm, Estimate, Model
 
 
 class Verdict(StrEnum):
@@ -225,3 +230,32 @@ class Predicted:
     @property
     def badness(self) -> tuple[float, float]:
         return sum(self.worse.values()), self.gap
+
+
+def with_last(
+    findings: Findings,
+    effect: Effect,
+    parameters: Mapping[str, Estimate],
+    evidence: dict[str, float],
+    channels: Iterable[int],
+) -> Findings:
+    """The findings with one effect more, the last, beside which all others stay as they are."""
+    known = dict(parameters)
+    effects = (*findings.model.effects, EffectTerm(effect.name, known))
+    model = msgspec.structs.replace(findings.model, effects=effects)
+    found = FoundEffect(
+        name=effect.name,
+        order=len(findings.effects) + 1,
+        parameters=known,
+        evidence=evidence,
+        alternatives=(),
+        channels=tuple(CHANNELS[c] for c in channels),
+        adds=effect.adds,
+        model=model,
+    )
+    return replace(
+        findings,
+        verdict=Verdict.EFFECTS_FOUND,
+        effects=(*findings.effects, found),
+        model=model,
+    )

@@ -11,13 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.acceptance import LEAST_DROP, Shaken, Stage, shaken_refusal
-from groundstation.discrepancy.findings import Candidate, Findings, FoundEffect, Refusal, Verdict
+from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
 from groundstation.discrepancy.vibration import (
     IMBALANCE,
     SIZES,
@@ -29,7 +27,7 @@ from groundstation.discrepancy.vibration import (
     windows_of,
 )
 from groundstation.dynamics.effect import FORCE, GYRO
-from groundstation.dynamics.model import EffectTerm, Estimate, Model, model_vehicle
+from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.on_board import ON_BOARD
 from groundstation.identification.likelihood.parameters import Point
@@ -138,30 +136,13 @@ def _number(held_out: float) -> float:
 
 
 def _joined(findings: Findings, asked: Shaken) -> Findings:
-    parameters = dict(asked.parameters)
-    effects = (*findings.model.effects, EffectTerm(IMBALANCE.name, parameters))
-    model = msgspec.structs.replace(findings.model, effects=effects)
-    effect = FoundEffect(
-        name=IMBALANCE.name,
-        order=len(findings.effects) + 1,
-        parameters=parameters,
-        evidence={
-            "likelihood_ratio": asked.drop,
-            "t": asked.t,
-            "held_out": _number(asked.held_out),
-            "held_out_expected": asked.expected,
-            "axes": 0.0,
-            "recordings": asked.recordings[0],
-            "over_others": asked.alone,
-        },
-        alternatives=(),
-        channels=tuple(CHANNELS[c] for c in asked.channels),
-        adds=IMBALANCE.adds,
-        model=model,
-    )
-    return replace(
-        findings,
-        verdict=Verdict.EFFECTS_FOUND,
-        effects=(*findings.effects, effect),
-        model=model,
-    )
+    evidence = {
+        "likelihood_ratio": asked.drop,
+        "t": asked.t,
+        "held_out": _number(asked.held_out),
+        "held_out_expected": asked.expected,
+        "axes": 0.0,
+        "recordings": asked.recordings[0],
+        "over_others": asked.alone,
+    }
+    return with_last(findings, IMBALANCE, asked.parameters, evidence, asked.channels)

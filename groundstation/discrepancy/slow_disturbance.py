@@ -14,18 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
 from groundstation.discrepancy.acceptance import Lasting, Stage, lasting_refusal
 from groundstation.discrepancy.drift import drift_of, spread_of
-from groundstation.discrepancy.findings import (
-    Candidate,
-    Findings,
-    FoundEffect,
-    Refusal,
-    Verdict,
-)
+from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
 from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.dynamics.model import EffectTerm, Estimate, Model
 from groundstation.dynamics.registry import EFFECTS
@@ -97,7 +90,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     fitted = train.of(base)
     slow = slow_part(fitted.errors)
     if why := lasting_refusal(Stage.WEIGHED, slow.asked()):
-        return _refused(findings, slow, why)
+        return _asked(findings, slow, 0.0, why)
     slow = best_followed(slow, fitted)
     found = held.judge(with_term(base, slow))
     while found.worse and slow.spread.any():
@@ -111,7 +104,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
         found = held.judge(with_term(base, slow))
     predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
     if why := lasting_refusal(Stage.FOLLOWED, slow.asked(predicted)):
-        return _refused(findings, slow, why)
+        return _asked(findings, slow, 0.0, why)
     return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
 
 
@@ -191,38 +184,21 @@ def with_term(model: Model, slow: Slow) -> Model:
 
 def _joined(findings: Findings, slow: Slow, after: Slow, gaps: tuple[float, float]) -> Findings:
     """after: what lasts on held-out rows. gaps: of held-out predictions before and after."""
-    model = with_term(findings.model, slow)
-    effect = FoundEffect(
-        name=WIND.name,
-        order=len(findings.effects) + 1,
-        parameters=slow.parameters,
-        evidence={
-            "likelihood_ratio": slow.drop,
-            "t": slow.t,
-            "held_out": after.drop,
-            "held_out_expected": slow.drop * after.seconds / slow.seconds,
-            "axes": 0.0,
-            "recordings": 0.0,
-            "whitened_before": gaps[0],
-            "whitened_after": gaps[1],
-        },
-        alternatives=(),
-        channels=tuple(CHANNELS[c] for c in np.flatnonzero(slow.spread).tolist()),
-        adds=WIND.adds,
-        model=model,
-    )
-    return replace(
-        findings,
-        verdict=Verdict.EFFECTS_FOUND,
-        effects=(*findings.effects, effect),
-        model=model,
-        candidates=(*findings.candidates, _candidate(slow, after.drop, None)),
-    )
+    evidence = {
+        "likelihood_ratio": slow.drop,
+        "t": slow.t,
+        "held_out": after.drop,
+        "held_out_expected": slow.drop * after.seconds / slow.seconds,
+        "axes": 0.0,
+        "recordings": 0.0,
+        "whitened_before": gaps[0],
+        "whitened_after": gaps[1],
+    }
+    channels = np.flatnonzero(slow.spread).tolist()
+    found = with_last(findings, WIND, slow.parameters, evidence, channels)
+    return _asked(found, slow, after.drop, None)
 
 
-def _refused(findings: Findings, slow: Slow, why: Refusal) -> Findings:
-    return replace(findings, candidates=(*findings.candidates, _candidate(slow, 0.0, why)))
-
-
-def _candidate(slow: Slow, held_out: float, why: Refusal | None) -> Candidate:
-    return Candidate(WIND.name, slow.parameters, slow.drop, slow.t, held_out, why is None, why)
+def _asked(findings: Findings, slow: Slow, held_out: float, why: Refusal | None) -> Findings:
+    one = Candidate(WIND.name, slow.parameters, slow.drop, slow.t, held_out, why is None, why)
+    return replace(findings, candidates=(*findings.candidates, one))
