@@ -11,7 +11,7 @@ from groundstation.comparison.consistency import broken_rotor_sensors
 from groundstation.comparison.stretches import Marked
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
-from groundstation.identification.torque import mostly_saturated
+from groundstation.identification.torque import by_saturation
 
 Groups = Sequence[Sequence[Sequence[Run]]]
 """To be fitted and held out, of recordings, of runs."""
@@ -40,17 +40,16 @@ def _without_saturated(groups: Groups) -> tuple[list[list[list[Run]]], list[str]
     what was left out."""
     kept, warnings = [], []
     for group in groups:
-        steered = [[run for run in part if not mostly_saturated(run)] for part in group]
-        if not any(steered):
+        parts = [by_saturation(part) for part in group]
+        if not any(steered for steered, _ in parts):
             kept.append([list(part) for part in group])
             continue
-        kept.append([part for part in steered if part])
-        for part, left in zip(group, steered, strict=True):
-            lost = [run for run in part if mostly_saturated(run)]
-            warnings += [
-                f"{_called(run, alone=not left)}: left out, a motor is saturated in most rows"
-                for run in (lost if left else lost[:1])
-            ]
+        kept.append([steered for steered, _ in parts if steered])
+        warnings += [
+            f"{_called(run, alone=not steered)}: left out, a motor is saturated in most rows"
+            for steered, saturated in parts
+            for run in (saturated if steered else saturated[:1])
+        ]
     return kept, warnings
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,14 @@ class RotorSquares:
 def mostly_saturated(run: Run) -> bool:
     """Whether a motor gives all it has in more than half of the rows."""
     return bool((run.duty.max(axis=1) >= SATURATED).mean() > 0.5)
+
+
+def by_saturation(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
+    """(runs that PWM steers, those in most rows of which a motor is saturated)."""
+    found: tuple[list[Run], list[Run]] = [], []
+    for run in runs:
+        found[mostly_saturated(run)].append(run)
+    return found
 
 
 def rotor_squares(

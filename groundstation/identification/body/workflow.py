@@ -54,7 +54,7 @@ from groundstation.identification.replayed import angle_rms
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
-from groundstation.identification.torque import AXES, mostly_saturated
+from groundstation.identification.torque import AXES, by_saturation
 
 Array = NDArray[np.float64]
 
@@ -86,10 +86,8 @@ def identify_body(
         require_grouping(by)
     names = _names(effects, before, measured)
     supplied = [name for name in names if name in SUPPLY_EFFECTS]
-    steered = [one for one in runs if measured or not mostly_saturated(one)]
-    left_out = [one.name for one in runs if all(one is not other for other in steered)]
-    if steered:
-        runs = steered
+    steered, saturated = (runs, []) if measured else by_saturation(runs)
+    runs = steered or runs
     progress(0.0, "simulating the motors")
     stretches, supplies = _stretches(runs, before, vehicle, supplied, measured, selection)
     if held:
@@ -108,7 +106,7 @@ def identify_body(
     rows = sum(len(stretch) for stretch in fit_on)
     traces, residuals = _pictures(validate_on, fit, rows)
     warnings = [*judged.lines, *fit.warnings]
-    warnings += [f"{name}: left out, a motor is saturated in most rows" for name in left_out]
+    warnings += [f"{one.name}: left out, a motor is saturated in most rows" for one in saturated]
     warnings += _of_the_motors(fit, exact=covariance is None and not measured)
     account: dict[str, Any] = {
         "what": "body",
