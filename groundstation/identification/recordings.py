@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.gaps import filled
-from groundstation.identification.runs import CHANNELS, Run, can_be, uninterrupted
-from groundstation.identification.supply_answer import at_the_rows_voltage
+from groundstation.identification.runs import (
+    CHANNELS,
+    Run,
+    run_of,
+    uninterrupted,
+    with_possible_duty,
+)
 from groundstation.telemetry.samples import SampleBatch
 
 LONGEST_GAP_S = 0.1
@@ -32,9 +37,10 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
     telemetry.
     """
     label = name or "recording"
-    driven = samples[can_be(samples, label)]
-    read: NDArray[np.bool_] = np.asarray(np.isfinite(driven.gyro).all(axis=1))
-    whole = driven[read] if read.any() else driven
+    whole = with_possible_duty(samples, label)
+    read: NDArray[np.bool_] = np.asarray(np.isfinite(whole.gyro).all(axis=1))
+    if read.any() and not read.all():
+        whole = whole[read]
     return [
         _on_grid(whole[rows], label, float(samples.time_s[0]))
         for rows in uninterrupted(whole, label, least_s, _silent)
@@ -54,27 +60,13 @@ def _on_grid(samples: SampleBatch, label: str, recording_start_s: float) -> Run:
     period = float((time[-1] - time[0]) / place[-1])
     count = int(place[-1]) + 1
 
-    def grid(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    def grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
         out = np.full((count, *values.shape[1:]), np.nan)
         out[place] = np.where(np.isfinite(values), values, np.nan)
         return out
 
-    inputs = grid(samples.duty), grid(samples.duty_step), grid(samples.battery_v)
-    duty, duty_step = at_the_rows_voltage(*inputs)
-    return Run(
-        name=label,
-        start_s=float(time[0]),
-        period_s=period,
-        duty=duty,
-        supply_v=inputs[2],
-        gyro=grid(samples.gyro),
-        accelerometer=grid(samples.accelerometer),
-        attitude=grid(_unwrapped(samples.attitude.astype(np.float64))),
-        rotor_rev_s=grid(samples.rotor_rev_s),
-        debug_s=grid(samples.debug * samples.tick_s),
-        duty_step=duty_step,
-        recording_start_s=recording_start_s,
-    )
+    attitude = _unwrapped(samples.attitude.astype(np.float64))
+    return run_of(samples, attitude, label, period, recording_start_s, grid)
 
 
 def _unwrapped(attitude: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -103,41 +103,58 @@ def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[
     """
     label = name or "recording"
     start = float(samples.time_s[0]) if len(samples) else 0.0
-    samples = samples[can_be(samples, label)]
+    samples = with_possible_duty(samples, label)
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]
         time = part.time_s
-        columns: dict[str, NDArray[np.floating]] = {
-            "duty": part.duty,
-            "supply_v": part.battery_v,
-            "gyro": part.gyro,
-            "accelerometer": part.accelerometer,
-            "attitude": np.unwrap(part.attitude.astype(np.float64), axis=0),
-            "rotor_rev_s": part.rotor_rev_s,
-            "debug_s": part.debug * part.tick_s,
-            "duty_step": part.duty_step,
-        }
         period = float((time[-1] - time[0]) / (len(part) - 1))
-        parts = {key: np.asarray(values, np.float64) for key, values in columns.items()}
-        inputs = parts["duty"], parts["duty_step"], parts["supply_v"]
-        parts["duty"], parts["duty_step"] = at_the_rows_voltage(*inputs)
-        found.append(Run(label, float(time[0]), period, **parts, recording_start_s=start))
+        attitude = np.unwrap(part.attitude.astype(np.float64), axis=0)
+        found.append(run_of(part, attitude, label, period, start))
     return found
 
 
-def can_be(samples: SampleBatch, label: str) -> Mask:
-    """Rows (n,) whose duties can be.
+def run_of(
+    samples: SampleBatch,
+    attitude: Array,
+    name: str,
+    period_s: float,
+    recording_start_s: float,
+    placed: Callable[[Array], Array] = lambda values: values,
+) -> Run:
+    """Rows (m,) of a batch as a run. attitude: (m, 3) rad, without jumps of a turn. placed: brings
+    a channel (m, ...) onto the run's rows (n, ...)."""
+    channels: dict[str, NDArray[np.floating]] = {
+        "duty": samples.duty,
+        "supply_v": samples.battery_v,
+        "gyro": samples.gyro,
+        "accelerometer": samples.accelerometer,
+        "attitude": attitude,
+        "rotor_rev_s": samples.rotor_rev_s,
+        "debug_s": samples.debug * samples.tick_s,
+        "duty_step": samples.duty_step,
+    }
+    parts = {key: placed(np.asarray(values, np.float64)) for key, values in channels.items()}
+    inputs = parts["duty"], parts["duty_step"], parts["supply_v"]
+    parts["duty"], parts["duty_step"] = at_the_rows_voltage(*inputs)
+    start = float(samples.time_s[0])
+    return Run(name, start, period_s, **parts, recording_start_s=recording_start_s)
+
+
+def with_possible_duty(samples: SampleBatch, label: str) -> SampleBatch:
+    """The rows whose duties can be.
 
     Raises BadInputError where hardly any with turning motors can: duty is in another unit.
     """
-    beyond, turning = samples.overdriven, (samples.duty > 0.0).any(axis=1)
-    if beyond.any() and beyond.sum() > OTHER_UNIT * turning.sum():
+    beyond = samples.overdriven
+    if not beyond.any():
+        return samples
+    if beyond.sum() > OTHER_UNIT * (samples.duty > 0.0).any(axis=1).sum():
         raise BadInputError(
             f"{label}: duty up to {np.nanmax(samples.duty):.4g}, where 1 is all a motor can be"
             " given; say in the column map how large full duty is"
         )
-    return np.asarray(~beyond)
+    return samples[~beyond]
 
 
 def uninterrupted(
