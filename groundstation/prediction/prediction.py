@@ -210,11 +210,9 @@ def observe_run(
 
 def _start(run: Flown, drive: Drive, flying: Mask) -> Array:
     """Inertial velocity (3,) with which a run begins, by the sensors as the model has them."""
-    if not flying[0]:
-        return np.zeros(3)
-    first = slice(0, len(flying) if flying.all() else int(np.argmin(flying)))
-    force = run.accelerometer[first] - drive.sensor[0]["zero"][3:]
-    return start_velocity(run.attitude[first], force, run.period_s)
+    moving = slice(len(flying) if flying.all() else int(np.argmin(flying)))
+    force = run.accelerometer[moving] - drive.sensor[0]["zero"][3:]
+    return start_velocity(run.attitude[moving], force, run.period_s)
 
 
 def observe_part(

@@ -27,10 +27,11 @@ def start_velocity(attitude: Array, accelerometer: Array, period_s: float) -> Ar
     attitude: (n, 3) rad, accelerometer: (n, 3) m/s^2, both FLU and of the flight alone; rows that
     lack either are bridged. 0 where either is unknown throughout, or the flight is short.
     """
+    if len(attitude) * period_s < LEAST_S:
+        return np.zeros(3)
     rows = round(LEVEL_S / period_s)
     angles, force = filled(attitude[:rows]), filled(accelerometer[:rows])
-    short = len(angles) * period_s < LEAST_S
-    if short or not (np.isfinite(angles).all() and np.isfinite(force).all()):
+    if not (np.isfinite(angles).all() and np.isfinite(force).all()):
         return np.zeros(3)
     acceleration = np.einsum("nij,nj->ni", rotation_matrix(angles), force)
     acceleration[:, 2] -= STANDARD_GRAVITY
