@@ -154,15 +154,14 @@ def noise_of(model: Model, run: Flown) -> Noise:
 
 
 def walk_of_angles(run: Flown, flying: Mask) -> Walk:
-    """How far a run's reported angles wander off its gyro's integral (``attitude_walk``), rad in a
-    second about the body's axes. flying: (n,) rows in the air.
+    """How far a run's reported angles, NaN where they are not new, wander off its gyro's integral
+    (``attitude_walk``), rad in a second about the body's axes. flying: (n,) rows in the air.
 
     The whole run is used: for a live stream, take an earlier flight's.
     """
     usual = Noise()
-    shown = np.where(fresh_rows(run.attitude)[:, None], run.attitude, np.nan)
     noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
-    return walk_of(shown, run.gyro, flying, run.period_s, **noises)
+    return walk_of(run.attitude, run.gyro, flying, run.period_s, **noises)
 
 
 def observe_walking(model: Model, run: Flown, walk: Walk) -> Observed:

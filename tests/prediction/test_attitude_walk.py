@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from affected_flights import BASE, affected, flown
 
-from groundstation.prediction.attitude_walk import walk_of
-from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (
     observe_run,
     observe_walking,
@@ -33,12 +31,10 @@ def wandering(run, size, seed=5):
     return replace(run, attitude=attitude)
 
 
-def walk(run):
-    seen = observe_run(BASE, run, noise=Noise())
+def walk(run, model=BASE):
+    seen = observe_run(model, run)
     shown = np.where(seen.fresh[:, None], run.attitude, np.nan)
-    usual = Noise()
-    noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
-    return walk_of(shown, run.gyro, seen.flying, run.period_s, **noises)
+    return walk_of_angles(replace(run, attitude=shown), seen.flying)
 
 
 def test_a_clean_flight_has_none(clean):
@@ -71,14 +67,14 @@ def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean
         return predict_observed(run, seen, HORIZONS).errors(run)[..., 8].std()
 
     still = observe_run(BASE, run)
-    walking = observe_walking(BASE, run, walk_of_angles(run, still.flying))
+    walking = observe_walking(BASE, run, walk(run))
     assert yaw_error(walking) < 0.7 * yaw_error(still)
 
 
 def follows(model, run):
     """Whether a model's observer expects the angles to wander."""
     still = observe_run(model, run)
-    seen = observe_walking(model, run, walk_of_angles(run, still.flying))
+    seen = observe_walking(model, run, walk(run, model))
     return not np.array_equal(seen.gains.fresh, still.gains.fresh)
 
 
