@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.dynamics import quaternion
-from groundstation.dynamics.chains import chain, own_chain, state_access
+from groundstation.dynamics.chains import chain, own_chain, reckoned, state_access
 from groundstation.dynamics.compiled import called, inner, kernel, spliced
 from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES, first_state
 from groundstation.dynamics.integrator import runge_kutta
@@ -70,26 +70,10 @@ def feel(craft: Any, p: Any, body: Any, force: Any, h: float, room: Any) -> None
     angles.
     """
     sense(p, body, room[0], room[1])
-    sense(p, felt_by(body, force), room[0], room[2])
+    sense(p, reckoned(body, (body.angular, force)), room[0], room[2])
     for i in range(SENSOR_STATES):
         if craft.turns[i] >= 0:
             room[0, i] += h * (room[2, i] - room[1, i])
-
-
-@inner
-def felt_by(body: Any, force: Any) -> Any:
-    """A body with another specific force."""
-    return Body(
-        body.height,
-        body.quaternion,
-        body.velocity,
-        body.rate,
-        body.rotor,
-        body.rotor_slope,
-        body.thrust,
-        body.angular,
-        force,
-    )
 
 
 @inner

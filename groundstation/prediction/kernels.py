@@ -420,6 +420,14 @@ def observe(
         carry[4 + size + SENSOR_STATES + i] = f[i]
 
 
+@inner
+def _heading(q: Any) -> Any:
+    """Where the nose points over ground, (east, north) of length 1."""
+    nose = quaternion.to_inertial(q, (1.0, 0.0, 0.0))
+    level = max(math.hypot(nose[0], nose[1]), 1e-9)
+    return nose[0] / level, nose[1] / level
+
+
 @spliced
 def _places(craft: Any, size: int) -> Any:
     """Which of ``size`` corrections is that of each filter behind the gyro (SENSOR_STATES,): an
@@ -452,13 +460,12 @@ def _correct(craft: Any, gain: Any, places: Any, error: Any, y: Any, z: Any) -> 
         delta[i] = total
     q = (y[6], y[7], y[8], y[9])
     velocity = quaternion.to_inertial(q, (delta[9], delta[10], delta[11]))
-    nose = quaternion.to_inertial(q, (1.0, 0.0, 0.0))
-    level = max(math.hypot(nose[0], nose[1]), 1e-9)
-    ahead = nose[0] / level, nose[1] / level
     for i in range(3):
         y[10 + i] += delta[3 + i]
         y[3 + i] += velocity[i]
-    place = 12
+    place, ahead = 12, (1.0, 0.0)
+    if craft.body_states > 0:
+        ahead = _heading(q)
     for i in range(craft.body_states):
         if place < len(gain) and craft.body_noise[i] > 0.0:
             more = delta[place]
