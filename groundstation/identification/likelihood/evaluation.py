@@ -79,7 +79,6 @@ class Evaluation:
         self.rows_of_attitude = flight.attitude if angles else None
         self.period = run.period_s
         self.there = frame.acting(point)
-        self._moved: dict[str, tuple[Moved, Moved, float]] = {}
         self.craft = frame.craft(point)
         self.sensors = self.sensors_with({})
         self.lean = attitude_gain(self.effects("attitude"))

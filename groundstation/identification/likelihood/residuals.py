@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.columns import Differences
+from groundstation.identification.likelihood.columns import both_sides, column
 from groundstation.identification.likelihood.evaluation import (
     ATTITUDE,
     Array,
@@ -62,7 +62,26 @@ def evaluate(
     channels: what is asked for; the vertical rows belong to the accelerometer's. A sensor of which
     no channel is wanted is left out, one axis more of a wanted one may come along.
     """
-    return _Residuals(flight, frame, point, channels).series(keys)
+    at = Evaluation(flight, frame, point, channels)
+    residual: Columns = {}
+    run = flight.run
+    if RATES in at.parts:
+        measured = np.diff(run.gyro, axis=0, prepend=run.gyro[:1]) / at.period
+        at.put(RATES, residual, measured - at.angular_read)
+    if FORCES in at.parts:
+        modelled = at.as_read(FORCES, at.force_read)
+        at.put(FORCES, residual, run.accelerometer - modelled)
+    lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
+    rows = at.rows_of_attitude
+    if rows is not None:
+        modelled = at.turning(at.sensors, at.lean, at.felt.off)
+        euler = rows.where_told(rows.rate - modelled)
+        residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
+        told = rows.where_told(rows.to_euler)
+        lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
+    columns = {key: column(at, key) for key in keys}
+    up = (_vertical(at, keys), _lift(at, columns)) if FORCES in at.parts else (None, None)
+    return Series(residual, columns, *up, at.rate_error, lasting)
 
 
 def rate_errors(
@@ -78,58 +97,32 @@ def generic_signals(flight: Flight, frame: Frame, point: Mapping[str, float]) ->
     return Evaluation(flight, frame, point).generic()
 
 
-class _Residuals(Differences):
-    """One flight at one point, measured less modelled."""
+def _vertical(at: Evaluation, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
+    """The mean vertical force as measured, less what the accelerometer adds, less 1 g."""
+    if at.flight.up is None:
+        return None
+    up, mean = at.flight.up
+    slopes: dict[str, float] = {}
+    for key in keys:
+        if at.stage(key) == "sensor":
+            high, low, step = both_sides(at, at.frame.unknowns[key])
+            change = at.sensors_with(high).offset - at.sensors_with(low).offset
+            slope = float(up @ change[FORCES]) / step
+            slopes |= {key: slope} if slope else {}
+    return mean - float(up @ at.sensors.offset[FORCES]) - STANDARD_GRAVITY, slopes
 
-    def series(self, keys: Sequence[str]) -> Series:
-        residual: Columns = {}
-        run = self.flight.run
-        if RATES in self.parts:
-            measured = np.diff(run.gyro, axis=0, prepend=run.gyro[:1]) / self.period
-            self.put(RATES, residual, measured - self.angular_read)
-        if FORCES in self.parts:
-            modelled = self.as_read(FORCES, self.force_read)
-            self.put(FORCES, residual, run.accelerometer - modelled)
-        lasting = {i: np.ones((1, len(residual[i]))) for i in range(3) if i in residual}
-        rows = self.rows_of_attitude
-        if rows is not None:
-            modelled = self.turning(self.sensors, self.lean, self.felt.off)
-            euler = rows.where_told(rows.rate - modelled)
-            residual.update({ATTITUDE + i: euler[:, i] for i in range(3)})
-            told = rows.where_told(rows.to_euler)
-            lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
-        columns = {key: self.column(key) for key in keys}
-        up = (self._vertical(keys), self._lift(columns)) if FORCES in self.parts else (None, None)
-        return Series(residual, columns, *up, self.rate_error, lasting)
 
-    def _vertical(self, keys: Sequence[str]) -> tuple[float, dict[str, float]] | None:
-        """The mean vertical force as measured, less what the accelerometer adds, less 1 g."""
-        if self.flight.up is None:
-            return None
-        up, mean = self.flight.up
-        slopes: dict[str, float] = {}
-        for key in keys:
-            if self.stage(key) == "sensor":
-                high, low, step = self.both_sides(self.frame.unknowns[key])
-                change = self.sensors_with(high).offset - self.sensors_with(low).offset
-                slope = float(up @ change[FORCES]) / step
-                slopes |= {key: slope} if slope else {}
-        return mean - float(up @ self.sensors.offset[FORCES]) - STANDARD_GRAVITY, slopes
-
-    def _lift(self, columns: Mapping[str, Columns]) -> tuple[float, dict[str, float]] | None:
-        """1 g less what the model says of the mean vertical force while airborne."""
-        if self.flight.up is None:
-            return None
-        rows = self.flight.rows
-        up = self.flight.upward @ self.sensors.turn.T
-        _, force = self.sensors.in_body(
-            self.angular_read, self.force_read, self.passing[-1], self.period
-        )
-        mean = float(np.einsum("ni,ni->n", up, force[rows]).mean())
-        up = up @ self.sensors.undo[FORCES, FORCES]
-        slopes = {
-            key: float(sum((up[:, c - 3] * v).mean() for c, v in column.items() if 3 <= c < 6))
-            for key, column in columns.items()
-            if self.stage(key) in MAKING_FORCE
-        }
-        return STANDARD_GRAVITY - mean, slopes
+def _lift(at: Evaluation, columns: Mapping[str, Columns]) -> tuple[float, dict[str, float]] | None:
+    """1 g less what the model says of the mean vertical force while airborne."""
+    if at.flight.up is None:
+        return None
+    up = at.flight.upward @ at.sensors.turn.T
+    _, force = at.sensors.in_body(at.angular_read, at.force_read, at.passing[-1], at.period)
+    mean = float(np.einsum("ni,ni->n", up, force[at.flight.rows]).mean())
+    up = up @ at.sensors.undo[FORCES, FORCES]
+    slopes = {
+        key: float(sum((up[:, c - 3] * v).mean() for c, v in rows.items() if 3 <= c < 6))
+        for key, rows in columns.items()
+        if at.stage(key) in MAKING_FORCE
+    }
+    return STANDARD_GRAVITY - mean, slopes
