@@ -29,7 +29,8 @@ from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
-    from groundstation.discrepancy.report_json import Gap, StretchReport, WhereRow
+    from groundstation.comparison.localisation import Place
+    from groundstation.discrepancy.report_json import Gap, StretchReport
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")
 ROWS, STRETCH_ROWS = 8, 4
@@ -61,12 +62,7 @@ def compare(
     import msgspec
 
     from groundstation.comparison.comparison import compare as judge
-    from groundstation.discrepancy.report_json import (
-        CompareReport,
-        gap_of,
-        stretch_report,
-        where_rows,
-    )
+    from groundstation.discrepancy.report_json import CompareReport, gap_of, stretch_report
 
     if html is not None:
         require_new(html)
@@ -81,7 +77,7 @@ def compare(
         found = judge(flights, loaded, turning=turning)
         names = [path.name for path in recordings]
         report = CompareReport(
-            *(where_rows(found), gap_of(found), names, model),
+            *(found.places, gap_of(found), names, model),
             [stretch_report(one, found) for one in asked],
             turning,
         )
@@ -129,7 +125,7 @@ def say_gap(gap: Gap) -> None:
         )
 
 
-def say_where(rows: list[WhereRow], most: int = ROWS) -> None:
+def say_where(rows: list[Place], most: int = ROWS) -> None:
     """The places that are clearly worse than noise."""
     clear = [row for row in rows if row.significance >= CLEAR][:most]
     if not clear:
@@ -140,7 +136,7 @@ def say_where(rows: list[WhereRow], most: int = ROWS) -> None:
         show(f"  {_row(row)}")
 
 
-def _row(row: WhereRow) -> str:
+def _row(row: Place) -> str:
     return (
         f"{row.channel:<16}{row.regime:<28}{row.rms:9.3g} {row.unit}, noise {row.expected_rms:.3g}"
     )

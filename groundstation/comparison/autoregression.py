@@ -23,13 +23,6 @@ class NoiseModel:
     whitener: Array
     variance: float
 
-    def whiten(self, signals: Array) -> Array:
-        """A(q) applied to (n, ...) signals; the first ``order`` rows are lost."""
-        from scipy.signal import lfilter
-
-        order = len(self.whitener) - 1
-        return np.asarray(lfilter(self.whitener, [1.0], signals, axis=0)[order:])
-
 
 def estimate_noise(pieces: Sequence[Array], most: int) -> NoiseModel:
     """The autoregression behind residual pieces (n,), of the order that Akaike's rule likes.

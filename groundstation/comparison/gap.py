@@ -31,7 +31,6 @@ from groundstation.prediction.prediction import (
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 HORIZONS_S = (0.02, 0.05)
 GYRO, ACCELEROMETER, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)

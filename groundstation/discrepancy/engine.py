@@ -6,7 +6,6 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison, compare
@@ -58,7 +57,6 @@ from groundstation.identification.likelihood.parameters import (
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.localisation import spectrum_of, worst_stretch
+from groundstation.comparison.localisation import Place, spectrum_of, worst_stretch
 from groundstation.discrepancy.findings import Findings, Verdict
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_figures import (
@@ -23,7 +23,6 @@ from groundstation.discrepancy.report_json import (
     DiscrepancyReport,
     Gap,
     StretchReport,
-    WhereRow,
     why_lost,
 )
 from groundstation.report.page import Page
@@ -202,9 +201,7 @@ def _channels(page: Page, gap: Gap) -> None:
     )
 
 
-def _closer(
-    page: Page, before: Comparison, after: Comparison | None, worst: WhereRow | None
-) -> None:
+def _closer(page: Page, before: Comparison, after: Comparison | None, worst: Place | None) -> None:
     """The worst channel over time and frequency."""
     if worst is None:
         return
@@ -269,10 +266,10 @@ def _limits(page: Page, report: DiscrepancyReport) -> None:
     page.bullets(f"{name}: not looked for, {why_lost(why)}" for name, why in report.lost.items())
 
 
-def _worst(rows: list[WhereRow]) -> WhereRow | None:
+def _worst(rows: list[Place]) -> Place | None:
     return rows[0] if rows and rows[0].significance >= CLEAR else None
 
 
-def _place(row: WhereRow) -> str:
+def _place(row: Place) -> str:
     ratio = row.rms / row.expected_rms
     return f"{label(row.channel)}, {row.regime} ({ratio:.1f} times the noise)"

@@ -6,21 +6,19 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.localisation import Place
 from groundstation.comparison.noise_floor import SOURCE
 from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
-from groundstation.discrepancy.findings import Candidate, Findings, Reason
+from groundstation.discrepancy.findings import Alternative, Candidate, Findings, NotShown, Reason
 from groundstation.discrepancy.proof import Proof, what_is_left
 from groundstation.dynamics.model import Estimate
-
-Array = NDArray[np.float64]
 
 WORST = 10
 WORSE, CLEARLY = 1.05, 1.1
@@ -66,26 +64,6 @@ class Gap(msgspec.Struct, frozen=True):
     channels: dict[str, ChannelGap]
 
 
-class WhereRow(msgspec.Struct, frozen=True):
-    """One channel in one regime, see ``where.Place``."""
-
-    channel: str
-    regime: str
-    rms: float
-    expected_rms: float
-    unit: str
-    significance: float
-    seconds: float
-
-
-class AlternativeName(msgspec.Struct, frozen=True):
-    """Another name for what was found."""
-
-    name: str
-    margin: float
-    manoeuvre: str
-
-
 class Step(msgspec.Struct, frozen=True):
     """The gap on held-out rows, all channels, before and after an effect joined."""
 
@@ -101,7 +79,7 @@ class EffectFound(msgspec.Struct, frozen=True):
     adds: str
     parameters: dict[str, Estimate]
     evidence: dict[str, float]
-    alternatives: list[AlternativeName]
+    alternatives: list[Alternative]
     gap: Step
     channels: list[str]
 
@@ -140,17 +118,6 @@ class CandidateTried(msgspec.Struct, frozen=True):
     refused_by: str = ""
 
 
-class CannotShow(msgspec.Struct, frozen=True):
-    """A name that these recordings cannot show."""
-
-    name: str
-    parameter: str
-    stderr: float
-    plausible: float
-    unit: str
-    manoeuvre: str
-
-
 class ResidualDetail(msgspec.Struct, frozen=True):
     """What is left after the last accepted effect."""
 
@@ -170,13 +137,13 @@ class StretchReport(msgspec.Struct, frozen=True):
     why: str
     gap: Level
     channels: dict[str, Level]
-    where: list[WhereRow]
+    where: list[Place]
 
 
 class CompareReport(msgspec.Struct, frozen=True):
     """``compare --json``."""
 
-    where: list[WhereRow]
+    where: list[Place]
     gap: Gap
     recordings: list[str]
     model: str
@@ -190,14 +157,14 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
     effects: list[EffectFound]
     base_changes: list[Changed]
-    where: list[WhereRow]
-    where_after: list[WhereRow]
+    where: list[Place]
+    where_after: list[Place]
     gap: Gap
     residual: Literal["white", "structured"]
     residual_detail: ResidualDetail
     left: list[LeftOver]
     candidates: list[CandidateTried]
-    not_shown: list[CannotShow]
+    not_shown: list[NotShown]
     lost: dict[str, str]
     warnings: list[str]
     recordings: list[str]
@@ -224,16 +191,8 @@ def stretch_report(
         *(marked.recording, marked.begin_s, marked.end_s, marked.why),
         level(given, better),
         channels,
-        where_rows(given, WORST),
+        given.places[:WORST],
     )
-
-
-def where_rows(comparison: Comparison, most: int | None = None) -> list[WhereRow]:
-    """The places of a comparison."""
-    return [
-        WhereRow(*(getattr(place, name) for name in WhereRow.__struct_fields__))
-        for place in comparison.places[:most]
-    ]
 
 
 def gap_of(
@@ -306,7 +265,7 @@ def discrepancy_report(
                 one.adds,
                 one.parameters,
                 one.evidence,
-                [AlternativeName(a.name, a.margin, a.manoeuvre) for a in one.alternatives],
+                list(one.alternatives),
                 Step(one.gap_before, one.gap_after),
                 list(one.channels),
             )
@@ -316,8 +275,8 @@ def discrepancy_report(
             Changed(c.name, c.given, c.value, c.stderr, c.percent, in_words(c))
             for c in findings.base_changes
         ],
-        where=where_rows(proof.before),
-        where_after=where_rows(proof.after, WORST),
+        where=proof.before.places,
+        where_after=proof.after.places[:WORST],
         gap=gap,
         residual="white" if left.verdict == "white" else "structured",
         residual_detail=ResidualDetail(
@@ -334,10 +293,7 @@ def discrepancy_report(
             )
             for c in sorted(findings.candidates, key=lambda c: -c.score)
         ],
-        not_shown=[
-            CannotShow(n.name, n.parameter, n.stderr, n.plausible, n.unit, n.manoeuvre)
-            for n in findings.not_shown
-        ],
+        not_shown=list(findings.not_shown),
         lost=dict(findings.lost),
         warnings=[*findings.warnings, *_worse(gap), *_driven(proof)],
         recordings=recordings,

@@ -18,7 +18,6 @@ from groundstation.discrepancy.report_json import (
     CompareReport,
     DiscrepancyReport,
     gap_of,
-    where_rows,
 )
 
 
@@ -63,9 +62,9 @@ def test_a_channel_that_was_not_recorded_is_absent_from_the_report():
     judged = compare(runs, BASE)
     gap = gap_of(judged)
     assert set(gap.channels) == set(CHANNELS[:6])
-    text = msgspec.json.encode(CompareReport(where_rows(judged), gap, ["a"], "m"))
+    text = msgspec.json.encode(CompareReport(judged.places, gap, ["a"], "m"))
     assert msgspec.json.decode(text, type=CompareReport).gap == gap
-    assert {row.channel for row in where_rows(judged)} == set(CHANNELS[:6])
+    assert {row.channel for row in judged.places} == set(CHANNELS[:6])
 
 
 @pytest.mark.parametrize(
@@ -105,7 +104,7 @@ def test_a_channel_that_got_worse_is_a_warning(found, proven):
 def test_a_model_as_good_as_noise_is_told_so():
     (run,) = flights(1)
     good = compare([run], BASE)
-    made = CompareReport(where_rows(good), gap_of(good), ["a.mcap"], "base.json")
+    made = CompareReport(good.places, gap_of(good), ["a.mcap"], "base.json")
     page = compare_page(good, made).html()
     assert "as well as noise allows" in page
     assert "A closer look" not in page

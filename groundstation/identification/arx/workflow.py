@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.dynamics.model import ArxAxis, Model, rotor_motors
 from groundstation.dynamics.vehicle import Vehicle
@@ -49,8 +48,6 @@ from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import LEAST_S, Stretch, stretches_of
 from groundstation.identification.torque import AXES
-
-Array = NDArray[np.float64]
 
 STEPS_DRAWN = 4
 AHEAD_S = (0.02, 0.05)

@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 TAPER = 0.03
 """Share of a flight over which it fades in and out."""
 FIRST_BAND_HZ, WIDEST_BAND_HZ, GROWTH = 0.4, 3.0, 1.1
-ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)

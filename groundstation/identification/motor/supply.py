@@ -41,13 +41,11 @@ BLOCK_S = 0.5
 class SupplyEstimate:
     """What one run tells about its supply.
 
-    motors_v, terminal_v: (n,) at the motors and where the report is measured. lag_s: of the
-    report, with its standard error. cell_ohm: resistance behind the terminals. rms_v: of the
-    report against the model.
+    motors_v: (n,) at the motors. lag_s: of the report, with its standard error. cell_ohm:
+    resistance behind the terminals. rms_v: of the report against the model.
     """
 
     motors_v: Array
-    terminal_v: Array
     lag_s: float
     lag_stderr_s: float
     cell_ohm: float
@@ -65,7 +63,7 @@ def estimate_supply(
     The wires' and windings' resistances are the profile's; currents follow from the motor
     model, back-EMF by its bound a1/a0. effects: which of the two are there.
     """
-    motors = terminal = run.supply_v.copy()
+    motors = run.supply_v.copy()
     winding = vehicle.winding_ohm
     wires = vehicle.battery.supply_ohm if SAG in effects else 0.0
     emf_v = np.array([one.a1 / one.a0 / 1000.0 for one in each_motor(motor)])
@@ -83,7 +81,6 @@ def estimate_supply(
         motors = (terminal + wires / winding * back) / (1.0 + wires / winding * squares)
     return SupplyEstimate(
         motors,
-        terminal,
         lag,
         regression.lag_stderr(lag) if LAG in effects else 0.0,
         share * winding,

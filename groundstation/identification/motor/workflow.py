@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from groundstation.dynamics.model import Model, with_motor
 from groundstation.dynamics.vehicle import MotorConstants, Vehicle
@@ -46,8 +45,6 @@ from groundstation.identification.preparation import bench_preparation
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.spans import spans
-
-Array = NDArray[np.float64]
 
 START_S, PIECE_S = 0.5, 2.0
 SUPPLY_DOUBT = (
