@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 0.25
 """Errors of one horizon forget each other within a fraction of this."""
+WORST_S, WINDOW_S = 2.0, 1.0
+"""What is drawn of a channel at its worst, and the windows in which errors are drawn over time."""
 LEAST_S = 0.5
 """A regime that lasts less in all recordings together says nothing."""
 SPECTRUM_ROWS = 512
@@ -126,18 +128,15 @@ def _ranked(places: Sequence[Place]) -> list[Place]:
 
 
 def worst_stretch(
-    errors: Sequence[AheadErrors],
-    floors: Sequence[Floor],
-    channel: str,
-    seconds: float = 2.0,
+    errors: Sequence[AheadErrors], floors: Sequence[Floor], channel: str
 ) -> Stretch | None:
-    """The stretch of a channel whose squared error exceeds the noise most."""
+    """The stretch of ``WORST_S`` of a channel whose squared error exceeds the noise most."""
     place = CHANNELS.index(channel)
     best: Stretch | None = None
     for number, (one, floor) in enumerate(zip(errors, floors, strict=True)):
         error, noise = _energies(one, floor)
         more = np.nan_to_num(error[:, place] - noise[:, place])
-        rows = max(1, min(round(seconds / one.run.period_s), len(more)))
+        rows = max(1, min(round(WORST_S / one.run.period_s), len(more)))
         total = np.cumsum(np.concatenate([[0.0], more]))
         mean = (total[rows:] - total[:-rows]) / rows
         first = int(np.argmax(mean))
@@ -146,17 +145,17 @@ def worst_stretch(
     return best
 
 
-def over_time(errors: AheadErrors, floor: Floor, window_s: float = 1.0) -> tuple[Array, Array]:
-    """(seconds (m,), error over noise (m, 9)) in consecutive windows; NaN where not flown.
+def over_time(errors: AheadErrors, floor: Floor) -> tuple[Array, Array]:
+    """(seconds (m,), error over noise (m, 9)) in windows of ``WINDOW_S``; NaN where not flown.
 
     The noise is the channel's over the whole run: a window may be too quiet to tell its own.
     """
     error, noise = _energies(errors, floor)
-    rows = max(1, round(window_s / errors.run.period_s))
+    rows = max(1, round(WINDOW_S / errors.run.period_s))
     count = max(1, len(error) // rows)
     usual = np.sqrt(_mean(noise, axis=0))
     parts = error[: count * rows].reshape(count, -1, 9) if len(error) >= rows else error[None]
-    time = errors.run.time_s[0] + window_s * (np.arange(count) + 0.5)
+    time = errors.run.time_s[0] + WINDOW_S * (np.arange(count) + 0.5)
     return time, np.sqrt(_mean(parts, axis=1)) / usual
 
 

@@ -113,7 +113,6 @@ def search_arx(
     nb: Iterable[int] = INPUTS,
     nk: Iterable[int] = DELAYS,
     criterion: Criterion = Criterion.FREE_RUN,
-    window_s: float = WINDOW_S,
     among: Sequence[Order] = (),
 ) -> ArxSearch:
     """Fit and judge every structure, and choose one by ``criterion``. Orders up to 4 poles.
@@ -134,8 +133,8 @@ def search_arx(
         a[s, : order[0]], b[s, : order[1]] = theta[: order[0]], theta[order[0] :]
         errors.append((stderr, rms_step))
     period = fit[0].period_s
-    rms_fit = _free_run_rms(orders, a, b, fit, window_s, longest)
-    rms_validation = _free_run_rms(orders, a, b, validation, window_s, longest)
+    rms_fit = _free_run_rms(orders, a, b, fit, WINDOW_S, longest)
+    rms_validation = _free_run_rms(orders, a, b, validation, WINDOW_S, longest)
     candidates = []
     for s, (p, q, d) in enumerate(orders.tolist()):
         axis = ArxAxis(p, q, d, tuple(a[s, :p].tolist()), tuple(b[s, :q].tolist()), period)

@@ -32,16 +32,16 @@ class CorrelationTest:
         return int((np.abs(self.values) > self.bound).sum())
 
 
-def whiteness_test(residual: ArrayLike, lags: int = LAGS) -> CorrelationTest:
-    """Autocorrelation of residuals (n,) at 1..lags rows."""
+def whiteness_test(residual: ArrayLike) -> CorrelationTest:
+    """Autocorrelation of residuals (n,) at 1..``LAGS`` rows."""
     from scipy.stats import binom
 
     e = _centred(residual)
-    values = np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / (e @ e)
+    values = np.array([e[k:] @ e[:-k] for k in range(1, LAGS + 1)]) / (e @ e)
     bound = _quantile() / np.sqrt(len(e))
     outside = int((np.abs(values) > bound).sum())
-    passes = bool(outside <= binom.ppf(0.99, lags, 0.01))
-    return CorrelationTest(np.arange(1, lags + 1), values, bound, passes)
+    passes = bool(outside <= binom.ppf(0.99, LAGS, 0.01))
+    return CorrelationTest(np.arange(1, LAGS + 1), values, bound, passes)
 
 
 def cross_correlation_test(
