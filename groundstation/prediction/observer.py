@@ -52,20 +52,6 @@ class Noise:
     speed: float = 0.7
     walk: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def scaled(self, torque: float, sensor: float) -> Noise:
-        """The same with more of either."""
-        x, y, z = (torque * one for one in self.torque)
-        p, q, r = (sensor * one for one in self.gyro)
-        return Noise(
-            (x, y, z),
-            torque * self.force,
-            (p, q, r),
-            sensor * self.accelerometer,
-            sensor * self.attitude,
-            self.speed,
-            self.walk,
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Gains:

@@ -73,9 +73,9 @@ class BodyFit:
 
     estimates: c0, c1, c2, thrust_per_mass and one ``effect.parameter`` for each effect.
     nuisances: what was fitted along and is not in the model, by key, with standard errors.
-    setup, free: predict with the fit. innovation: (3,) RMS of the gyro's one-step prediction error
-    in rad/s. motor_share: (p,) of each estimate's variance that comes from the motor's. pace: by
-    which a0, a1, a2 were multiplied, and its relative standard error.
+    setup, free: predict with the fit. motor_share: (p,) of each estimate's
+    variance that comes from the motor's. pace: by which a0, a1, a2 were multiplied, and its
+    relative standard error.
     """
 
     body: BodyConstants
@@ -84,7 +84,6 @@ class BodyFit:
     nuisances: Mapping[str, tuple[float, float]]
     setup: Setup
     free: FreeFit
-    innovation: Array
     motor_share: Array
     warnings: tuple[str, ...]
     not_identified: Mapping[str, str]
@@ -293,7 +292,6 @@ def _outcome(
         nuisances,
         setup,
         free,
-        _innovation(free),
         share,
         (
             *(
@@ -341,13 +339,3 @@ def _reported(setup: Setup, point: Point) -> tuple[tuple[str, ...], Array, Array
             scale.append(-slopes[one.parameter.name] if falls else slopes[one.parameter.name])
     thrust = "thrust_per_mass"
     return (*names, thrust), np.array([*found, point[thrust]]), np.array([*scale, 1.0])
-
-
-def _innovation(free: FreeFit) -> Array:
-    """RMS (3,) of one-step errors in rad/s, by Kolmogorov's formula from the spectra."""
-    logs, weights = np.zeros(3), np.zeros(3)
-    for s, power in zip(free.linear.spectra, free.powers, strict=True):
-        weight = s.weight[: len(power)]
-        logs[s.channel] += float(weight @ np.log(power * s.period_s**2))
-        weights[s.channel] += float(weight.sum())
-    return np.exp(0.5 * logs / np.maximum(weights, 1e-300))

@@ -97,7 +97,7 @@ class Evaluation:
         # the last row's, the second the filter's.
         self.motion.follow(self.felt.gyro)
         self._model()
-        self.rate_error = self.find_rates(frame.rate_gain)
+        self.find_rates(frame.rate_gain)
         if self.effects("body") or self.effects("sensor"):
             self._model()
             self.find_rates(frame.rate_gain)

@@ -37,16 +37,15 @@ class Series:
 
     residual: channel -> rows. columns: key -> channel -> rows, d model / d key. vertical, lift:
     (residual, {key: derivative}) of the flight's mean vertical specific force less 1 g, as
-    measured and as modelled, None without accelerometer or attitude. rate_error: (3,)
-    mean squared one-step prediction error of the rates in rad/s. lasting: channel -> (k, rows),
-    what a moment that never changes does, of 1 rad/s^2, or offsets of the gyro's axes, of 1 rad/s.
+    measured and as modelled, None without accelerometer or attitude. lasting: channel
+    -> (k, rows), what a moment that never changes does, of 1 rad/s^2, or offsets of the gyro's
+    axes, of 1 rad/s.
     """
 
     residual: Columns
     columns: dict[str, Columns]
     vertical: tuple[float, dict[str, float]] | None
     lift: tuple[float, dict[str, float]] | None
-    rate_error: tuple[float, float, float]
     lasting: Columns
 
 
@@ -81,7 +80,7 @@ def evaluate(
         lasting |= {ATTITUDE + i: np.ascontiguousarray(told[:, i].T) for i in range(3)}
     columns = {key: column(at, key) for key in keys}
     up = (_vertical(at, keys), _lift(at, columns)) if FORCES in at.parts else (None, None)
-    return Series(residual, columns, *up, at.rate_error, lasting)
+    return Series(residual, columns, *up, lasting)
 
 
 def rate_errors(
