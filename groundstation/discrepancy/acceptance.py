@@ -267,10 +267,10 @@ def negligible(trial: Trial) -> str:
     return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
 
 
-def does_not_last(lasting: Lasting) -> str:
-    """Chance can do it: its means of half seconds agree no better."""
-    enough = lasting.t >= LEAST_T and lasting.drop >= LEAST_DROP
-    return "" if enough else f"not significant: {lasting.t:.1f} standard errors"
+def chance_does_it(found: Lasting | Shaken) -> str:
+    """Means of half seconds agree no better, or windows of spectra."""
+    enough = found.t >= LEAST_T and found.drop >= LEAST_DROP
+    return "" if enough else f"not significant: {found.t:.1f} standard errors"
 
 
 def implausible_spread(found: Lasting | Shaken) -> str:
@@ -286,12 +286,6 @@ def predicts_little(lasting: Lasting) -> str:
         return ""
     percent = 100.0 * max(lasting.predicted, 0.0)
     return f"explains {percent:.0f} % of what is wrong in predictions"
-
-
-def shakes_by_chance(shaken: Shaken) -> str:
-    """Chance can do it."""
-    enough = shaken.t >= LEAST_T and shaken.drop >= LEAST_DROP
-    return "" if enough else f"not significant: {shaken.t:.1f} standard errors"
 
 
 def shakes_no_more(shaken: Shaken) -> str:
@@ -335,13 +329,13 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
 LASTING_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Lasting], str]], ...] = (
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, does_not_last),
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
     ((Stage.FOLLOWED,), Reason.IMPLAUSIBLE, implausible_spread),
     ((Stage.FOLLOWED,), Reason.DROWNED, predicts_little),
 )
 """The same for what noise drives."""
 SHAKEN_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Shaken], str]], ...] = (
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, shakes_by_chance),
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
     ((Stage.WEIGHED,), Reason.NOT_ALONE, shakes_no_more),
     ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, shakes_fitted_rows),
     ((Stage.WEIGHED,), Reason.RECORDINGS_DISAGREE, flights_disagree),
