@@ -55,14 +55,14 @@ def craft_in_reach(usb: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str
     """Stock craft that answer a dongle or cable among ``usb``, and why they cannot be looked for.
     Keys as ``usb_devices``."""
     from groundstation.cli.usb_devices import CRAZYFLIE
-    from groundstation.links.craft_address import LOOKED_THROUGH, in_reach
+    from groundstation.links.craft_address import LOOKED_THROUGH, in_reach, ways_of
     from groundstation.service.dongles import Dongles
 
     if not any(row["name"] in CRAZYFLIE for row in usb):
         return [], ""
     try:
         with contextlib.closing(Dongles()) as dongles:
-            dongles.hold(LOOKED_THROUGH)
+            dongles.take(ways_of(LOOKED_THROUGH))
             found = in_reach()
     except (BadInputError, TakenError) as error:
         return [], str(error)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from urllib.parse import urlsplit
 
 from groundstation.errors import BadInputError
@@ -41,11 +41,16 @@ def is_address(uri: str) -> bool:
         return False
 
 
-def ways_of(uri: str) -> set[str]:
-    """Names of the dongle or cable that an address leads through, empty for another link.
+def ways_of(uris: Iterable[str]) -> dict[str, set[str]]:
+    """Names of the dongle or cable that each address leads through, empty for another link.
 
-    A dongle has two, its number and its serial number, where it is plugged in and tells.
+    A dongle has two, its number and its serial number, where it is plugged in and tells: USB is
+    asked, so not on the event loop.
     """
+    return {uri: _ways_of(uri) for uri in uris}
+
+
+def _ways_of(uri: str) -> set[str]:
     if cable := _CABLE.fullmatch(uri):
         return {f"cable {int(cable['cable'])}"}
     radio = _RADIO.fullmatch(uri)

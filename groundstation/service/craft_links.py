@@ -9,10 +9,12 @@ from typing import Any
 
 import msgspec
 
+from groundstation.background import in_background
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
 from groundstation.links.command import CommandLink
+from groundstation.links.craft_address import ways_of
 from groundstation.links.factory import (
     CRAFT,
     is_stand_in,
@@ -103,11 +105,7 @@ class CraftLinks:
 
         model: file of the model that ``stand-in:MODEL`` names."""
         self._require_free()
-        if self._switching:
-            raise TakenError("the link is being switched already")
-        self._switching = True
-        try:
-            self.hold_dongles(name)
+        async with self._another(name):
             link = telemetry_link(
                 self._config,
                 name,
@@ -122,9 +120,6 @@ class CraftLinks:
                 await self._receiver.switch(link)
             if is_stand_in(before.name):  # the craft that took commands is gone
                 await self._commander.disconnect()
-        finally:
-            self._switching = False
-            self.hold_dongles()
         self.tell()
 
     async def connect_command(self, uri: str) -> None:
@@ -137,12 +132,9 @@ class CraftLinks:
         own = telemetry.commands
         if own is None or own.uri != uri:
             own = make_command_link(uri, clock=self._clock)
-        self.hold_dongles(uri)
-        try:
+        async with self._another(uri):
             await serve_commands(telemetry, uri)
             await self._commander.replace(own)
-        finally:
-            self.hold_dongles()
         self._listen(own)
         self._port = uri
         self.tell_no_craft()
@@ -173,14 +165,31 @@ class CraftLinks:
         """Whether a dongle or cable is in use, so that nobody else may look for craft with it."""
         return any(uri.startswith(("radio://", "usb://")) for uri in self._uris())
 
-    def hold_dongles(self, also: str = "") -> None:
-        """What the links of the moment use, and ``also`` leads through, is ours alone. Raises
-        TakenError where another program has one."""
-        self._dongles.hold([*self._uris(), also])
+    async def hold_dongles(self) -> None:
+        """What the links of the moment use is ours alone. Raises TakenError where another program
+        has one."""
+        await self._hold(*self._uris())
 
     def close(self) -> None:
         """Leave the dongles to others, when the links are closed. Safe to call twice."""
         self._dongles.close()
+
+    async def _hold(self, *uris: str) -> None:
+        self._dongles.take(await in_background(lambda: ways_of(uris)))
+
+    @contextlib.asynccontextmanager
+    async def _another(self, uri: str) -> AsyncIterator[None]:
+        """While a link is exchanged: the dongle of the next one is ours before, and that of the
+        one that was left is free behind. Raises TakenError where another program has it."""
+        if self._switching:
+            raise TakenError("the link is being switched already")
+        self._switching = True
+        try:
+            await self._hold(uri)
+            yield
+        finally:
+            self._switching = False
+            self._dongles.keep(self._uris())
 
     def _uris(self) -> tuple[str, str]:
         command = self._commander.link

@@ -11,11 +11,10 @@ import errno
 import os
 import socket
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from groundstation.errors import TakenError
-from groundstation.links.craft_address import ways_of
 
 ASKERS = 64
 """Programs that may ask who holds one, as long as it is held: the kernel tells each by a connection
@@ -25,15 +24,16 @@ _PEER = struct.Struct("3i")  # ucred: process, user, group
 
 
 class Dongles:
-    """The dongles and cables that this program holds."""
+    """The dongles and cables that this program holds, and for which addresses."""
 
     def __init__(self) -> None:
         self._held: dict[str, socket.socket] = {}
+        self._ways: dict[str, frozenset[str]] = {}
 
-    def hold(self, uris: Iterable[str]) -> None:
-        """Hold what these addresses lead through and let go of the rest. Raises TakenError, and
-        changes nothing, where another program has one."""
-        wanted = {way: uri for uri in uris for way in ways_of(uri)}
+    def take(self, ways: Mapping[str, Iterable[str]]) -> None:
+        """Hold also what these addresses lead through. Raises TakenError, and changes nothing,
+        where another program has one. ways: by address, see ``craft_address.ways_of``."""
+        wanted = {way: uri for uri, leads in ways.items() for way in leads}
         with contextlib.ExitStack() as undone:
             new = {
                 way: undone.enter_context(_taken(way, uri))
@@ -41,13 +41,19 @@ class Dongles:
                 if way not in self._held
             }
             undone.pop_all()
-        for way in self._held.keys() - wanted.keys():
-            self._held.pop(way).close()
         self._held |= new
+        self._ways |= {uri: frozenset(leads) for uri, leads in ways.items()}
+
+    def keep(self, uris: Iterable[str]) -> None:
+        """Let go of all that none of these addresses leads through. It takes nothing: a dongle
+        that has another number by now is held as it was when it was taken."""
+        self._ways = {uri: self._ways[uri] for uri in uris if uri in self._ways}
+        for way in self._held.keys() - {way for leads in self._ways.values() for way in leads}:
+            self._held.pop(way).close()
 
     def close(self) -> None:
         """Let go of all. Safe to call twice."""
-        self.hold(())
+        self.keep(())
 
 
 def _taken(way: str, uri: str) -> socket.socket:

@@ -185,7 +185,7 @@ class Station:
         # in reverse order, each whatever became of the others
         async with contextlib.AsyncExitStack() as closing:
             closing.callback(self.craft.close)
-            self.craft.hold_dongles()
+            await self.craft.hold_dongles()
             closing.push_async_callback(self.viewer.stop)
             await self.viewer.start()
             closing.push_async_callback(self.page.close)

@@ -23,7 +23,9 @@ def test_a_dongle_has_its_number_and_its_serial_number(dongle, names):
 
 
 def test_links_without_one_lead_through_none():
-    for link in ("udp://127.0.0.1:19850", "stand-in", "usb", "serial:/dev/ttyUSB0", ""):
-        assert ways_of(link) == set()
-    assert ways_of("usb://0") == {"cable 0"}
-    assert "dongle 71" in ways_of("radio://71/80/2M/E7E7E7E7E7")
+    links = "udp://127.0.0.1:19850", "stand-in", "usb", "serial:/dev/ttyUSB0", ""
+    assert ways_of(links) == {link: set() for link in links}
+    radio = "radio://71/80/2M/E7E7E7E7E7"
+    ways = ways_of(["usb://0", radio])
+    assert ways["usb://0"] == {"cable 0"}
+    assert "dongle 71" in ways[radio]

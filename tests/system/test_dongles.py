@@ -16,7 +16,7 @@ from programs import Program
 
 from groundstation.cli.devices import craft_in_reach
 from groundstation.errors import GroundStationError, TakenError
-from groundstation.links.craft_address import LOOKED_THROUGH
+from groundstation.links.craft_address import LOOKED_THROUGH, ways_of
 from groundstation.service.client import ask
 from groundstation.service.dongles import Dongles
 
@@ -27,9 +27,10 @@ FIRST, BESIDE = f"radio://{DONGLE}/80/2M/E7E7E7E7E7", f"radio://{DONGLE}/90/1M"
 OTHER = f"radio://{BEYOND}/80/2M"
 HOLDS = """
 import sys
+from groundstation.links.craft_address import ways_of
 from groundstation.service.dongles import Dongles
 dongles = Dongles()
-dongles.hold(sys.argv[1:])
+dongles.take(ways_of(sys.argv[1:]))
 print(flush=True)
 sys.stdin.read()
 """
@@ -75,17 +76,29 @@ def test_a_daemon_with_another_link_may_not_go_over_to_it(first, tmp_path):
 
 def test_links_that_were_left_are_free_again():
     with closing(Dongles()) as ours, closing(Dongles()) as theirs:
-        ours.hold([FIRST])
-        ours.hold([BESIDE, OTHER])  # one dongle carries both
+        ours.take(ways_of([FIRST]))
+        ours.take(ways_of([BESIDE, OTHER]))
+        ours.keep([BESIDE, OTHER])  # one dongle carries both
         with pytest.raises(TakenError, match=f"dongle {DONGLE}"):
-            theirs.hold([FIRST, OTHER])
-        ours.hold([OTHER])
-        theirs.hold([FIRST, "udp://127.0.0.1:1", "serial:/dev/ttyS0", "stand-in"])
+            theirs.take(ways_of([FIRST, OTHER]))
+        ours.keep([OTHER])
+        theirs.take(ways_of([FIRST, "udp://127.0.0.1:1", "serial:/dev/ttyS0", "stand-in"]))
         with pytest.raises(TakenError, match=f"dongle {BEYOND}"):
-            theirs.hold([FIRST, OTHER])
+            theirs.take(ways_of([FIRST, OTHER]))
         ours.close()
         ours.close()
-        theirs.hold([FIRST, OTHER])
+        theirs.take(ways_of([FIRST, OTHER]))
+
+
+def test_letting_go_takes_nothing_whoever_has_it():
+    with closing(Dongles()) as ours, closing(Dongles()) as theirs:
+        ours.take(ways_of([FIRST]))
+        theirs.take(ways_of([OTHER]))
+        ours.keep([FIRST, OTHER])  # of a link that is in use and was never held
+        with pytest.raises(TakenError, match=f"dongle {DONGLE}"):
+            theirs.take(ways_of([FIRST]))
+        with pytest.raises(TakenError, match=f"dongle {BEYOND}"):
+            ours.take(ways_of([OTHER]))
 
 
 def test_craft_are_not_looked_for_with_a_dongle_that_another_program_flies_with():
