@@ -27,6 +27,8 @@ GAIN_MOST = 1000.0
 """No controller gain of the firmware is near this; the largest stock one is 500."""
 SINGLE_MOST = 3.4028234e38
 """The largest number of 32 bits."""
+LOOK_S = 0.01
+"""How often who waits for what a craft says of itself looks."""
 
 EntrySink = Callable[[dict[str, Any]], None]
 

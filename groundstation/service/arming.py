@@ -6,13 +6,12 @@ import asyncio
 import time
 
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.command import CommandLink
+from groundstation.links.command import LOOK_S, CommandLink
 
 ANSWER_S = 2.0
 """A craft that has not answered a request to arm by then does not."""
 STATE_S = 0.3
 """After so long the craft has said what state it is in, and has left one that passes."""
-LOOK_S = 0.01
 
 
 async def ask_to_arm(link: CommandLink, on: bool) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from groundstation.errors import LinkError
-from groundstation.links.command import CommandLink
+from groundstation.links.command import LOOK_S, CommandLink
 
 ENDS_S, FLIES_ON_S = 0.25, 5.0
 """How long zero thrust is sent at an end, for a radio may lose some; how much longer to a craft
@@ -21,7 +21,6 @@ firmware's emergency stop, again and again."""
 UNSEEN_S, SEEN_S = 2.0, 2.5
 """Without telemetry for so long nobody knows whether they have stopped; how long an operator is
 kept waiting for what becomes of them."""
-LOOK_S = 0.01
 STOPPED = "stopped"
 STILL_TURN = "asked to stop, motors still turn"
 NOT_TOLD = "asked to stop; no telemetry says whether the motors still turn"
