@@ -48,16 +48,19 @@ class Contents:
 def contents_of(craft: StandIn) -> Contents:
     """What the firmware of this craft lists."""
     has = craft.settings
-    return _contents(craft.protocol, has.rotor_speed_deck, has.height_deck)
+    return _contents(craft.protocol, has.rotor_speed_deck, has.height_deck, has.software_build)
 
 
 @cache
-def _contents(protocol: int, rotor_speed_deck: bool, height_deck: bool) -> Contents:
+def _contents(
+    protocol: int, rotor_speed_deck: bool, height_deck: bool, software_build: bool
+) -> Contents:
     if protocol < TODAY:
         return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
+    variables = _variables_of_today(protocol, rotor_speed_deck, height_deck)
     return Contents(
         tuple(_parameters_of_today()),
-        tuple(_variables_of_today(protocol, rotor_speed_deck, height_deck)),
+        tuple(one for one in variables if not (software_build and one[0].startswith("pm."))),
         most_blocks=16,
         most_variables=128,
     )

@@ -155,7 +155,7 @@ class StandIn:
                 gyro_dps=_floats(fw["gyro"]),
                 accel_g=_floats(fw["accel"]),
                 thrust=int(fw["thrust"]),
-                motors=tuple(int(c) << 7 for c in fw["compare"]),  # type: ignore[arg-type]  # four
+                motors=tuple(int(m) for m in fw["pwm"]),  # type: ignore[arg-type]  # four
                 battery_v=float(fw["battery_filter"]),
                 power_state=int(fw["power_state"]),
                 armed=bool(fw["armed"]),

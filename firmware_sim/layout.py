@@ -192,6 +192,7 @@ FIRMWARE = np.dtype(
         ("thrust_most_n", "f8"),
         ("heading", "f8"),  # deg, that is held
         ("wanted", "f8", (4,)),
+        ("idle", "i8"),  # 16-bit PWM that motors get at least, where they may run
         ("pwm", "i8", (4,)),  # 16-bit PWM
         # state of the PIDs
         ("rate_integral", "f8", (3,)),

@@ -31,7 +31,7 @@ from firmware_sim.layout import (
 from firmware_sim.polynomials import TURNING, put_polynomials
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
-from firmware_sim.supervisor import PASSED
+from firmware_sim.supervisor import NOT_PASSED
 from groundstation.dynamics.arx import of_rates, turning_of
 from groundstation.dynamics.craft import Acting
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
@@ -205,13 +205,14 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     for name, values in (today.stock_gains(vehicle) if is_today else STOCK).items():
         fw[name] = values
     fw["fusion_kp"], fw["fusion_ki"], fw["accel_factor"] = 0.8, 0.002, 32.0
-    fw["armed"] = fw["arms_itself"] = not (is_today and today.needs_arming(vehicle))
-    fw["protocol"], fw["supervisor"] = settings.protocol, PASSED
+    fw["arms_itself"] = not (is_today and today.needs_arming(vehicle))
+    fw["protocol"], fw["supervisor"] = settings.protocol, NOT_PASSED
     fw["tilted_ns"] = fw["turned_ns"] = -1
     if is_today:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
         fw["height_deck"] = settings.height_deck
         fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
+        fw["idle"] = today.idle_pwm(vehicle)
     fw["altitude_hold"] = float(settings.altitude_hold)
     quirks = settings.quirks
     fw["quirk_attitude_dt"] = quirks.attitude_dt

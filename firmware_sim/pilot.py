@@ -29,7 +29,7 @@ from firmware_sim.layout import (
     THRUST_HEIGHT,
     Record,
 )
-from firmware_sim.supervisor import PASSED
+from firmware_sim.supervisor import LANDED, PASSED
 
 TICK_S = PILOT_PASSES * PASS_NS * 1e-9
 DEGREES = 180.0 / math.pi
@@ -82,8 +82,10 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
         thrust = wanted
     elif height_held:
         thrust = hold_height(p, fw, s, wanted, push, hover)
-    if fw.supervisor == PASSED:
+    if fw.supervisor == PASSED and thrust > 0.0:
         fw.armed = 1  # a pilot arms before he flies
+    elif fw.supervisor == LANDED and thrust <= 0.0:
+        fw.armed = fw.arms_itself  # and lets no motors idle on the ground
     accept(fw, now_ns, roll, pitch, yaw, thrust)
 
 

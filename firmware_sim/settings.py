@@ -126,6 +126,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     protocol: CRTP version of a craft with today's firmware, 7 (2023) to 12 (2026); one of 2014
         speaks its own.
     rotor_speed_deck: today's craft measures its rotor speeds.
+    software_build: today's firmware as it is built to run in software: it lists no battery.
     height_deck: today's craft has a Z-ranger and takes setpoints of height.
     upside_down: it lies on its back when it is switched on.
     substeps: Runge-Kutta steps per pass.
@@ -159,6 +160,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     protocol: int = 10
     rotor_speed_deck: bool = False
     height_deck: bool = False
+    software_build: bool = False
     upside_down: bool = False
     substeps: int = 4
     truth: bool = False

@@ -28,7 +28,8 @@ NEWTON_STEPS = 6
 @inner
 def stabilize_today(fw: Record) -> None:
     """One pass: leaves 16-bit PWM in ``fw.pwm``."""
-    if fw.thrust <= 0.0 or not may_run(fw):
+    runs = may_run(fw)
+    if fw.thrust <= 0.0 or not runs:
         for axis in range(3):
             fw.rate_integral[axis] = 0.0
             fw.rate_previous[axis] = 0.0
@@ -36,7 +37,7 @@ def stabilize_today(fw: Record) -> None:
             fw.angle_previous[axis] = fw.angles[axis]
         fw.heading = fw.angles[2]
         for i in range(4):
-            fw.pwm[i] = 0
+            fw.pwm[i] = fw.idle if runs else 0
         return
     fw.heading = _turned(fw.heading - fw.setpoint[2] * DT)
     for axis in range(3):
@@ -69,7 +70,7 @@ def stabilize_today(fw: Record) -> None:
         highest = max(highest, fw.wanted[i])
     for i in range(4):
         # attitude comes before thrust: all are lowered together
-        fw.pwm[i] = int(max(fw.wanted[i] - (highest - FULL_16_BIT), 0.0))
+        fw.pwm[i] = int(max(fw.wanted[i] - (highest - FULL_16_BIT), float(fw.idle)))
 
 
 @inner

@@ -2,7 +2,8 @@
 
 25 times a second it goes at most one state further. A craft whose setpoints stop for 2 s while it
 flies, or within 2 s after its motors last turned, is locked until it is switched off and on: who
-lands must go on sending zero thrust until it calls itself landed.
+lands must go on sending zero thrust until it calls itself landed. It begins when the gyro's bias
+has been found: until then nothing can be armed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ NOT_PASSED, PASSED, READY, FLYING, LANDED, LEVEL_OUT, LOCKED, CRASHED = range(8)
 CAN_FLY = (READY, FLYING, LANDED, LEVEL_OUT)
 
 FLYING_NS = 2_000_000_000
-"""Motors that turned within so long are those of a craft that flies."""
+"""Motors that turned faster than they idle, within so long, are those of a craft that flies."""
 LANDED_NS, PREFLIGHT_NS = 3_000_000_000, 30_000_000_000
 """After a landing, and without a take-off, it is disarmed."""
 FREE_FALL_G = 0.1
@@ -34,7 +35,7 @@ def supervise(fw: Record, now_ns: int) -> None:
     """One step, behind which ``fw.armed`` and ``fw.supervisor`` say whether motors may run."""
     _watch_attitude(fw, now_ns)
     for i in range(4):
-        if fw.pwm[i] > 0:
+        if fw.pwm[i] > fw.idle:
             fw.turned_ns = now_ns
     flies = fw.turned_ns >= 0 and now_ns - fw.turned_ns < FLYING_NS
     before = fw.supervisor
@@ -51,7 +52,7 @@ def may_run(fw: Record) -> bool:
     """Whether motors may run."""
     if fw.armed == 0 or fw.stopped != 0 or fw.tumbled != 0:
         return False
-    return bool(fw.supervisor not in (LOCKED, CRASHED))
+    return bool(fw.supervisor in CAN_FLY)
 
 
 @inner

@@ -58,6 +58,12 @@ def needs_arming(vehicle: Vehicle) -> bool:
     return platform_of(vehicle) == "brushless"
 
 
+def idle_pwm(vehicle: Vehicle) -> int:
+    """16-bit PWM below which the motors of an armed craft do not go: brushless ones idle, for they
+    take long to start."""
+    return 7000 if needs_arming(vehicle) else 0
+
+
 def protection_a(vehicle: Vehicle) -> float:
     """Current at which the cell's protection opens: a brushless craft hovers at 5 A."""
     return 30.0 if platform_of(vehicle) == "brushless" else 4.0

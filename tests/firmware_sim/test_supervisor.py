@@ -10,7 +10,7 @@ from firmware_sim.crtp import Conversation
 from firmware_sim.supervisor import CRASHED, FLYING, LANDED, LOCKED, NOT_PASSED, PASSED, READY
 
 HOVER = 34000
-ARMED, CAN_ARM, TUMBLED, IS_LOCKED = 2, 1, 32, 64
+ARMED, CAN_ARM, CAN_FLY, TUMBLED, IS_LOCKED = 2, 1, 8, 32, 64
 
 
 def ready(**settings) -> StandIn:
@@ -35,6 +35,7 @@ def steered(craft: StandIn, seconds: float, thrust: int | None) -> int:
 
 def flown(**settings) -> StandIn:
     craft = ready(**settings)
+    assert craft.arm(True)
     steered(craft, 0.2, 0)
     assert steered(craft, 1.0, HOVER) == FLYING
     return craft
@@ -58,7 +59,7 @@ def test_zero_thrust_must_go_on_until_the_craft_calls_itself_landed():
     steered(goes_on, 2.5, 0)
     assert goes_on.state().supervisor == LANDED
     assert steered(ceases_at_once, 3.0, None) == LOCKED
-    assert steered(goes_on, 3.0, None) == PASSED
+    assert steered(goes_on, 3.2, None) == PASSED
     assert goes_on.arm(True)
     assert steered(goes_on, 0.1, 0) == READY
 
@@ -91,11 +92,40 @@ def test_a_craft_on_its_back_cannot_be_armed_until_it_is_set_upright():
     assert supervisor_bits(craft.state()) == TUMBLED
     assert not craft.arm(True)
     upright = ready()
+    assert supervisor_bits(upright.state()) == CAN_ARM
+    assert upright.arm(True)
     assert supervisor_bits(upright.state()) & ARMED
+
+
+@pytest.mark.parametrize("kind", ["crazyflie21", "brushless"])
+def test_nothing_is_armed_before_the_gyros_bias_has_been_found(kind):
+    craft = StandIn(StandInSettings(craft=kind, program="wait", resume_s=1e6, plant="reduced"))
+    craft.advance(1.0)
+    assert not craft.state().calibrated
+    assert supervisor_bits(craft.state()) & (CAN_ARM | ARMED | CAN_FLY) == 0
+    assert not craft.arm(True)
+    craft.advance(3.0)
+    assert craft.state().calibrated
+    assert craft.arm(True)
+
+
+def test_the_motors_of_an_armed_brushless_idle_and_it_does_not_call_that_flying():
+    craft = ready()
+    assert not any(craft.state().motors)
+    assert craft.arm(True)
+    assert steered(craft, 2.5, 0) == READY
+    assert set(craft.state().motors) == {7000}
+    assert steered(craft, 1.0, HOVER) == FLYING
+    assert steered(craft, 2.5, 0) == LANDED
+    assert set(craft.state().motors) == {7000}
+    assert craft.arm(False)
+    steered(craft, 0.1, 0)
+    assert not any(craft.state().motors)
 
 
 def test_a_brushless_that_does_not_fly_is_disarmed_after_30_s_and_a_brushed_one_arms_itself():
     for craft, armed in ((ready(), False), (ready(craft="crazyflie21"), True)):
+        assert craft.arm(True)
         steered(craft, 0.1, 0)
         craft.advance(craft.time_s + 31.0)
         assert craft.state().armed is armed
