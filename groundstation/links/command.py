@@ -74,6 +74,12 @@ class CommandLink(ABC):
         """Whether the craft takes a height in the place of thrust."""
         return False
 
+    @property
+    def disarms_in_flight(self) -> bool:
+        """Whether the craft is one that was armed by request and that may be disarmed while it
+        flies: its motors stop at once and it is not locked."""
+        return False
+
     @abstractmethod
     async def open(self) -> None:
         """Connect and learn the craft's parameters. Raises LinkError when nothing answers."""

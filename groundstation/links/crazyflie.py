@@ -16,7 +16,7 @@ from groundstation.links.cflib_calls import resolve
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
-from groundstation.links.supervisor import BATTERY_LOW, INFO, POWER, Supervisor
+from groundstation.links.supervisor import BATTERY_LOW, DISARMED_ITSELF, INFO, POWER, Supervisor
 
 CONFIRM_S = 2.0
 SEND_S = 2.5
@@ -38,6 +38,8 @@ Z_DISTANCE, LEGACY_Z_DISTANCE = 9, 2
 """Generic setpoints of attitude, yaw rate and height: counter-clockwise, and clockwise before
 protocol 9."""
 SIGNED_YAW = 9
+DISARMS_SAFELY = 9
+"""Before that protocol a craft that is disarmed in flight is locked until it is switched off."""
 SETTLES_S = 2.5
 """It calls itself landed 2 s after a motor last turned, and one whose setpoints cease before that
 is locked until it is switched off and on."""
@@ -84,7 +86,7 @@ class CrazyflieLink(CommandLink):
             await self.close()
             raise
         self._sender = _Sender(self._connection.craft, locks=self._connection.protocol >= TODAY)
-        self.armed, self.supervisor = None, Supervisor()
+        self._forget()
         self.settles_s = SETTLES_S if self._connection.protocol >= TODAY else 0.0
         for port in (PLATFORM[0], SUPERVISOR[0]):
             self._connection.craft.add_port_callback(port, self._take_answer)
@@ -112,6 +114,8 @@ class CrazyflieLink(CommandLink):
     def _take_state(self, said: Supervisor) -> None:
         before, self.supervisor = self.supervisor, said
         if said.armed is not None and time.monotonic() >= self._asked_s + STATE_S:
+            if self.armed and not said.armed and not said.trouble:
+                self._tell("disarmed", DISARMED_ITSELF)
             self.armed = said.armed
         if said.trouble and said.trouble != before.trouble:
             self._tell("fault", said.trouble)
@@ -119,8 +123,12 @@ class CrazyflieLink(CommandLink):
             self._tell("battery", BATTERY_LOW)
 
     def _lose(self, reason: str) -> None:
-        self.supervisor = Supervisor()
+        self._forget()
         self._enter(CommandState.LOST, reason)
+
+    def _forget(self) -> None:
+        """What it said of itself holds no longer."""
+        self.armed, self.supervisor = None, Supervisor()
 
     def _tell(self, kind: str, text: str) -> None:
         self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
@@ -131,6 +139,7 @@ class CrazyflieLink(CommandLink):
             await asyncio.to_thread(sender.close)
         if not self._is_shared:
             await self._connection.close()
+        self._forget()
         self._enter(CommandState.CLOSED, "closed")
 
     @property
@@ -147,6 +156,12 @@ class CrazyflieLink(CommandLink):
             return False
         known = self.parameters()
         return any(known.get(name) for name in HEIGHT_DECKS)
+
+    @property
+    def disarms_in_flight(self) -> bool:
+        if not self._is_up_to_date() or self.supervisor.arms_itself:
+            return False
+        return bool(self.supervisor.armed) and self._connection.protocol >= DISARMS_SAFELY
 
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:

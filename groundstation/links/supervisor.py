@@ -9,6 +9,10 @@ INFO, POWER = "supervisor.info", "pm.state"
 LOW_POWER = 3
 _CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
 _TUMBLED, _LOCKED, _CRASHED = (1 << place for place in (5, 6, 7))
+DISARMED_ITSELF = (
+    "the craft has disarmed its motors by itself, as it does where it is not flown soon, and soon"
+    " after a landing"
+)
 BATTERY_LOW = "the craft warns that its battery is low: land"
 
 

@@ -77,6 +77,9 @@ class Stopping:
                 "command", f"{', '.join(cleared)} set to 0: it would keep the motors running"
             )
         send_level(link, 0, client)
+        if link is not None and link.disarms_in_flight:
+            # where motors have to be armed, they idle until they are disarmed
+            link.arm(False)
 
     def settle(self, now_s: float, client: str) -> None:
         """A client that flew has asked for zero thrust: it goes on as long as the craft needs."""
@@ -137,7 +140,7 @@ class Stopping:
         """More than zero thrust; what."""
         link = self._link()
         if link is not None:
-            # armed motors may idle: disarmed first, for an emergency stop ends the flying
+            # disarmed first, for an emergency stop ends the flying
             if stop.forced == 1 and link.arm(False):
                 return "disarmed"
             if stop.forced > 1 and link.emergency_stop():

@@ -13,6 +13,8 @@ from served_craft import ServedCraft, served
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.command import CommandState
+from groundstation.links.crazyflie import STATE_S
+from groundstation.links.supervisor import DISARMED_ITSELF
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service import overview
@@ -183,3 +185,31 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
 
     run(station, scenario)
     assert [one["kind"] for one in recorded(tmp_path).commands] == ["arm", "disarm"]
+
+
+def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monkeypatch):
+    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    with served(craft="brushless", plant="reduced", protocol=12) as craft:
+        station = station_for(craft, tmp_path)
+        link = station.commander.link
+
+        def armed() -> bool | None:
+            return overview.status(station)["command"]["armed"]
+
+        async def scenario() -> None:
+            await until(lambda: link.supervisor.bits is not None)
+            assert armed() is False
+            await station.commander.arm(True)
+            await until(lambda: link.supervisor.armed)
+            assert armed() is True
+            await asyncio.sleep(STATE_S)
+            craft.craft.arm(False)  # as it does where it is not flown soon
+            await until(lambda: armed() is False)
+            await station.commander.arm(True)
+            craft.server._send = lambda packet, addr: None
+            await until(lambda: link.state is not CommandState.CONNECTED)
+            assert armed() is None
+
+        run(station, scenario)
+    (told,) = [one for one in station.journal.events if one.text == DISARMED_ITSELF]
+    assert told.kind == "disarmed"
