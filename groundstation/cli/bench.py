@@ -142,7 +142,7 @@ def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:
     await_connection(path)
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
-        at_rest = require_ready(pilot)
+        at_rest = require_ready(pilot, needs_battery=True)
         say(WARNING.format(high=profile.high, seconds=profile.seconds), error=True)
         if not yes and not uri.startswith("udp://"):
             require_consent(pilot, f"{uri}: fixed, and clear of people?", "not driven")

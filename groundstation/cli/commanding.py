@@ -19,6 +19,7 @@ from groundstation.service.client import Pilot, ask
 
 LEAST_REST_V = 3.5
 """Battery at rest below which nothing begins."""
+NO_BATTERY = "the craft does not tell its battery's voltage"
 KEEP_S = 0.4
 """The least lease is 1 s."""
 CONNECT_S, TELEMETRY_S = 20.0, 5.0
@@ -40,8 +41,9 @@ def await_connection(path: Path) -> None:
         time.sleep(0.2)
 
 
-def require_ready(pilot: Pilot) -> dict[str, Any]:
-    """The telemetry of a craft that may begin; its motors stay off.
+def require_ready(pilot: Pilot, *, needs_battery: bool) -> dict[str, Any]:
+    """The telemetry of a craft that may begin; nothing starts its motors. needs_battery: whether a
+    craft that does not tell its voltage, as software builds of the firmware, may not.
 
     Raises GroundStationError where none comes in, the battery is low or the craft says that it
     cannot fly.
@@ -65,7 +67,11 @@ def require_ready(pilot: Pilot) -> dict[str, Any]:
     if answer["hindrance"]:
         raise GroundStationError(f"{answer['hindrance']}; nothing was flown")
     battery = telemetry["battery_v"]
-    if battery is None or battery < LEAST_REST_V:
+    if battery is None:
+        if needs_battery:
+            raise GroundStationError(f"{NO_BATTERY}, and nothing is known of its motors without it")
+        say(f"{NO_BATTERY}: nothing will end the flight when it is low", error=True)
+    elif battery < LEAST_REST_V:
         raise GroundStationError(
             f"battery at {battery} V, {LEAST_REST_V} V at rest is the least; charge it"
         )

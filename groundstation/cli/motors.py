@@ -10,9 +10,7 @@ from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
-
-STOPPED = "stopped"
-"""What the daemon answers where the craft's telemetry says so."""
+from groundstation.service.motor_stop import STOPPED
 
 motors = Commands(
     help=(

@@ -222,7 +222,7 @@ def _flight(
             raise BadInputError(
                 f"the craft has no parameter {', '.join(unknown)}; nothing was written"
             )
-        require_ready(pilot)
+        tells_battery = require_ready(pilot, needs_battery=False)["battery_v"] is not None
         if real and not yes:
             require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
         by_itself = pilot.lease["holds_height"]
@@ -252,7 +252,7 @@ def _flight(
                 }
                 pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
                 say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
-                aborted = fly_programme(pilot, programme, sticks)
+                aborted = fly_programme(pilot, programme, sticks, tells_battery=tells_battery)
             except KeyboardInterrupt as stop:
                 aborted, stopped = str(stop) or "Ctrl-C", True
             except GroundStationError as error:

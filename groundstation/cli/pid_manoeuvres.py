@@ -10,6 +10,7 @@ from groundstation.cli.sticks import CLIMB_M_S, Hands, Source, StandInPilot
 from groundstation.cli.terminal import say
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot
+from groundstation.service.motor_stop import STILL_TURN, STOPPED
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Firmware
@@ -19,6 +20,8 @@ HOLD_HEIGHT = "flightmode.althold"
 DESCENT = 0.97
 """Thrust of the landing, as a share of what hovered: about 0.5 m/s^2 downwards."""
 DESCENT_S = 2.4
+NOMINAL_V = 3.7
+"""Of a cell that is not told."""
 TOUCHED_DPS = 150.0
 """Level flight never turns so fast: the ground has been met."""
 TAKE_OFF_S = 3.0
@@ -28,19 +31,23 @@ NOT_TURNING = (
 )
 ON_GROUND_S = 0.7
 """How long no height is asked for at a landing, before the motors are stopped."""
-STOPPED_S = 3.0
-STOPS = 5
-"""Zero thrust is sent so often at least: a radio may lose some."""
+STOPS, COAST_S = 5, 0.5
+"""Zero thrust is sent so often at least, for a radio may lose some; and for so long before more is
+done: armed brushless motors idle, and with an assist mode on others turn as well."""
+MOTORS_OFF = "motors are off"
 
 
-def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
-    """Take off, fly the programme, land; why it was aborted, or empty."""
+def fly_programme(
+    pilot: Pilot, programme: Programme, sticks: Source, *, tells_battery: bool
+) -> str:
+    """Take off, fly the programme, land; why it was aborted, or empty. tells_battery: whether the
+    craft says how its battery is."""
     from groundstation.control.programme import RATE_HZ, LowBattery, reason_to_abort
 
     table = programme.setpoints()
     # before the flight, which nothing may hold up
     firmware = _firmware(pilot) if isinstance(sticks, StandInPilot) else None
-    clock, low = SetpointClock(), LowBattery()
+    clock, low = SetpointClock(), LowBattery() if tells_battery else None
     answer: dict[str, Any] = {}
 
     def send(hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> str:
@@ -75,33 +82,36 @@ def fly_programme(pilot: Pilot, programme: Programme, sticks: Source) -> str:
 
 
 def stop_motors(pilot: Pilot) -> str:
-    """Zero thrust until fresh telemetry says that the motors stand; what is known of them."""
+    """Zero thrust until fresh telemetry says that the motors stand, and what else stops them where
+    they go on turning; what is known of them."""
     from groundstation.control.programme import AbortLimits
 
-    deadline = time.monotonic() + STOPPED_S
+    deadline = time.monotonic() + COAST_S
     try:
         for sent in range(1, 10**9):
             telemetry = pilot.setpoint(0.0, 0.0, 0.0, 0)["telemetry"]
             heard = telemetry is not None and telemetry["age_s"] <= AbortLimits().silent_s
             if sent >= STOPS and heard and not any(telemetry["motors"]):
-                return "motors are off"
+                return MOTORS_OFF
             if time.monotonic() > deadline:
                 break
             time.sleep(0.05)
+        why = pilot.stop()
     except GroundStationError as error:
-        return (
-            f"nothing says that the motors stopped ({error}): the daemon's dead man asks for it"
-            " where it still reaches the craft, whose own firmware stops them 2 s after the last"
-            " setpoint"
-        )
-    return "motors were told to stop, no telemetry shows it"
+        why = str(error)
+    if why in (STOPPED, STILL_TURN):
+        return MOTORS_OFF if why == STOPPED else f"motors were {STILL_TURN}"
+    return (
+        f"nothing says that the motors stopped ({why}): the daemon's dead man asks for it where it"
+        " still reaches the craft, whose own firmware stops them 2 s after the last setpoint"
+    )
 
 
 def _land(
     pilot: Pilot,
     sticks: Source,
     clock: SetpointClock,
-    low: LowBattery,
+    low: LowBattery | None,
     last: dict[str, Any],
     firmware: Firmware | None,
 ) -> str:
@@ -113,7 +123,8 @@ def _land(
         if HOLD_HEIGHT in pilot.parameters():
             pilot.write({HOLD_HEIGHT: 0.0})
         said = last["telemetry"]
-        hover = float(firmware.thrust(said["motors"], 1000.0 * said["battery_v"]).mean())
+        battery_v = said["battery_v"] or NOMINAL_V
+        hover = float(firmware.thrust(said["motors"], 1000.0 * battery_v).mean())
         sinking = Hands(thrust=round(DESCENT * hover))
         return _come_down(pilot, clock, low, [sinking] * round(DESCENT_S * RATE_HZ))
     height_m = sticks.read().height_m
@@ -142,7 +153,9 @@ def _sent(
     )  # fmt: skip
 
 
-def _come_down(pilot: Pilot, clock: SetpointClock, low: LowBattery, steps: Iterable[Hands]) -> str:
+def _come_down(
+    pilot: Pilot, clock: SetpointClock, low: LowBattery | None, steps: Iterable[Hands]
+) -> str:
     """Send one after the other until the ground is met; why it was aborted, or empty."""
     from groundstation.control.programme import LANDING, reason_to_abort
 

@@ -144,11 +144,12 @@ class LowBattery:
 
 
 def reason_to_abort(
-    answer: Mapping[str, Any], low: LowBattery, limits: AbortLimits = AbortLimits()
+    answer: Mapping[str, Any], low: LowBattery | None, limits: AbortLimits = AbortLimits()
 ) -> str:
     """Why a flight must end now, from the daemon's answer to a setpoint; empty while all is well.
 
-    low: of this flight. A value that is missing or no number is a reason: nothing is known then.
+    low: of this flight; None: of a craft that never tells its battery. Any other value that is
+    missing or no number is a reason: nothing is known then.
     """
     telemetry = answer.get("telemetry")
     if answer.get("link_state") != "streaming" or telemetry is None:
@@ -164,6 +165,8 @@ def reason_to_abort(
     rate = _largest(telemetry["gyro_dps"])
     if not rate <= limits.rate_dps:
         return f"rate of {rate:.0f} deg/s, {limits.rate_dps:g} is the most"
+    if low is None:
+        return ""
     battery = telemetry["battery_v"]
     if battery is None or math.isnan(battery):
         return "the battery's voltage is not known"

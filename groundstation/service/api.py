@@ -187,6 +187,9 @@ def _command(station: Station) -> list[Operation]:
     async def stop(_: None) -> Any:
         return requests.Stopped(motors=await commander.stop())
 
+    async def stop_own(body: requests.Holder) -> Any:
+        return requests.Stopped(motors=await commander.stop_own(body.token))
+
     async def level(body: requests.Level) -> Any:
         commander.level(body.on)
         return requests.Done()
@@ -216,6 +219,8 @@ def _command(station: Station) -> list[Operation]:
                   requests.Setpoint, requests.Sent, limited=False),
         Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
                   answer=requests.Stopped, limited=False),
+        Operation("POST", "/command/stop_own", "Stop the motors and keep the lease", stop_own,
+                  requests.Holder, requests.Stopped, limited=False),
         Operation("POST", "/command/level", "Hold the craft level, or no more", level,
                   requests.Level, requests.Done, limited=False),
         Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,

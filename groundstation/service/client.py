@@ -173,6 +173,12 @@ class Pilot(Client):
         """Put a note into the recording, among its events."""
         self.ask("POST", "/record/mark", {"text": text, "details": details})
 
+    def stop(self) -> str:
+        """Stop the motors and keep the lease; what the craft then says of them within 2.5 s:
+        ``stopped`` where they stand."""
+        told: str = self._command("stop_own")["motors"]
+        return told
+
     def release(self) -> None:
         """Stop the motors and give the craft back."""
         self._command("release")

@@ -28,7 +28,7 @@ from groundstation.links.command import CommandLink, CommandState
 from groundstation.service.arming import ask_to_arm
 from groundstation.service.config import DeadManConfig
 from groundstation.service.limits import RateLimit
-from groundstation.service.motor_stop import Motors, Note, Stopping, send_level
+from groundstation.service.motor_stop import SEEN_S, Motors, Note, Stopping, send_level
 from groundstation.service.requests import Lease as Granted
 
 SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
@@ -55,6 +55,8 @@ class Lease:
     """By the dead man."""
     held_level: bool = False
     """By the operator."""
+    flew: bool = False
+    """Whether motors ever ran for it."""
 
     @property
     def flies(self) -> bool:
@@ -89,7 +91,7 @@ class Commander:
         self.link = link
         self.limits = limits
         self.setpoints = self.refused = self.interventions = 0
-        self._note, self._telemetry = note, telemetry
+        self._note, self._telemetry, self._motors = note, telemetry, motors
         self._stopping = Stopping(lambda: self.link, motors, note, DEAD_MAN)
         self._lease: Lease | None = None
         self._connecting = asyncio.Lock()
@@ -139,9 +141,15 @@ class Commander:
     def release(self, token: str) -> None:
         """End the lease; motors that still run are stopped."""
         lease = self._require(token)
-        if lease.flies:
-            self._stop_motors(lease.client)
+        self._leave(lease, lease.client)
         self._end(f"{lease.client} has released the craft")
+
+    async def stop_own(self, token: str) -> str:
+        """Stop the motors of the client that commands, as ``stop`` does, and keep its lease."""
+        lease = self._require(token)
+        lease.heard_s += SEEN_S  # until it has its answer
+        self._stop_motors(lease.client)
+        return await self._stopping.outcome()
 
     async def stop(self) -> str:
         """Stop the motors, whoever commands, and end that lease: the operator's way out. What the
@@ -230,6 +238,7 @@ class Commander:
         flew = lease.flies
         lease.setpoint_s, lease.levelled = lease.heard_s, False
         lease.thrust, lease.height_m = thrust, height_m
+        lease.flew |= lease.flies
         if lease.flies:
             self._stopping.cancel()
         elif flew:
@@ -331,6 +340,7 @@ class Commander:
                 self._note("dead man", f"no setpoint from {lease.client}: level attitude")
             send_level(self.link, lease.thrust, DEAD_MAN, lease.height_m)
         elif not lease.flies and now_s - lease.heard_s >= self.limits.lease_s:
+            self._leave(lease, DEAD_MAN)
             self._end(f"{lease.client} was silent for {self.limits.lease_s:g} s: its lease is over")
 
     async def close(self) -> None:
@@ -339,8 +349,7 @@ class Commander:
         self._closing = True
         lease = self._lease
         if lease is not None:
-            if lease.flies:
-                self._stop_motors(DEAD_MAN)
+            self._leave(lease, DEAD_MAN)
             self._end(f"the daemon ends: {lease.client} commands no more")
         if self.link is not None:
             while self.link.state is CommandState.CONNECTED and self._stopping.goes_on(
@@ -373,6 +382,13 @@ class Commander:
             raise NotAuthorisedError("this token is not (or no more) in force; acquire a lease")
         lease.heard_s = now_s
         return lease
+
+    def _leave(self, lease: Lease, client: str) -> None:
+        """Stop what runs, or goes on turning at zero thrust, as assist modes and armed brushless
+        motors do."""
+        said = self._motors()
+        if lease.flies or (lease.flew and said is not None and said.duty > 0.0):
+            self._stop_motors(client)
 
     def _stop_motors(self, client: str) -> None:
         if self._lease is not None:

@@ -102,6 +102,11 @@ def test_a_flight_that_is_well_goes_on():
     assert reason_to_abort(edge, LowBattery()) == ""
 
 
+def test_a_craft_that_never_tells_its_battery_is_flown_on_what_else_it_tells():
+    assert reason_to_abort(answer(battery_v=None), None) == ""
+    assert "tilt" in reason_to_abort(answer(battery_v=None, roll_deg=60.0), None)
+
+
 def test_meeting_the_ground_is_no_reason_to_abort_a_landing():
     hit = answer(roll_deg=70.0, gyro_dps=[1500.0, 0.0, 0.0])
     assert reason_to_abort(hit, LowBattery()) != ""

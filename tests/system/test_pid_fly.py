@@ -352,10 +352,13 @@ def test_a_craft_with_a_deck_holds_its_height_by_itself_in_the_programme(station
 @pytest.mark.parametrize("craft", ["brushless"])
 def test_a_craft_that_is_not_armed_is_told_and_not_measured_on_the_ground(station):
     def disarmed():
-        """The stand-in's pilot arms until setpoints come, a real craft is not armed by itself."""
         ask(station.daemon.socket, "POST", "/command/arm", {"on": False})
         return flight.poll() is not None
 
+    refused = require_failure(station.fly(*ONCE))
+    assert "groundstation motors arm" in refused
+    assert refused.endswith("nothing was flown")
+    ask(station.daemon.socket, "POST", "/command/arm", {"on": True})
     with station.flying(*ONCE, mark="pid fly begins") as flight:
         until(disarmed, "the flight has ended")
         said = flight.stderr.read()

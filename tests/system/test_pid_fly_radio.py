@@ -18,7 +18,7 @@ from installed import COMMAND, Daemon, require_failure, until
 from narrow_radio import narrow
 from programs import Program, run_program
 
-from groundstation.service.client import ask
+from groundstation.service.client import Pilot, ask, live
 
 ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
 LONG = ("--axis", "roll", "--repeat", "8", "--hold", "1.0", "--rest", "0.5")
@@ -62,6 +62,12 @@ class Field:
             return up and status["link"]["state"] == "streaming"
 
         return self.daemon.status_when(streams, "the craft is connected again")
+
+    def duty(self):
+        """The largest of the motors, as the craft last said."""
+        with contextlib.closing(live(self.daemon.socket)) as told:
+            samples = next(content for kind, content in told if kind == "samples")
+        return max(samples["duty"][-1])
 
     def said(self):
         """What the craft itself says of its state, which takes it a moment."""
@@ -113,8 +119,52 @@ def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(fie
             assert not any("Locked" in line for line in field.events("console"))
 
 
+@pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "9"},
+                                   {"craft": '"brushless"', "protocol": "12"}],
+                         indirect=True)  # fmt: skip
+def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
+    assert "the craft is not armed" in field.said()
+    assert "the craft is not armed" in require_failure(field.run("pid", "fly", *ONCE))
+    assert field.run("motors", "arm").stdout == "armed\n"
+    until(lambda: field.duty() > 0.1, "the motors idle")
+    with in_real_time():
+        flight = field.run("pid", "fly", *ONCE, "--json")
+    assert flight.returncode == 0, flight.stderr
+    assert json.loads(flight.stdout)["motors"] == "motors are off"
+    assert field.duty() == 0.0
+    field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
+    assert field.events("fault") == []
+    assert field.run("motors", "arm").stdout == "armed\n", "it was not locked"
+    assert field.run("motors", "stop").stdout.startswith("stopped")
+    assert field.duty() == 0.0
+
+
+@pytest.mark.parametrize("field", [{"software_build": "true", "protocol": "7"}], indirect=True)
+def test_a_software_build_that_tells_no_battery_is_flown_and_that_is_said(field):
+    with in_real_time():
+        flight = field.run("pid", "fly", *ONCE, "--json")
+    assert flight.returncode == 0, flight.stderr
+    assert "the craft does not tell its battery's voltage" in flight.stderr
+    assert json.loads(flight.stdout)["motors"] == "motors are off"
+
+
+@pytest.mark.parametrize("field", [{"protocol": "7"}, {"protocol": "12"}], indirect=True)
+def test_a_client_that_leaves_a_craft_in_altitude_hold_leaves_no_motor_turning(field):
+    """With ``flightmode.althold`` zero thrust asks for a rate of descent."""
+    with Pilot(field.daemon.socket, "a program") as pilot:
+        pilot.write({"flightmode.althold": 1.0})
+        for thrust in (0, *[34000] * 50, *[0] * 50):
+            pilot.setpoint(0.0, 0.0, 0.0, thrust)
+            time.sleep(0.02)
+        assert field.duty() > 0.1, "zero thrust does not stop them"
+    until(lambda: field.duty() == 0.0, "the motors stand")
+    until(lambda: any("motors stopped" in one for one in field.events("command")), "it is said")
+    assert LOCKED not in field.events("fault")
+
+
 @pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_half_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field):
+    assert field.run("motors", "arm").stdout == "armed\n"
     with in_real_time():
         with field.flying() as flight:
             field.radio.stalled = True
@@ -123,8 +173,8 @@ def test_half_a_second_without_radio_ends_a_flight_and_the_next_one_flies(field)
             last = last_line(flight)
         assert "telemetry lost (link silent)" in last
         assert "motors are off" in last
-    # it disarms itself 3 s after it has landed, whoever arms it before that
     field.daemon.status_when(lambda s: s["command"]["armed"] is False, "the craft is disarmed")
+    time.sleep(2.5)  # armed before that it would call itself landed, and be disarmed 3 s later
     assert field.run("motors", "arm").stdout == "armed\n"
     with in_real_time():
         again = field.run("pid", "fly", *ONCE)
@@ -154,6 +204,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
 @pytest.mark.parametrize("field", [{"craft": '"brushless"'}], indirect=True)
 def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(field):
     """Its time stands still too, unlike a radio's; what was sent meanwhile comes late."""
+    assert field.run("motors", "arm").stdout == "armed\n"
     with in_real_time(), field.flying() as flight:
         field.craft.send_signal(signal.SIGSTOP)
         try:
