@@ -33,11 +33,11 @@ def steered(craft: StandIn, seconds: float, thrust: int | None) -> int:
     return craft.state().supervisor
 
 
-def flown(**settings) -> StandIn:
+def flown(seconds: float = 1.0, **settings) -> StandIn:
     craft = ready(**settings)
     assert craft.arm(True)
     steered(craft, 0.2, 0)
-    assert steered(craft, 1.0, HOVER) == FLYING
+    assert steered(craft, seconds, HOVER) == FLYING
     return craft
 
 
@@ -54,7 +54,8 @@ def test_setpoints_that_cease_in_flight_lock_the_craft_and_its_console_says_so()
 
 
 def test_zero_thrust_must_go_on_until_the_craft_calls_itself_landed():
-    ceases_at_once, goes_on = flown(), flown()
+    # a hop, from which it comes down on its feet
+    ceases_at_once, goes_on = flown(0.3), flown(0.3)
     steered(ceases_at_once, 0.3, 0)
     steered(goes_on, 2.5, 0)
     assert goes_on.state().supervisor == LANDED
