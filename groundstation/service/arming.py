@@ -12,6 +12,9 @@ ANSWER_S = 2.0
 """A craft that has not answered a request to arm by then does not."""
 STATE_S = 0.3
 """After so long the craft has said what state it is in, and has left one that passes."""
+CHECKS_S = 3.0
+"""A craft that was just switched on has passed its checks before flight by then: it measures its
+gyro's bias first."""
 
 
 async def ask_to_arm(link: CommandLink, on: bool) -> None:
@@ -20,9 +23,11 @@ async def ask_to_arm(link: CommandLink, on: bool) -> None:
     Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or does
     not answer."""
     word = "arm" if on else "disarm"
-    if not await _armed(link, on):
+    asked_s = time.monotonic()
+    while not await _armed(link, on):
+        waited_s = time.monotonic() - asked_s
         await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
-        if link.supervisor.trouble or not await _armed(link, on):
+        if link.supervisor.trouble or waited_s > CHECKS_S:
             why = link.supervisor.refusal
             raise LinkError(f"the craft refuses to {word} its motors{why and ': '}{why}")
     if not on and link.supervisor.arms_itself:
