@@ -18,14 +18,22 @@ from typing import Any
 
 from groundstation.background import in_background
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.cflib_calls import crtp_packet, elsewhere, protocol_of, resolve
+from groundstation.links.cflib_calls import (
+    LOG_CONTROL,
+    ask_again,
+    crtp_packet,
+    elsewhere,
+    protocol_of,
+    resolve,
+)
 from groundstation.links.craft_address import ADDRESSES, HINT, is_address
 from groundstation.links.log_blocks import LogBlocks
 
-CONNECT_S, FIRST_S = 10.0, 3.0
-"""Until everything has been read; until the first packet, which over UDP nobody sends again."""
-ANSWER_S = 1.0
-"""For what a firmware may not know how to answer."""
+CONNECT_S, FIRST_S, UDP_TRIES = 10.0, 3.0, 3
+"""Until everything has been read; until the first questions are answered; how often they are asked
+in that time over UDP, which may lose them."""
+ANSWER_S, ASKED = 1.0, 4
+"""For what a firmware may not know how to answer; how often it is asked in that time."""
 CLOSE_S = 5.0
 
 _PLATFORM, _VERSION = 13, 1
@@ -96,11 +104,25 @@ class Connection:
 
     async def open(self) -> None:
         """Connect, until the tables of contents are known. Raises LinkError."""
+        tries = UDP_TRIES if self.uri.startswith("udp://") else 1
+        for left in reversed(range(tries)):
+            try:
+                await self._open(FIRST_S / tries)
+                return
+            except TimeoutError as error:
+                if not left:
+                    raise LinkError(
+                        f"{self.uri}: no craft answered within {FIRST_S:g} s"
+                    ) from error
+
+    async def _open(self, patience_s: float) -> None:
+        """Connect; TimeoutError where the first questions are not answered."""
         loop = asyncio.get_running_loop()
         ready: asyncio.Future[None] = loop.create_future()
         heard: asyncio.Future[None] = loop.create_future()
         complete: asyncio.Future[bool] = loop.create_future()
         craft = self._craft = self._new_craft()
+        ask_again(craft, self.uri)
         self._complete, self._console, self.commanded = complete, "", False
 
         def call(function: Callable[..., None], *arguments: Any) -> None:
@@ -117,7 +139,8 @@ class Connection:
             failed(uri, reason)
             call(self._lose, craft, _explained(reason))
 
-        craft.link_established.add_callback(lambda uri: tell(heard))
+        # cflib asks once only what it speaks with, and then how to log, again and again
+        craft.add_header_callback(lambda packet: tell(heard), *LOG_CONTROL)
         craft.connected.add_callback(lambda uri: tell(ready))
         craft.fully_connected.add_callback(lambda uri: tell(complete, True))
         craft.connection_failed.add_callback(failed)
@@ -130,17 +153,17 @@ class Connection:
         try:
             # cflib blocks here while it opens the radio
             await asyncio.to_thread(craft.open_link, self.uri)
-            if not await _either(heard, ready, FIRST_S):
+            if not await _either(heard, ready, patience_s):
                 ready.cancel()
-                raise LinkError(f"{self.uri}: no craft answered within {FIRST_S:g} s")
-            async with asyncio.timeout(CONNECT_S):
-                await ready
-        except TimeoutError as error:
-            await self.close()
-            raise LinkError(
-                f"{self.uri}: the craft answered, and did not say within {CONNECT_S:g} s what it"
-                " can log"
-            ) from error
+                raise TimeoutError
+            try:
+                async with asyncio.timeout(CONNECT_S):
+                    await ready
+            except TimeoutError as error:
+                raise LinkError(
+                    f"{self.uri}: the craft answered, and did not say within {CONNECT_S:g} s what"
+                    " it can log"
+                ) from error
         except BaseException:
             await self.close()
             raise
@@ -201,12 +224,11 @@ class Connection:
 
         craft.add_header_callback(heard, port, channel)
         try:
-            craft.send_packet(
-                crtp_packet(port, channel, bytes([command])), expected_reply=(command,)
-            )
-            async with asyncio.timeout(ANSWER_S):
-                return await answer
-        except TimeoutError:
+            for _ in range(ASKED):  # not by cflib, which asks for ever what a craft does not know
+                craft.send_packet(crtp_packet(port, channel, bytes([command])))
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(ANSWER_S / ASKED):
+                        return await asyncio.shield(answer)
             return ""
         finally:
             craft.remove_header_callback(heard, port, channel)

@@ -6,26 +6,34 @@ cflib asks for them; periods under 10 ms and the moment within a period are aske
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
+import os
 import random
 import threading
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 from groundstation.errors import BadInputError, LinkError
-from groundstation.links.cflib_calls import crtp_packet, protocol_of, resolve
+from groundstation.links.cflib_calls import (
+    APPEND_V2,
+    LOG_CONTROL,
+    START_V2,
+    crtp_packet,
+    protocol_of,
+    resolve,
+)
 from groundstation.links.log_plan import Variable
 
-BLOCK_S = 5.0
-STOP_S = 0.05
+BLOCK_S, BEGIN_TRIES = 5.0, 5
+MOST_AT_ONCE = 9
+"""Variables of a block that one packet holds; of more, cflib adds the rest with another."""
+STOP_S = 0.2
 """Between stopping and deleting a block: deleting one while it is read can crash the firmware."""
 STAGGER_TRIES = 40
 LEAST_CFLIB_MS = 10
 """cflib's own commands know no shorter period."""
 WATCH_MS = 100
-
-_LOG, _LOG_CONTROL = 5, 1
-_START_V2 = 8
 
 OnValues = Callable[[int, int, tuple[float, ...]], None]
 """Number of the block, stamp (ms, 24 bits), values; from cflib's thread."""
@@ -41,6 +49,7 @@ class LogBlocks:
         self._uri, self._craft = uri, craft
         self._blocks: list[Any] = []
         self._slow: Any = None
+        self._half_made: list[Any] = []
         self._between = 0
         self._stamps: dict[int, int] = {}
 
@@ -92,8 +101,21 @@ class LogBlocks:
         period_ms: int,
         received: Callable[[int, Any, Any], None],
     ) -> Any:
-        """A block that the craft has started. Raises LinkError where it refuses, BadInputError
-        where there are too many."""
+        """A block that the craft has started, made anew where a request or an answer was lost.
+        Raises LinkError where it refuses, BadInputError where there are too many."""
+        for _ in range(BEGIN_TRIES):
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(BLOCK_S / BEGIN_TRIES):
+                    return await self._make(name, variables, period_ms, received)
+        raise self._did_not("did not start a log block")
+
+    async def _make(
+        self,
+        name: str,
+        variables: Sequence[Variable],
+        period_ms: int,
+        received: Callable[[int, Any, Any], None],
+    ) -> Any:
         from cflib.crazyflie.log import LogConfig
 
         craft, loop = self._craft(), asyncio.get_running_loop()
@@ -101,6 +123,10 @@ class LogBlocks:
         for variable, kind in variables:
             block.add_variable(variable, kind)
         started: asyncio.Future[None] = loop.create_future()
+        whole: asyncio.Future[None] = loop.create_future()
+        missing = (len(variables) - 1) // MOST_AT_ONCE if self._protocol >= 0 else 0
+        if not missing:
+            whole.set_result(None)
 
         def begun(block: Any, is_started: bool) -> None:
             loop.call_soon_threadsafe(resolve, started, None)
@@ -109,18 +135,38 @@ class LogBlocks:
             error = LinkError(f"{self._uri}: the craft refused a log block: {reason}")
             loop.call_soon_threadsafe(resolve, started, error)
 
+        def heard(packet: Any) -> None:  # cflib does not look at what becomes of an addition
+            nonlocal missing
+            data = bytes(packet.data)
+            if len(data) < 3 or data[:2] != bytes([APPEND_V2, block.id]):
+                return
+            missing -= data[2] == 0
+            if not missing:
+                loop.call_soon_threadsafe(resolve, whole, None)
+            elif data[2] not in (0, errno.ENOENT):  # ENOENT: the block itself was lost
+                refused(block, os.strerror(data[2]))
+
         block.started_cb.add_callback(begun)
         block.error_cb.add_callback(refused)
         block.data_received_cb.add_callback(received)
+        craft.add_header_callback(heard, *LOG_CONTROL)
         try:
             craft.log.add_config(block)
             block.start()
+            await started
+            await whole
         except (AttributeError, KeyError) as error:  # cflib's own limits
             raise BadInputError(
                 f"{self._uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
                 " and 128 variables; ask for fewer with --log"
             ) from error
-        await self._within(started, "did not start a log block")
+        except asyncio.CancelledError:
+            block.stop()  # and deleted at the end: it may be read at this moment
+            craft.log.log_blocks.remove(block)
+            self._half_made.append(block)
+            raise
+        finally:
+            craft.remove_header_callback(heard, *LOG_CONTROL)
         return block
 
     async def pace(self, period_ms: int) -> None:
@@ -170,15 +216,15 @@ class LogBlocks:
 
         def heard(packet: Any) -> None:
             data = bytes(packet.data)
-            if len(data) > 2 and data[0] == _START_V2 and data[1] in answers:
+            if len(data) > 2 and data[0] == START_V2 and data[1] in answers:
                 loop.call_soon_threadsafe(resolve, answers[data[1]], data[2])
 
-        craft.add_header_callback(heard, _LOG, _LOG_CONTROL)
+        craft.add_header_callback(heard, *LOG_CONTROL)
         try:
             for number in answers:
-                data = bytes([_START_V2, number]) + period_ms.to_bytes(2, "little")
+                data = bytes([START_V2, number]) + period_ms.to_bytes(2, "little")
                 craft.send_packet(
-                    crtp_packet(_LOG, _LOG_CONTROL, data), expected_reply=(_START_V2, number)
+                    crtp_packet(*LOG_CONTROL, data), expected_reply=(START_V2, number)
                 )
             for answer in answers.values():
                 error = await self._within(answer, "did not confirm the period of its log")
@@ -188,12 +234,13 @@ class LogBlocks:
                         f" ({errno.errorcode.get(error, error)}); say --rate 100"
                     )
         finally:
-            craft.remove_header_callback(heard, _LOG, _LOG_CONTROL)
+            craft.remove_header_callback(heard, *LOG_CONTROL)
 
     def stop(self, craft: Any) -> None:
         """End all blocks of a craft that is about to be left; waits, so not on the event loop."""
-        blocks = [*self._blocks, *([self._slow] if self._slow is not None else [])]
-        self._blocks, self._slow = [], None
+        slow = [self._slow] if self._slow is not None else []
+        blocks = [*self._blocks, *slow, *self._half_made]
+        self._blocks, self._slow, self._half_made = [], None, []
         if craft.link is None:
             return
         for block in blocks:
@@ -208,4 +255,7 @@ class LogBlocks:
             async with asyncio.timeout(BLOCK_S):
                 return await answer
         except TimeoutError as error:
-            raise LinkError(f"{self._uri}: the craft {what} within {BLOCK_S:g} s") from error
+            raise self._did_not(what) from error
+
+    def _did_not(self, what: str) -> LinkError:
+        return LinkError(f"{self._uri}: the craft {what} within {BLOCK_S:g} s")

@@ -6,7 +6,7 @@ import random
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 LOG_DATA = 0x52
@@ -15,10 +15,12 @@ LOG_DATA = 0x52
 
 class NarrowRadio:
     """most_hz: log packets a second that come through, any of them, however many are sent.
-    stalled: neither side hears the other, and what is said meanwhile is lost."""
+    stalled: neither side hears the other, and what is said meanwhile is lost. loses: told what a
+    client sends, whether it is lost."""
 
     def __init__(self, craft_port: int, most_hz: float) -> None:
         self.most_hz, self.stalled = most_hz, False
+        self.loses: Callable[[bytes], bool] = lambda packet: False
         self._craft = ("127.0.0.1", craft_port)
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -51,7 +53,7 @@ class NarrowRadio:
                 data, self._client = self._near.recvfrom(2048)
             except TimeoutError:
                 continue
-            if not self.stalled:
+            if not self.stalled and not self.loses(data):
                 self._far.sendto(data, self._craft)
 
     def _down(self) -> None:

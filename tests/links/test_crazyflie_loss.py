@@ -1,0 +1,99 @@
+"""Requests that UDP loses: the library takes it to lose none, and waits for their answers."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from pathlib import Path
+
+import pytest
+from narrow_radio import narrow
+from served_craft import served
+
+from groundstation.links.cflib_calls import CREATE_V2
+from groundstation.links.crazyflie_connection import Connection
+from groundstation.links.crazyflie_log import CrazyflieTelemetry
+
+LOG_CONTROL, LINK_SOURCE = 0x51, 0xF1
+"""Header bytes, the two link bits aside."""
+LOST = 0.05
+
+
+def header(packet: bytes) -> int:
+    return packet[0] & 0xF3
+
+
+def test_a_craft_is_known_whole_although_one_request_in_twenty_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # tables of contents are read
+    chance, lost = random.Random(3), []
+
+    def loses(packet: bytes) -> bool:
+        asked_once = header(packet) in (0xD1, LINK_SOURCE)  # what it speaks, before anything else
+        if asked_once or chance.random() > LOST:
+            return False
+        lost.append(packet)
+        return True
+
+    async def session(uri: str) -> int:
+        connection = Connection(uri)
+        await connection.open()
+        try:
+            await connection.complete()
+            return len(connection.variables())
+        finally:
+            await connection.close()
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses = loses
+        assert asyncio.run(session(radio.uri)) > 30
+    assert len(lost) > 3
+
+
+def test_a_first_question_that_is_lost_is_asked_again_within_the_patience_for_it() -> None:
+    asked: list[bytes] = []
+
+    def loses(packet: bytes) -> bool:
+        if header(packet) == LINK_SOURCE:
+            asked.append(packet)
+        return header(packet) == LINK_SOURCE and len(asked) == 1
+
+    async def session(uri: str) -> None:
+        connection = Connection(uri)
+        await connection.open()
+        await connection.complete()
+        await connection.close()
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses = loses
+        asyncio.run(session(radio.uri))
+    assert len(asked) == 2
+
+
+def test_a_log_block_of_which_a_part_was_lost_is_made_anew_and_rows_are_whole() -> None:
+    """What is added to a block that the craft does not know is refused; made afterwards, the block
+    would lack it, and the library can read none of its packets."""
+    lost: list[bytes] = []
+
+    def loses(packet: bytes) -> bool:
+        makes = header(packet) == LOG_CONTROL and packet[1] == CREATE_V2 and len(packet) == 31
+        if makes and not lost:
+            lost.append(packet)
+            return True
+        return False
+
+    async def session(uri: str) -> int:
+        link = CrazyflieTelemetry(uri, rate_hz=250)
+        async with link:
+            for _ in range(20):
+                await link.read()
+            assert not link._connection.blocks._craft().log.log_blocks[2:]
+            counts = link.sample_counts()
+            assert counts is not None
+            return counts.samples
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses = loses
+        assert asyncio.run(session(radio.uri)) > 20
+    assert lost
