@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -38,22 +39,40 @@ def crtp_packet(port: int, channel: int, data: bytes) -> Any:
     return made
 
 
-def ask_again(craft: Any, uri: str) -> None:
+def ask_again(craft: Any, uri: str) -> Callable[[], None]:
     """Let cflib's object send a request that UDP lost once more, as it does for a radio, and on no
     link a request that makes a log block or adds to one: whoever made the block starts over, for a
-    block that was only half made, or had more added twice, sends something else."""
-    send = craft.send_packet
+    block that was only half made, or had more added twice, sends something else.
+
+    What is returned lets it send nothing any more: what it still wants to ask again would find the
+    link gone.
+    """
+    send, sending, hushed = craft.send_packet, threading.Lock(), threading.Event()
 
     def once(
         packet: Any, expected_reply: tuple[int, ...] = (), resend: bool = False, wait_s: float = 0.2
     ) -> None:
-        if uri.startswith("udp://") and (link := craft.link) is not None:
-            link.needs_resending = True
-        if (packet.port, packet.channel) == LOG_CONTROL and packet.data[0] in NOT_TWICE:
-            expected_reply = ()
-        send(packet, expected_reply, resend, wait_s)
+        with sending:
+            link = craft.link
+            if link is None or hushed.is_set():
+                return
+            link.needs_resending |= uri.startswith("udp://")
+            if (packet.port, packet.channel) == LOG_CONTROL and packet.data[0] in NOT_TWICE:
+                expected_reply = ()
+            try:
+                send(packet, expected_reply, resend, wait_s)
+            except AttributeError:  # lost at this moment; cflib keeps its own lock
+                if craft.link is not None:
+                    raise
+                with contextlib.suppress(RuntimeError):
+                    craft._send_lock.release()
+
+    def hush() -> None:
+        with sending:
+            hushed.set()
 
     craft.send_packet = once
+    return hush
 
 
 def protocol_of(craft: Any) -> int:

@@ -114,7 +114,7 @@ class CrazyflieLink(CommandLink):
     def _take_state(self, said: Supervisor) -> None:
         before, self.supervisor = self.supervisor, said
         if said.armed is not None and time.monotonic() >= self._asked_s + STATE_S:
-            if self.armed and not said.armed and not said.trouble:
+            if self.armed and not (said.armed or said.arms_itself or said.trouble):
                 self._tell("disarmed", DISARMED_ITSELF)
             self.armed = said.armed
         if said.trouble and said.trouble != before.trouble:

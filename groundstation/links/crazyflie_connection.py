@@ -78,6 +78,7 @@ class Connection:
         self.on_console: Callable[[str], None] = lambda line: None
         self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(_cache_folder()))
         self._craft: Any = None
+        self._hush: Callable[[], None] = lambda: None
         self._complete: asyncio.Future[bool] | None = None
         self._console = ""
         self.blocks = LogBlocks(uri, lambda: self.craft)
@@ -122,7 +123,7 @@ class Connection:
         heard: asyncio.Future[None] = loop.create_future()
         complete: asyncio.Future[bool] = loop.create_future()
         craft = self._craft = self._new_craft()
-        ask_again(craft, self.uri)
+        self._hush = ask_again(craft, self.uri)
         self._complete, self._console, self.commanded = complete, "", False
 
         def call(function: Callable[..., None], *arguments: Any) -> None:
@@ -190,17 +191,17 @@ class Connection:
             self._complete = None
         if craft is not None:
             # cflib locks itself up where the craft vanishes while something is being sent
+            hush = self._hush
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(CLOSE_S):
-                    await in_background(lambda: self._disconnect(craft))
+                    await in_background(lambda: self._disconnect(craft, hush))
 
-    def _disconnect(self, craft: Any) -> None:
+    def _disconnect(self, craft: Any, hush: Callable[[], None]) -> None:
         self.blocks.stop(craft)
-        link = craft.link
-        if link is not None and not self.commanded:
-            # cflib would send zero thrust, which who only listens has no business to
-            link.close()
-            craft.link = None
+        if self.commanded and craft.link is not None:
+            craft.commander.send_setpoint(0, 0, 0, 0)
+        # cflib would send zero thrust, which who only listens has no business to
+        hush()
         craft.close_link()
 
     async def identify(self) -> Identity:

@@ -23,8 +23,10 @@ async def ask_to_arm(link: CommandLink, on: bool) -> None:
     Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or does
     not answer."""
     word = "arm" if on else "disarm"
+    if on and link.supervisor.trouble:
+        raise LinkError(f"the craft refuses to arm its motors: {link.supervisor.trouble}")
     asked_s = time.monotonic()
-    while not await _armed(link, on):
+    while not (await _armed(link, on) and await _is_seen(link, on)):
         waited_s = time.monotonic() - asked_s
         await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
         if link.supervisor.trouble or waited_s > CHECKS_S:
@@ -47,4 +49,12 @@ async def _armed(link: CommandLink, on: bool) -> bool:
     if link.armed is None:
         word = "arm" if on else "disarm"
         raise LinkError(f"{link.uri} has not answered the request to {word} its motors")
+    return link.armed is on
+
+
+async def _is_seen(link: CommandLink, on: bool) -> bool:
+    """Whether the craft's own log says so too, where it has one: a firmware that runs in software
+    answers every request by repeating it."""
+    if on and link.supervisor.bits is not None:
+        await asyncio.sleep(2 * STATE_S)
     return link.armed is on
