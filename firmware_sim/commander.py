@@ -21,7 +21,7 @@ def accept(fw: Record, now_ns: int, roll: float, pitch: float, yaw: float, thrus
     fw.setpoint[1] = pitch
     fw.setpoint[2] = yaw
     fw.setpoint_thrust = thrust
-    fw.holds_height = 0
+    fw.holds_height = fw.holds_climb = 0
     fw.setpoint_ns = now_ns
 
 
@@ -35,7 +35,7 @@ def watch(fw: Record, now_ns: int) -> None:
         fw.setpoint[2] = 0.0
     if age > STOP_NS:
         fw.setpoint_thrust = 0.0
-        fw.holds_height = 0
+        fw.holds_height = fw.holds_climb = 0
     fw.thrust = 0.0
     least = MIN_THRUST_TODAY if fw.today != 0 else MIN_THRUST
     if fw.setpoint_thrust > least:

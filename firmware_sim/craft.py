@@ -32,6 +32,8 @@ CHUNK_PASSES = 5000
 HISTORY_PASSES = 1000
 """The last 2 s, for whoever logs."""
 
+HOLDS_THRUST = 32767.0
+"""What neither climbs nor sinks, with ``flightmode.althold``; 0 sinks with 1 m/s."""
 HEIGHT_DECK = "deck.bcZRanger2"
 """What the firmware says of it can only be read."""
 DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
@@ -196,9 +198,9 @@ class StandIn:
     def command(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
         """A client's setpoint, as the firmware takes it: pitch nose up, yaw rate clockwise.
 
-        With ``flightmode.althold`` set the pilot holds the height while thrust is given; today's
-        firmware holds it at zero thrust as well, and takes no thrust before a client that was
-        silent has sent zero once.
+        With ``flightmode.althold`` set the pilot of ``altitude_hold`` holds the height while thrust
+        is given; without him today's firmware reads thrust as a rate of climb, zero as 1 m/s
+        downwards. It takes no other thrust before a client that was silent has sent zero once.
         """
         from firmware_sim.commander import STOP_NS
 
@@ -209,11 +211,16 @@ class StandIn:
                 self._unlocked = True
             elif now - fw["setpoint_ns"] > STOP_NS or fw["client_ns"] < 0:
                 self._unlocked = False
+            climbs = fw["altitude_hold"] > 0 and not fw["pilot_holds"]
+            fw["holds_climb"] = climbs
+            fw["setpoint_climb"] = (thrust - HOLDS_THRUST) / HOLDS_THRUST
             if today and not self._unlocked:
                 thrust = 0
             fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
             held = fw["altitude_hold"] > 0 and fw["client_ns"] >= 0 and fw["thrust"] > 0
-            if not held or (thrust <= 10000 and not today):
+            if climbs:
+                fw["setpoint_thrust"] = fw["thrust"]  # until the next pass of its loop
+            elif not held or (thrust <= 10000 and not today):
                 fw["setpoint_thrust"] = float(thrust)
             fw["holds_height"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = now
@@ -227,6 +234,7 @@ class StandIn:
             fw = self._firmware[0]
             fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
             fw["holds_height"], fw["setpoint_height"] = fw["height_deck"], height_m
+            fw["holds_climb"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
 
     def arm(self, armed: bool) -> bool:

@@ -170,6 +170,8 @@ class Conversation:
             return []
         if port == PLATFORM and channel == 1:
             return self._version(data)
+        if port == PLATFORM and channel == 0 and self._craft.settings.software_build:
+            return [data]
         asked = (port, channel, data[0])
         supervised = self._craft.protocol >= SUPERVISED
         if asked == ((SUPERVISOR, 1, 3) if supervised else (LOCALIZATION, 1, 3)):
@@ -191,6 +193,8 @@ class Conversation:
             1: RELEASES[self._craft.protocol].encode(),
             2: self._craft.device.encode(),
         }
+        if self._craft.settings.software_build:
+            del said[2]
         return [data[:1] + said[data[0]]] if data[0] in said else []
 
     def _parameter(self, channel: int, data: bytes) -> list[bytes]:

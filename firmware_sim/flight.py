@@ -12,7 +12,7 @@ from firmware_sim.bench_motor import watch_gate
 from firmware_sim.commander import watch
 from firmware_sim.compiled import inner, kernel, source_stamp
 from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
-from firmware_sim.height import estimate_height, hold_height
+from firmware_sim.height import estimate_height, hold_climb, hold_height
 from firmware_sim.imu import fetch, sample
 from firmware_sim.layout import (
     CLOCK_STREAM,
@@ -144,6 +144,8 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
             estimate_height(fw, s, index)
             if fw.holds_height != 0:
                 fw.setpoint_thrust = hold_height(fw, index)
+        if fw.holds_climb != 0:
+            fw.setpoint_thrust = hold_climb(fw, s.y[5], index)
         watch(fw, s.now_ns)
         if fw.today != 0:
             if index % EVERY_PASSES == 0:

@@ -61,7 +61,23 @@ def hold_height(fw: Record, index: int) -> float:
     error = fw.setpoint_height - fw.height
     fw.height_integral += error * LOOP_S
     wanted = HEIGHT_KP * error + HEIGHT_KI * fw.height_integral
-    slow = min(max(wanted, -MOST_CLIMB_M_S), MOST_CLIMB_M_S) - fw.climb
+    return _climb(fw, min(max(wanted, -MOST_CLIMB_M_S), MOST_CLIMB_M_S) - fw.climb)
+
+
+@inner
+def hold_climb(fw: Record, climb_m_s: float, index: int) -> float:
+    """16-bit thrust that brings the craft, which climbs with ``climb_m_s``, to the rate that was
+    asked for: never so little that its motors stand. The firmware's estimate is not modelled."""
+    if fw.thrust <= 0.0:
+        fw.climb_integral = 0.0
+    elif index % LOOP_PASSES != 0:
+        return float(fw.thrust)
+    return _climb(fw, fw.setpoint_climb - climb_m_s)
+
+
+@inner
+def _climb(fw: Record, slow: float) -> float:
+    """slow: m/s below what is wanted."""
     fw.climb_integral += slow * LOOP_S
     push = min(max(CLIMB_KP * slow + CLIMB_KI * fw.climb_integral, -MOST_PUSH), MOST_PUSH)
     return min(max(BASE_THRUST + SCALE * push, LEAST_THRUST), FULL_16_BIT)

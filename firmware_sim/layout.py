@@ -172,6 +172,8 @@ FIRMWARE = np.dtype(
         ("fusion_ki", "f8"),
         ("accel_factor", "f8"),  # of 256
         ("altitude_hold", "f8"),
+        ("pilot_holds", "i8"),  # 1: with it the pilot holds the height, not the firmware
+        ("compensates", "i8"),  # 1: for the battery
         # quirks of the release, 1 as flown
         ("quirk_attitude_dt", "i8"),
         ("quirk_clamp_macro", "i8"),
@@ -221,6 +223,8 @@ FIRMWARE = np.dtype(
         ("height_deck", "i8"),
         ("holds_height", "i8"),  # 1: the setpoint is a height
         ("setpoint_height", "f8"),  # m
+        ("holds_climb", "i8"),  # 1: the setpoint is a rate of climb
+        ("setpoint_climb", "f8"),  # m/s
         ("range_m", "f8"),
         ("height", "f8"),  # m, estimated
         ("climb", "f8"),  # m/s, estimated

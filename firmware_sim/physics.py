@@ -206,14 +206,16 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
         fw[name] = values
     fw["fusion_kp"], fw["fusion_ki"], fw["accel_factor"] = 0.8, 0.002, 32.0
     fw["arms_itself"] = not (is_today and today.needs_arming(vehicle))
-    fw["protocol"], fw["supervisor"] = settings.protocol, NOT_PASSED
+    fw["protocol"], fw["supervisor"] = settings.supervised_as, NOT_PASSED
     fw["tilted_ns"] = fw["turned_ns"] = -1
     if is_today:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
         fw["height_deck"] = settings.height_deck
         fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
         fw["idle"] = today.idle_pwm(vehicle)
+        fw["compensates"] = not settings.software_build
     fw["altitude_hold"] = float(settings.altitude_hold)
+    fw["pilot_holds"] = settings.altitude_hold or not is_today
     quirks = settings.quirks
     fw["quirk_attitude_dt"] = quirks.attitude_dt
     fw["quirk_clamp_macro"] = quirks.clamp_macro

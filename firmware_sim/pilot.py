@@ -56,7 +56,8 @@ def decide(p: Record, fw: Record, s: Record, row: Any, hover: float, now_ns: int
         s.target[1] = row[ROW_PITCH] / DEGREES
         s.target[2] = row[ROW_YAW] / DEGREES
     if fw.client_ns >= 0 and now_ns - fw.client_ns < p.resume_ns:
-        if fw.altitude_hold > 0.0 and fw.setpoint_thrust > MIN_THRUST and fw.thrust > 0.0:
+        holds = fw.altitude_hold > 0.0 and fw.pilot_holds != 0
+        if holds and fw.setpoint_thrust > MIN_THRUST and fw.thrust > 0.0:
             fw.setpoint_thrust = hold_height(p, fw, s, p.hold_height, 0.0, hover)
         return
     if s.mode == HELD:

@@ -120,13 +120,15 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     charge: of the first cell, 0..1.
     recharge_s: without power until a fresh cell is in and the craft starts anew.
     land_when_low: the pilot lands on a low battery and the cell is changed.
-    altitude_hold: initial ``flightmode.althold``: the pilot holds height under a client.
+    altitude_hold: initial ``flightmode.althold``: the pilot holds height under a client. With the
+        parameter alone, today's firmware reads thrust as a rate of climb.
     resume_s: a client silent for so long gives the craft back to the pilot.
     firmware: whose loops fly: ``2014`` or ``2.x``; None: the vehicle's.
     protocol: CRTP version of a craft with today's firmware, 7 (2023) to 12 (2026); one of 2014
         speaks its own.
     rotor_speed_deck: today's craft measures its rotor speeds.
-    software_build: today's firmware as it is built to run in software: it lists no battery.
+    software_build: today's firmware as it is built to run in software: it knows no battery, does
+        not say what it is, and repeats a request to arm without doing it.
     height_deck: today's craft has a Z-ranger and takes setpoints of height.
     upside_down: it lies on its back when it is switched on.
     substeps: Runge-Kutta steps per pass.
@@ -188,6 +190,12 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         for name, value in self.gains.items():
             if not math.isfinite(value):
                 raise ValueError(f"gains: {name} is {value}, must be finite")
+
+    @property
+    def supervised_as(self) -> int:
+        """The protocol that came with this craft's supervisor: that of April 2024, which is built to
+        run in software, already knows of crashes and landings."""
+        return max(self.protocol, 8) if self.software_build else self.protocol
 
 
 def load_settings(path: Path) -> StandInSettings:

@@ -77,7 +77,7 @@ def stabilize_today(fw: Record) -> None:
 def compensated(fw: Record, thrust: float) -> float:
     """PWM (16 bits, not yet limited) that gives a thrust (16 bits) at the battery's voltage."""
     supply_v = fw.battery_filter
-    if thrust <= 0.0 or supply_v < LEAST_SUPPLY_V:
+    if thrust <= 0.0 or supply_v < LEAST_SUPPLY_V or fw.compensates == 0:
         return thrust
     wanted_n = thrust / FULL_16_BIT * fw.thrust_most_n
     c0, c1, c2, c3 = fw.thrust_curve[0], fw.thrust_curve[1], fw.thrust_curve[2], fw.thrust_curve[3]

@@ -12,7 +12,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import DamagedRecordingError
+from groundstation.errors import BadInputError, DamagedRecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -91,6 +91,9 @@ def convert(
         max=1000.0,
         help="MCAP for ROS 2's tools (profile ros2) with so many rows a second; 500: all.",
     ),
+    supply_v: float | None = typer.Option(
+        None, metavar="V", help="What the motors were fed with, of a craft that does not tell it."
+    ),
     as_json: bool = AS_JSON,
 ) -> None:
     """Convert between recordings, logs and tables.
@@ -102,6 +105,8 @@ def convert(
     writer = writer_of(target, physical=physical, ros2_hz=ros2)
     require_new(target)
     recording = _open(source, columns)
+    if supply_v is not None:
+        _give_supply(recording, supply_v)
     with _progress(f"writing {target}"):
         writer(recording, target)
     if as_json:
@@ -143,6 +148,19 @@ def recover(
             f"{report.output}: {report.messages} messages kept; {report.bytes_lost} bytes and at "
             f"most {report.seconds_lost:.2f} s inside damaged places lost"
         )
+
+
+def _give_supply(recording: Recording, supply_v: float) -> None:
+    """Raises BadInputError where the craft told its battery: a measurement is not replaced."""
+    import numpy as np
+
+    if not 2.0 <= supply_v <= 20.0:
+        raise BadInputError(f"--supply-v {supply_v:g}: must be 2..20 V")
+    voltage = recording.samples.battery_v
+    if np.isfinite(voltage).any():
+        raise BadInputError(f"--supply-v: {recording.path.name} has the battery's voltage")
+    voltage[:] = supply_v
+    recording.metadata["supply"] = {"given_v": f"{supply_v:g}"}
 
 
 def _open(path: Path, columns: str | None) -> Recording:

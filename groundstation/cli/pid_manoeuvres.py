@@ -6,7 +6,14 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from groundstation.cli.sticks import CLIMB_M_S, Hands, Source, StandInPilot
+from groundstation.cli.sticks import (
+    CLIMB_M_S,
+    HOLD_M,
+    Hands,
+    Source,
+    StandInPilot,
+    climb_thrust,
+)
 from groundstation.cli.terminal import say
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot
@@ -115,10 +122,17 @@ def _land(
     last: dict[str, Any],
     firmware: Firmware | None,
 ) -> str:
-    """A craft that holds its height is asked for less and less of it, the stand-in sinks at a
-    little less thrust than hovered, a human lands by hand."""
+    """A craft that holds its height is asked for less and less of it or to sink, the stand-in of
+    2014's sinks at a little less thrust than hovered, a human lands by hand."""
     from groundstation.control.programme import RATE_HZ, reason_to_abort
 
+    if firmware is not None and firmware.is_today and HOLD_HEIGHT in pilot.parameters():
+        sinks = [Hands(thrust=climb_thrust(-CLIMB_M_S))]
+        reason = _come_down(
+            pilot, clock, low, sinks * round((HOLD_M / CLIMB_M_S + ON_GROUND_S) * RATE_HZ)
+        )
+        pilot.write({HOLD_HEIGHT: 0.0})  # with it zero thrust turns the motors
+        return reason
     if firmware is not None:
         if HOLD_HEIGHT in pilot.parameters():
             pilot.write({HOLD_HEIGHT: 0.0})

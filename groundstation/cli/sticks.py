@@ -25,6 +25,10 @@ KEY_STEP = 500
 FULL_LEAN_DEG, FULL_YAW_DPS = 15.0, 90.0
 DEAD_ZONE = 0.08
 HEIGHTS_M, DEFAULT_HEIGHT_M, CLIMB_M_S = (0.2, 2.0), 0.5, 0.4
+HOLD_M = 0.8
+"""How high a craft climbs that holds its height by ``flightmode.althold``."""
+HOLDS_THRUST = 32767.0
+"""With that mode: what neither climbs nor sinks; 0 is 1 m/s downwards."""
 MOTORS_ON = 10000
 """The firmware takes less thrust for none."""
 _EVENT = struct.Struct("<IhBB")
@@ -52,16 +56,27 @@ class Hands:
         return self.thrust > MOTORS_ON or self.height_m is not None
 
 
+def climb_thrust(climb_m_s: float) -> int:
+    """Thrust that asks for a rate of climb with ``flightmode.althold``."""
+    return round(HOLDS_THRUST * (1.0 + climb_m_s))
+
+
 class StandInPilot:
-    """The stand-in's own pilot holds the height: any thrust that turns the motors will do."""
+    """With ``flightmode.althold`` a craft in software holds its height: the stand-in's pilot
+    whatever the thrust is that turns the motors, today's firmware where it is the middle one: more
+    or less is a rate of climb."""
 
-    help = "the stand-in's pilot holds the height"
+    help = "altitude hold keeps the height"
 
-    def __init__(self, thrust: int = 30000) -> None:
-        self._hands = Hands(thrust=thrust, begin=True)
+    def __init__(self) -> None:
+        self._begun_s: float | None = None
 
     def read(self) -> Hands:
-        return self._hands
+        now_s = time.monotonic()
+        if self._begun_s is None:
+            self._begun_s = now_s
+        climbs = now_s < self._begun_s + HOLD_M / CLIMB_M_S
+        return Hands(thrust=climb_thrust(CLIMB_M_S if climbs else 0.0), begin=True)
 
     def __enter__(self) -> Self:
         return self

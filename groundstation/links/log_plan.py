@@ -75,7 +75,7 @@ _CHANNELS: tuple[tuple[str, str, tuple[_Choice, ...]], ...] = (
     ),
     (
         "battery voltage",
-        "motors cannot be identified from their commands",
+        "motors are identified from their commands once it is given (convert --supply-v)",
         (_Choice(("pm.vbatMV",), "uint16_t"), _Choice(("pm.vbat",), "float")),
     ),
     (

@@ -175,3 +175,16 @@ def test_an_older_release_sends_its_motors_in_32_bits():
         for protocol in (7, 8)
     }
     assert kinds == {7: 3, 8: 2}
+
+
+def test_firmware_built_to_run_in_software_repeats_a_request_to_arm_and_does_not_say_what_it_is():
+    """As that of April 2024 does: whether a craft is armed only its log says."""
+    craft = StandIn(StandInSettings(craft="brushless", protocol=7, software_build=True))
+    craft.advance(3.0)
+    talk = Conversation(craft)
+    assert talk.answer(b"\xd0\x01\x01") == [b"\xd0\x01\x01"]
+    craft.advance(3.2)
+    assert not craft.state().armed
+    assert talk.answer(b"\xd1\x01") == [b"\xd1\x012023.11"]
+    assert talk.answer(b"\xd1\x02") == []
+    assert not [name for name, *_ in talk.contents.variables if name.startswith("pm.")]

@@ -75,9 +75,17 @@ def test_disarming_in_flight_locks_what_was_released_before_2025(protocol, state
     assert not any(craft.state().motors)
 
 
-@pytest.mark.parametrize(("protocol", "state"), [(7, LOCKED), (10, CRASHED)])
-def test_a_craft_that_lies_on_its_back_after_a_flight_has_crashed(protocol, state):
-    craft = flown(protocol=protocol, gains={"pid_rate.roll_kp": 0.0, "pid_rate.roll_ki": 0.0})
+@pytest.mark.parametrize(
+    ("settings", "state"),
+    [
+        ({"protocol": 7}, LOCKED),
+        ({"protocol": 7, "software_build": True, "craft": "crazyflie21"}, CRASHED),
+        ({"protocol": 10}, CRASHED),
+    ],
+)
+def test_a_craft_that_lies_on_its_back_after_a_flight_has_crashed(settings, state):
+    """On protocol 7 too with the firmware of April 2024, which is built to run in software."""
+    craft = flown(gains={"pid_rate.roll_kp": 0.0, "pid_rate.roll_ki": 0.0}, **settings)
     for _ in range(200):
         craft.command(30.0, 0.0, 0.0, HOVER)
         craft.advance(craft.time_s + 0.02)

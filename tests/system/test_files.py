@@ -43,6 +43,24 @@ def test_the_real_excerpt_survives_csv_mcap_csv_byte_by_byte(tmp_path):
     assert as_csv.read_bytes() == EXCERPT.read_bytes()
 
 
+def test_a_flight_of_a_craft_that_tells_no_battery_is_given_what_its_motors_were_fed_with(tmp_path):
+    whole = convert(EXCERPT, tmp_path / "whole.csv", "--physical")
+    rows = list(csv.DictReader(whole.read_text().splitlines()))
+    untold = tmp_path / "untold.csv"
+    with untold.open("w", newline="") as file:
+        out = csv.DictWriter(file, rows[0])
+        out.writeheader()
+        out.writerows({**row, "battery_v": ""} for row in rows)
+    assert np.isnan(open_recording(untold).samples.battery_v).all()
+    given = open_recording(convert(untold, tmp_path / "given.mcap", "--supply-v", "3.7"))
+    assert given.samples.battery_v == pytest.approx(3.7)
+    assert given.metadata["supply"] == {"given_v": "3.7"}
+    for source, volts, why in ((whole, "3.7", "has the battery's voltage"), (untold, "1", "2..20")):
+        refused = groundstation("convert", source, tmp_path / "no.mcap", "--supply-v", volts)
+        assert why in require_failure(refused)
+        assert not (tmp_path / "no.mcap").exists()
+
+
 def test_the_committed_mcap_is_the_committed_csv(tmp_path):
     as_csv = convert(RECORDINGS / "thesis_excerpt.mcap", tmp_path / "excerpt.csv")
     assert as_csv.read_bytes() == EXCERPT.read_bytes()
