@@ -193,8 +193,8 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     @property
     def supervised_as(self) -> int:
-        """The protocol that came with this craft's supervisor: that of April 2024, which is built to
-        run in software, already knows of crashes and landings."""
+        """The protocol that came with this craft's supervisor: that of April 2024, built to run in
+        software, already knows of crashes and landings."""
         return max(self.protocol, 8) if self.software_build else self.protocol
 
 

@@ -31,7 +31,12 @@ from groundstation.cli.model_files import (
     say_written,
     told_turning,
 )
-from groundstation.cli.pid_manoeuvres import HOLD_HEIGHT, fly_programme, stop_motors
+from groundstation.cli.pid_manoeuvres import (
+    HOLD_HEIGHT,
+    NOMINAL_V,
+    fly_programme,
+    stop_motors,
+)
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
@@ -42,6 +47,7 @@ if TYPE_CHECKING:
     from groundstation.control.firmwares import Release
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
+    from groundstation.recording.session import Recording
 
 CLIENT = "pid fly"
 
@@ -369,6 +375,16 @@ def _undo() -> None:
     show("the former values are back: " + ", ".join(left["saved"]))
 
 
+def _require_supply(recording: Recording) -> None:
+    """A prediction needs a voltage: the nominal one of a craft that told none."""
+    import numpy as np
+
+    voltage = recording.samples.battery_v
+    if not np.isfinite(voltage).any():
+        voltage[:] = NOMINAL_V
+        say(f"no battery was told: the prediction is for {NOMINAL_V:g} V", error=True)
+
+
 def _judge(
     report: dict[str, Any],
     programme: Programme,
@@ -390,6 +406,8 @@ def _judge(
             )
         loaded = None if model is None else load_model(model)
         recording = open_recording(Path(report["recording"]))
+        if loaded is not None:
+            _require_supply(recording)
         try:
             flown = analyse_recording(
                 recording, loaded, report["gains"], CLIENT, report["firmware"]

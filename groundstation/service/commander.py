@@ -248,17 +248,14 @@ class Commander:
 
     def parameters(self) -> dict[str, float]:
         """Every parameter of the craft, as last read; needs no lease."""
-        link = self._require_link()
-        if link.state is not CommandState.CONNECTED:
-            raise LinkError(f"{link.uri} is not connected ({link.state.value})")
-        return link.parameters()
+        return self._require_connected().parameters()
 
     async def write_parameters(self, token: str, values: dict[str, float]) -> dict[str, float]:
         """Write parameters; what the craft says they are now. All are checked before any is
         written; what was written before the craft failed to confirm one, or the lease ended,
         stays."""
         lease = self._require(token)
-        link = self._require_link()
+        link = self._require_connected()
         for name, value in values.items():
             link.require_parameter(name, value)
         confirmed = {}
@@ -366,6 +363,12 @@ class Commander:
                 "radio://..."
             )
         return self.link
+
+    def _require_connected(self) -> CommandLink:
+        link = self._require_link()
+        if link.state is not CommandState.CONNECTED:
+            raise LinkError(f"{link.uri} is not connected ({link.state.value})")
+        return link
 
     def _is_overdue(self, lease: Lease, now_s: float) -> bool:
         """Whether motors run although their client has been silent for too long."""

@@ -14,7 +14,7 @@ from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import STATE_S
-from groundstation.links.supervisor import DISARMED_ITSELF
+from groundstation.links.supervisor import DISARMED_ITSELF, Supervisor
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service import overview
@@ -213,3 +213,57 @@ def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monk
         run(station, scenario)
     (told,) = [one for one in station.journal.events if one.text == DISARMED_ITSELF]
     assert told.kind == "disarmed"
+
+
+def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(tmp_path):
+    """As that of April 2024 answers: one that is locked says so in its log alone."""
+    with served(craft="brushless", plant="reduced", protocol=7, software_build=True) as craft:
+        station = station_for(craft, tmp_path)
+        link = station.commander.link
+
+        async def scenario() -> None:
+            await until(lambda: link.supervisor.bits is not None)
+            with pytest.raises(LinkError, match="refuses to arm its motors"):
+                await station.commander.arm(True)
+            assert overview.status(station)["command"]["armed"] is False
+            craft.craft.emergency_stop()
+            await until(lambda: link.supervisor.trouble)
+            with pytest.raises(LinkError, match="refuses to arm its motors: the craft has locked"):
+                await station.commander.arm(True)
+
+        run(station, scenario)
+
+
+def test_parameters_of_a_craft_that_is_away_are_refused_as_such_and_not_as_unknown(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("groundstation.links.crazyflie_log.SILENT_S", 0.6)
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        station = station_for(craft, tmp_path)
+        link = station.commander.link
+
+        async def scenario() -> None:
+            await until(lambda: link.state is CommandState.CONNECTED)
+            lease = station.commander.acquire("test")
+            craft.server._send = lambda packet, addr: None
+            await until(lambda: link.state is not CommandState.CONNECTED)
+            with pytest.raises(LinkError, match="is not connected"):
+                await station.commander.write_parameters(lease.token, {"pid_rate.roll_kp": 61.0})
+
+        run(station, scenario)
+
+
+def test_a_craft_that_arms_itself_again_after_a_landing_is_no_event(tmp_path):
+    """Three seconds behind a landing today's firmware disarms, and a brushed craft arms itself."""
+    with served(craft="crazyflie21", plant="reduced") as craft:
+        station = station_for(craft, tmp_path)
+        link = station.commander.link
+
+        async def scenario() -> None:
+            await until(lambda: link.supervisor.arms_itself and link.armed)
+            for said in (0b100, 0b110):  # as between two of its steps
+                link._take_state(Supervisor(said))
+            assert link.armed
+
+        run(station, scenario)
+    assert not [one for one in station.journal.events if one.kind == "disarmed"]

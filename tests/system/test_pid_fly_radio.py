@@ -18,6 +18,8 @@ from installed import COMMAND, Daemon, require_failure, until
 from narrow_radio import narrow
 from programs import Program, run_program
 
+from groundstation.dynamics.model import save_model, vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.service.client import Pilot, ask, live
 
 ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
@@ -140,12 +142,17 @@ def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
 
 
 @pytest.mark.parametrize("field", [{"software_build": "true", "protocol": "7"}], indirect=True)
-def test_a_software_build_that_tells_no_battery_is_flown_and_that_is_said(field):
+def test_a_software_build_that_tells_no_battery_is_flown_and_that_is_said(field, tmp_path):
+    model = tmp_path / "model.json"
+    save_model(vehicle_model(BUILT_IN["crazyflie21"]), model)
     with in_real_time():
-        flight = field.run("pid", "fly", *ONCE, "--json")
+        flight = field.run("pid", "fly", *ONCE, "--model", model, "--json")
     assert flight.returncode == 0, flight.stderr
     assert "the craft does not tell its battery's voltage" in flight.stderr
-    assert json.loads(flight.stdout)["motors"] == "motors are off"
+    assert "no battery was told: the prediction is for 3.7 V" in flight.stderr
+    told = json.loads(flight.stdout)
+    assert told["motors"] == "motors are off"
+    assert "NaN" not in flight.stdout
 
 
 @pytest.mark.parametrize("field", [{"protocol": "7"}, {"protocol": "12"}], indirect=True)
