@@ -8,7 +8,7 @@ INFO, POWER = "supervisor.info", "pm.state"
 """Log variables, slow ones."""
 LOW_POWER = 3
 _CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
-_TUMBLED, _LOCKED, _CRASHED = (1 << place for place in (5, 6, 7))
+_TUMBLED, _LOCKED, _CRASHED, _DECK_FAULT = (1 << place for place in (5, 6, 7, 11))
 DISARMED_ITSELF = (
     "the craft has disarmed its motors by itself, as it does where it is not flown soon, and soon"
     " after a landing"
@@ -46,6 +46,11 @@ class Supervisor:
     def trouble(self) -> str:
         """What is wrong with it, and what to do; empty where it says nothing of that."""
         bits = self.bits or 0
+        if bits & _DECK_FAULT:  # it keeps the craft from flying, and locks it in flight
+            return (
+                "a deck of the craft has reported a fault of its hardware (its console says more):"
+                " take the deck off, switch the craft off and on"
+            )
         if bits & _LOCKED:
             return (
                 "the craft has locked itself, by an emergency stop or because setpoints ceased in"

@@ -1,0 +1,28 @@
+"""What the bits of today's supervisor mean to who wants to fly."""
+
+from __future__ import annotations
+
+import pytest
+
+from groundstation.links.supervisor import INFO, POWER, Supervisor
+
+
+@pytest.mark.parametrize(
+    ("bits", "said"),
+    [
+        (0b0000_0000_0100_0100, "locked itself"),  # the firmware of April 2024 after a lost client
+        (0b0000_0010_0100_0100, "locked itself"),  # that of 2026, which tells of trajectories too
+        (0b0000_0000_1010_0100, "crashed"),
+        (0b0000_0000_0010_0100, "on its side or its back"),
+        (0b0000_1000_0000_0100, "a deck of the craft has reported a fault"),
+        (0b0000_1000_0100_0100, "a deck of the craft has reported a fault"),
+        (0b0000_0010_0000_0001, "is not armed"),
+    ],
+)
+def test_what_keeps_a_craft_from_flying_is_said_in_words(bits: int, said: str) -> None:
+    assert said in Supervisor.of({INFO: float(bits)}).hindrance
+
+
+@pytest.mark.parametrize("bits", [0b0000_0010_0000_1110, 0b0000_0101_0001_1010])
+def test_what_high_level_commands_do_keeps_nobody_from_flying(bits: int) -> None:
+    assert Supervisor.of({INFO: float(bits), POWER: 0.0}).hindrance == ""
