@@ -57,10 +57,12 @@ def _contents(
 ) -> Contents:
     if protocol < TODAY:
         return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
-    variables = _variables_of_today(protocol, rotor_speed_deck, height_deck)
+    motors = U16 if protocol >= MOTORS_16_BIT or software_build else U32
+    variables = _variables_of_today(motors, rotor_speed_deck, height_deck)
+    absent = ("pm.", "pwm.", "deck.") if software_build else ()
     return Contents(
-        tuple(_parameters_of_today()),
-        tuple(one for one in variables if not (software_build and one[0].startswith("pm."))),
+        tuple(one for one in _parameters_of_today() if not one[0].startswith(absent)),
+        tuple(one for one in variables if not one[0].startswith(absent)),
         most_blocks=16,
         most_variables=128,
     )
@@ -109,9 +111,8 @@ def _parameters_of_today() -> Iterator[tuple[str, int]]:
 
 
 def _variables_of_today(
-    protocol: int, rotor_speed_deck: bool, height_deck: bool
+    motors: int, rotor_speed_deck: bool, height_deck: bool
 ) -> Iterator[Variable]:
-    motors = U16 if protocol >= MOTORS_16_BIT else U32
     yield from _parts("gyro", FLOAT, "gyro_dps")
     yield from _parts("acc", FLOAT, "accel_g")
     yield from _parts("stabilizer", FLOAT, "angles_deg", ANGLES)

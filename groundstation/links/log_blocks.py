@@ -162,7 +162,8 @@ class LogBlocks:
             ) from error
         except asyncio.CancelledError:
             block.stop()  # and deleted at the end: it may be read at this moment
-            craft.log.log_blocks.remove(block)
+            with contextlib.suppress(ValueError):  # cflib has begun anew
+                craft.log.log_blocks.remove(block)
             self._half_made.append(block)
             raise
         finally:

@@ -16,6 +16,7 @@ from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from cflib.crazyflie.syncLogger import SyncLogger
 from served_craft import ServedCraft, served
 
+from firmware_sim.contents import U16
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp import CREATE_V2, RESET, START_V2, Conversation
 
@@ -187,4 +188,7 @@ def test_firmware_built_to_run_in_software_repeats_a_request_to_arm_and_does_not
     assert not craft.state().armed
     assert talk.answer(b"\xd1\x01") == [b"\xd1\x012023.11"]
     assert talk.answer(b"\xd1\x02") == []
-    assert not [name for name, *_ in talk.contents.variables if name.startswith("pm.")]
+    kinds = {name: kind for name, kind, _ in talk.contents.variables}
+    assert not [name for name in kinds if name.startswith(("pm.", "pwm."))]
+    assert kinds["motor.m1"] == U16
+    assert not [name for name, _ in talk.contents.parameters if name.startswith("deck.")]
