@@ -10,8 +10,8 @@ from typing import Any
 
 LOG_CONTROL = (5, 1)
 """Port and channel of the requests that make, start and end log blocks."""
-CREATE, APPEND, CREATE_V2, APPEND_V2, START_V2 = 0, 1, 6, 7, 8
-NOT_TWICE = (CREATE, APPEND, CREATE_V2, APPEND_V2)
+CREATE, APPEND, START, CREATE_V2, APPEND_V2, START_V2 = 0, 1, 3, 6, 7, 8
+NOT_TWICE = (CREATE, APPEND, START, CREATE_V2, APPEND_V2, START_V2)
 
 
 def resolve(future: asyncio.Future[Any], result: Any) -> None:
@@ -41,8 +41,9 @@ def crtp_packet(port: int, channel: int, data: bytes) -> Any:
 
 def ask_again(craft: Any, uri: str) -> Callable[[], None]:
     """Let cflib's object send a request that UDP lost once more, as it does for a radio, and on no
-    link a request that makes a log block or adds to one: whoever made the block starts over, for a
-    block that was only half made, or had more added twice, sends something else.
+    link a request that makes a log block, adds to one or starts it: who made the block starts over,
+    for one that was half made, or had more added twice, sends something else, and one that is
+    started twice skips a moment.
 
     What is returned lets it send nothing any more: what it still wants to ask again would find the
     link gone.

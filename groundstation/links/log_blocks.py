@@ -222,13 +222,15 @@ class LogBlocks:
 
         craft.add_header_callback(heard, *LOG_CONTROL)
         try:
-            for number in answers:
-                data = bytes([START_V2, number]) + period_ms.to_bytes(2, "little")
-                craft.send_packet(
-                    crtp_packet(*LOG_CONTROL, data), expected_reply=(START_V2, number)
-                )
+            for _ in range(BEGIN_TRIES if answers else 0):
+                for number in [each for each, answer in answers.items() if not answer.done()]:
+                    data = bytes([START_V2, number]) + period_ms.to_bytes(2, "little")
+                    craft.send_packet(crtp_packet(*LOG_CONTROL, data))
+                await asyncio.wait(answers.values(), timeout=BLOCK_S / BEGIN_TRIES)
             for answer in answers.values():
-                error = await self._within(answer, "did not confirm the period of its log")
+                if not answer.done():
+                    raise self._did_not("did not confirm the period of its log")
+                error = answer.result()
                 if error and period_ms % LEAST_CFLIB_MS:
                     raise LinkError(
                         f"{self._uri}: this firmware does not log every {period_ms} ms"
