@@ -134,6 +134,6 @@ def height_of(run: Flown, flying: Mask) -> Array:
     rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
     for start, stop in spans(turning_rows(run)):
-        known = np.maximum(heights_of(rise, still, start, stop, run.period_s), 0.0)
-        height[start:stop] = np.where(flying[start:stop], known, 0.0)
+        known, _ = heights_of(rise, still, start, stop, run.period_s)
+        height[start:stop] = np.where(flying[start:stop], np.maximum(known, 0.0), 0.0)
     return height
