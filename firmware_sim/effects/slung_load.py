@@ -13,6 +13,9 @@ from firmware_sim.layout import ALL_STATES, LOAD, Record
 
 STEEPEST = 0.995
 """Of the offset over the length: nearly level, where a line without a spring has no height."""
+DRAG_PER_S = 10.0
+"""How fast a load that lies on the ground is dragged to below the craft, as fast as that can be
+without a swing: left where it lies, it comes further away than its line is long."""
 
 
 @inner
@@ -22,7 +25,7 @@ def slung_load(p: Record, y: Any, dy: Any, push_x: float, push_y: float, push_z:
 
     The offset r of the load keeps its length: r'' = g r - push - damping r', with the g that makes
     (r . r)'' vanish. Below half of its length above the ground the line is slack: the load lies
-    there. push: what else accelerates the bare craft, gravity not counted.
+    there, and is dragged along. push: what else accelerates the bare craft, gravity not counted.
     """
     taut = min(max(y[2] / p.load_length * 2.0 - 1.0, 0.0), 1.0)
     x, z = y[LOAD], y[LOAD + 1]
@@ -34,8 +37,10 @@ def slung_load(p: Record, y: Any, dy: Any, push_x: float, push_y: float, push_z:
     along = x * push_x + z * push_y + down * push_z
     back = taut * (along - (u * u + v * v + w * w)) / square
     dy[LOAD], dy[LOAD + 1] = u, v
-    dy[LOAD + 2] = back * x - push_x - p.load_damping * u
-    dy[LOAD + 3] = back * z - push_y - p.load_damping * v
+    loose = DRAG_PER_S * (1.0 - taut)
+    drag_u, drag_v = loose * (DRAG_PER_S * x + 2.0 * u), loose * (DRAG_PER_S * z + 2.0 * v)
+    dy[LOAD + 2] = back * x - taut * push_x - p.load_damping * u - drag_u
+    dy[LOAD + 3] = back * z - taut * push_y - p.load_damping * v - drag_v
     share = p.load_share
     return -share * back * x, -share * back * z, -share * back * down
 

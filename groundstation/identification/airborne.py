@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
-from groundstation.prediction.height import heights_of, low_at_the_end, rise_of
+from groundstation.prediction.height import heights_of, rise_of
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -87,11 +87,12 @@ def flights_in(run: Run) -> list[Air]:
             has_attitude = bool(np.isfinite(run.attitude).any())
             level = run.attitude if has_attitude else np.zeros((len(run), 3))
             rise = rise_of(level, run.accelerometer)
-            height[start:stop] = heights_of(rise, still, start, stop, period)
-            maybe_low = low_at_the_end(rise, still, start, stop, period)
+            height[start:stop], maybe_low = heights_of(rise, still, start, stop, period)
         first, last = _clear_of_ground(period, start, stop, rests, height)
+        if rests[1]:
+            last, maybe_low = min(last, stop - maybe_low), 0
         if last > first:
-            low = 0 if rests[1] else min(maybe_low, last - first)
+            low = min(maybe_low, last - first)
             found.append(Air(start, stop, first, last, rests, height, low))
     return found
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.craft import Crafts, craft_of_model
 from groundstation.dynamics.hover import settled_rev_s
+from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
@@ -129,11 +130,11 @@ def turning_rows(run: Flown) -> Mask:
 
 
 def height_of(run: Flown, flying: Mask) -> Array:
-    """Height above ground (n,) in m; infinite in flight where a recording cannot tell it."""
-    height = np.where(flying, np.inf, 0.0)
+    """Height above ground (n,) in m; ``FAR_M`` in flight where a recording cannot tell it."""
+    height = np.where(flying, FAR_M, 0.0)
     rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
     for start, stop in spans(turning_rows(run)):
-        known = np.maximum(heights_of(rise, still, start, stop, run.period_s), 0.0)
-        height[start:stop] = np.where(flying[start:stop], known, 0.0)
+        known, _ = heights_of(rise, still, start, stop, run.period_s)
+        height[start:stop] = np.where(flying[start:stop], np.clip(known, 0.0, FAR_M), 0.0)
     return height

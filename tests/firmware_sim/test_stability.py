@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.sealed.flights import CARRY
 from firmware_sim.craft import StandIn, StandInSettings
+from firmware_sim.settings import Loss
 
 PROGRAMME = """
 name = "there and back"
@@ -71,6 +73,31 @@ def test_fifty_flights_go_up_stay_upright_and_come_down(programme, craft, plant)
         assert np.abs(truth["rate_rad_s"][flying]).max() < 1.5, seed
         descent = truth["velocity_m_s"][truth["time_s"] > 12, 2].min()
         assert descent > -0.9, seed
+
+
+SEALED = Path(__file__).parents[2] / "bench" / "sealed" / "programme.toml"
+
+
+def test_a_load_that_touches_the_ground_in_a_dive_comes_up_below_its_craft():
+    """With this seed it came off by more than its line is long, and the flight ended in no
+    number."""
+    load = {
+        "percent": 2.1510948854160152,
+        "length_m": 0.24895576267860178,
+        "damping_per_s": 0.12015669902666959,
+        "below_m": 0.006837932338691635,
+    }
+    stand_in = StandIn(
+        StandInSettings(
+            plant="reduced", seed=889972, program=str(SEALED), truth=True, copies=1,
+            loss=Loss(good_loss=0.0), gains=CARRY, effects={"slung_load": load},
+        )
+    )  # fmt: skip
+    stand_in.advance(60.0)
+    truth = stand_in.truth()
+    assert np.isfinite(truth["position_m"]).all()
+    _, x, y, _ = truth["quaternion"].T
+    assert np.degrees(np.arccos(1 - 2 * (x * x + y * y))).max() < 60
 
 
 DOCUMENTATION = Path(__file__).parents[2] / "docs" / "stand_in.md"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from stand_in_flights import recorded
 
-from groundstation.prediction.height import heights_of, low_at_the_end, rise_of
+from groundstation.prediction.height import heights_of, rise_of
 from groundstation.spans import spans
 
 PROGRAMME = """name = "low"
@@ -17,56 +17,73 @@ seconds = 3.0
 height_m = 0.08
 [[segment]]
 kind = "fly"
-seconds = 14.0
+seconds = {high_s}
 height_m = 0.8
 [[segment]]
 kind = "fly"
-seconds = 4.0
-height_m = 0.0
+seconds = {low_s}
+height_m = {low_m}
 [[segment]]
 kind = "rest"
 seconds = 2.0
 """
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory):
+def flown(folder, high_s, low_s, low_m):
     """(vertical acceleration, still rows, start, stop, true height) of a flight that ends low."""
-    path = tmp_path_factory.mktemp("programme") / "low.toml"
-    path.write_text(PROGRAMME)
+    path = folder / "low.toml"
+    path.write_text(PROGRAMME.format(high_s=high_s, low_s=low_s, low_m=low_m))
     samples, truth = recorded(
-        26.0, plant="reduced", seed=4, program=str(path), copies=1, loss={"good_loss": 0.0}
-    )
+        8.0 + high_s + low_s,
+        plant="reduced", seed=4, program=str(path), copies=1, loss={"good_loss": 0.0},
+    )  # fmt: skip
     rise = rise_of(samples.attitude.astype(float), samples.accelerometer.astype(float))
     ((start, stop),) = spans(np.asarray((samples.duty > 0.1).all(axis=1)))
     still = np.asarray((samples.duty <= 0.0).all(axis=1))
     return rise, still, start, stop, truth["position_m"][: len(rise), 2]
 
 
-def test_height_is_known_to_a_few_centimetres_after_take_off_and_before_landing(flight):
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    return flown(tmp_path_factory.mktemp("programme"), 14.0, 2.0, 0.0)
+
+
+def test_height_is_known_to_a_few_centimetres_after_take_off_and_before_a_short_landing(flight):
     rise, still, start, stop, true = flight
-    height = heights_of(rise, still, start, stop, 0.002)
+    height, low = heights_of(rise, still, start, stop, 0.002)
+    error = height - true[start:stop]
+    assert low == 0
+    assert np.abs(error[:1500]).max() < 0.05
+    assert np.abs(error[-500:]).max() < 0.05
+    assert np.isinf(height[len(height) // 2])
+
+
+def test_before_a_long_landing_it_is_not_known_and_how_long_the_craft_may_be_low_is_said(tmp_path):
+    rise, still, start, stop, true = flown(tmp_path, 40.0, 4.0, 0.08)
+    height, low = heights_of(rise, still, start, stop, 0.002)
     error = height - true[start:stop]
     assert np.abs(error[:1500]).max() < 0.05
-    assert np.abs(error[-1000:]).max() < 0.05
-    assert np.isinf(height[len(height) // 2])
+    assert np.isinf(height[-3000:]).all()
+    assert (true[start : stop - low][5000:] > 0.3).all()
+    assert true[stop - low] < 0.85
 
 
 def test_a_recording_that_breaks_off_over_the_ground_says_from_where_on_it_may_have_landed(flight):
     rise, still, start, stop, true = flight
-    cut = stop - 500
-    low = low_at_the_end(rise[:cut], still[:cut], start, cut, 0.002)
+    cut = stop - 100
+    _, low = heights_of(rise[:cut], still[:cut], start, cut, 0.002)
     assert low > 0
     assert true[cut - low - 1] == pytest.approx(0.35, abs=0.15)
     high = start + 5000
-    assert low_at_the_end(rise[:high], still[:high], start, high, 0.002) == 0
+    assert heights_of(rise[:high], still[:high], start, high, 0.002)[1] == 0
 
 
 def test_a_flight_that_was_in_the_air_already_has_no_height(flight):
     rise, still, start, stop, _ = flight
     begun = start + 2000
-    height = heights_of(rise[begun:], still[begun:], 0, stop - begun, 0.002)
+    height, low = heights_of(rise[begun:], still[begun:], 0, stop - begun, 0.002)
     assert np.isinf(height).all()
+    assert low == 0
 
 
 def test_rows_without_a_new_attitude_are_risen_in_as_well():

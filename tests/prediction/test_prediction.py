@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from affected_flights import BASE, MEDIUM, affected, flown
 
+from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
@@ -119,12 +120,12 @@ def every_second_row(run):
 
 
 def test_a_slung_load_is_predicted_from_the_ground_on():
-    """But for the take-off, where the stand-in's line is slack and the law's is not."""
+    """Where its line is slack at first."""
     load = {"percent": 7.0, "length_m": 0.3, "damping_per_s": 0.4, "below_m": 0.01}
     run, _ = flown(40.0, 3, effects={"slung_load": load})
     without, within = over_noise(BASE, run), over_noise(affected("slung_load", load), run)
     assert without[:, CHANNELS.index("gyro x")].max() > 1.5
-    assert within.max() < 1.2
+    assert within.max() < 1.1
 
 
 def test_an_observer_follows_what_drifts_slowly():
@@ -201,7 +202,7 @@ def test_height_is_reckoned_after_a_take_off_and_unknown_later():
     first = np.flatnonzero(seen.flying)[0]
     part = slice(first, first + 1000)
     np.testing.assert_allclose(height[part], truth["position_m"][part, 2], atol=0.05)
-    assert np.isinf(height[-1])
+    assert height[-1] == FAR_M
 
 
 @pytest.mark.parametrize("offset_g", [0.05, -0.05])

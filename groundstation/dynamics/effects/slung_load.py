@@ -8,8 +8,9 @@ fixed to the craft, e the line's direction and f' the part of f across it (inert
 A spherical pendulum of any angle on a line that stays taut, hung from a craft that is free to move
 (Sreenath, Lee and Kumar, Geometric control of a quadrotor with a cable-suspended load, 2013). Its
 weight is not in it: that is in the thrust per mass, as any payload's (``mass_change``), and
-``percent`` is its share of the whole. The line is tied ``below_m`` under the centre of gravity,
-where its pull is a moment as well.
+``percent`` is its share of the whole. Near the ground the line hangs loose: the load lies there and
+is dragged along, and the craft, lighter by it, has r more of its force. The line is tied
+``below_m`` under the centre of gravity, where its pull is a moment as well.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from groundstation.dynamics.effect import (
 from groundstation.dynamics.law import to_body, to_inertial
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
+DRAG_PER_S = 10.0
+"""How fast a load that lies on the ground comes to below the craft: without a swing."""
 SWING, SWING_PER_S = 0.002, 0.02
 """How far off its law the line's direction (rad) and slope (rad/s) are: nobody saw how a recorded
 swing began."""
@@ -52,19 +55,24 @@ def law(values: Any, craft: Any, body: Any, state: Any) -> Any:
     f, g, h = to_inertial(body.quaternion, body.force)
     along = f * x + g * y + h * z
     f, g, h = f - along * x, g - along * y, h - along * z
-    inward = 0.01 * percent * length * turn
+    # Tight from its own length above the ground on, loose below half of it.
+    tight = min(max(2.0 * body.height / length - 1.0, 0.0), 1.0)
+    inward = tight * 0.01 * percent * length * turn + (1.0 - tight) * ratio * along
     push = to_body(
         body.quaternion,
         (ratio * f + inward * x, ratio * g + inward * y, ratio * h + inward * z),
     )
-    drive = (1.0 + ratio) / length
+    drive, drag = tight * (1.0 + ratio) / length, (1.0 - tight) * DRAG_PER_S
+    slowed = tight * damping + 2.0 * drag
+    aside = drag * DRAG_PER_S
+    sunk = (x * x + y * y) * aside  # along the line, which the drag leaves as long as it is
     slopes = (
         u,
         v,
         w,
-        -drive * f - turn * x - damping * u,
-        -drive * g - turn * y - damping * v,
-        -drive * h - turn * z - damping * w,
+        -drive * f - turn * x - slowed * u - aside * x + sunk * x,
+        -drive * g - turn * y - slowed * v - aside * y + sunk * y,
+        -drive * h - turn * z - slowed * w + sunk * z,
     )
     ixx, iyy, _ = craft.inertia
     arm = below * craft.mass / (1.0 + ratio)
@@ -73,8 +81,9 @@ def law(values: Any, craft: Any, body: Any, state: Any) -> Any:
 
 
 def _fastest(values: Mapping[str, float]) -> float:
-    """A swing at twice the weight, 1/s."""
-    return math.sqrt(2.0 * STANDARD_GRAVITY / values["length_m"]) + values["damping_per_s"]
+    """A swing at twice the weight, or what comes from the ground, 1/s."""
+    swing = math.sqrt(2.0 * STANDARD_GRAVITY / values["length_m"]) + values["damping_per_s"]
+    return max(swing, 2.0 * DRAG_PER_S)
 
 
 EFFECT = Effect(
@@ -146,6 +155,7 @@ EFFECT = Effect(
     channels=("accelerometer x", "accelerometer y", *TILT_RATES),
     regimes=TRANSLATION | {"whole flight"},
     needs=("accelerometer", "attitude"),
+    unmeasured=("height",),
     confused_with=(
         Confusion("rotor_drag", f"{TRANSLATE}: drag ends with the motion, a load swings on"),
         Confusion("velocity_moment", f"{TRANSLATE}: a moment ends with the motion"),
