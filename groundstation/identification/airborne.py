@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
-from groundstation.prediction.height import heights_of, rise_of
+from groundstation.prediction.height import CLEAR_M, heights_of, rise_of
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -24,8 +24,8 @@ TURNING_REV_S = 20.0
 """Measured speed from which a rotor turns; in flight it is ten times that."""
 SETTLE_S = 0.5
 """A flight that is recorded from the air on loses this: the motors forget their unknown start."""
-CLEAR_M, LANDING_CLEAR_M = 0.02, 0.05
-"""Height from which the ground carries nothing any more; at a landing it is less well known."""
+LANDING_CLEAR_M = 0.05
+"""``CLEAR_M`` at a landing, where height is less well known."""
 TAKE_OFF_S, CONTACT_S = 1.5, 1.0
 """Left out at the start and at the end where height cannot be told; the ground may carry part of
 the torque."""

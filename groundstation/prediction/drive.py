@@ -18,7 +18,7 @@ from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
-from groundstation.prediction.height import heights_of, rise_of
+from groundstation.prediction.height import CLEAR_M, heights_of, rise_of
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -104,14 +104,18 @@ def drive_run(model: Model, run: Flown) -> Drive:
 
 
 def flying_rows(run: Flown, drive: Drive) -> Mask:
-    """Rows (n,) in the air: from the first thrust above the weight until it has gone for good."""
+    """Rows (n,) in the air: from the first thrust above the weight, or from where the recording
+    tells a height (a model without what the ground does has too little thrust there), until it has
+    gone for good."""
     turning = turning_rows(run)
-    one = drive.craft[0]
+    one, height = drive.craft[0], _reckoned(run)
+    clear = np.isfinite(height) & (height > CLEAR_M)
     lift, low_lift = drive.push[::2, 0] / one["gravity"], drive.push[::2, 1] / one["gravity"]
     flying = np.zeros(len(turning), np.bool_)
     for first, last in spans(turning):
         if first > 0:
-            up = np.flatnonzero(low_lift[first:last] > 1.0)
+            near = np.where(clear[first:last], LANDED, 1.0)
+            up = np.flatnonzero(low_lift[first:last] > near)
             if len(up) == 0:
                 continue
             first += up[0]
@@ -131,10 +135,14 @@ def turning_rows(run: Flown) -> Mask:
 
 def height_of(run: Flown, flying: Mask) -> Array:
     """Height above ground (n,) in m; ``FAR_M`` in flight where a recording cannot tell it."""
-    height = np.where(flying, FAR_M, 0.0)
+    return np.where(flying, np.clip(_reckoned(run), 0.0, FAR_M), 0.0)
+
+
+def _reckoned(run: Flown) -> Array:
+    """Height (n,) in m while motors turn, infinite where a recording cannot tell it."""
+    height = np.full(len(run.duty), np.inf)
     rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
     for start, stop in spans(turning_rows(run)):
-        known, _ = heights_of(rise, still, start, stop, run.period_s)
-        height[start:stop] = np.where(flying[start:stop], np.clip(known, 0.0, FAR_M), 0.0)
+        height[start:stop], _ = heights_of(rise, still, start, stop, run.period_s)
     return height

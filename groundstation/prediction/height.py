@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 KNOWN_S = 6.0
 """Height is known for so long after the motors' start and at most so long before they stop: to some
 cm near either end, to a tenth of a metre where the ground does little any more."""
+CLEAR_M = 0.02
+"""Height from which the ground carries nothing any more."""
 REST_S, LEAST_REST_S = 3.0, 0.2
 """The accelerometer's offset is judged by so much of the rest before the start."""
 MAYBE_LOW_M, LONGEST_LOW_S = 0.35, 10.0
@@ -26,11 +28,14 @@ MAYBE_LOW_M, LONGEST_LOW_S = 0.35, 10.0
 longer: that is drift."""
 HOP = 0.8
 """Share of its greatest height from which a flight that never came so high was not low."""
-SPEED_WALK, LANDING_DOUBT_M = 0.004, 0.03
+SPEED_WALK = 0.004
 """Before a landing height is known where the speed at the touch-down is: to so many m/s per root
 second of the flight (white noise of 0.18 m/s^2 in 500 rows a second makes the speed walk twice as
-far; the height at the touch-down tells half of it), or as well as the drift says. Times as long as
-the craft was low that may be no more than what a ground effect's gain is told to."""
+far; the height at the touch-down tells half of it), or as well as the drift says."""
+REACH_M, LANDING_DOUBT_M = 0.08, 0.01
+"""How high a small craft's ground effect reaches, and what the height may be off by, times what is
+left of the effect there: a craft that comes down in a second is low for too short to be misjudged,
+one that hovers low for two is not."""
 FALL_S, FALLING = 0.6, 0.5
 """How long a craft may fall once its motors have stopped, feeling less than this share of 1 g."""
 
@@ -73,10 +78,11 @@ def heights_of(
     climbed -= drift * (np.arange(1, len(climbed) + 1) / len(climbed)) ** 2
     height[:rows] = climbed[: stop - start][:rows]
     before_s = np.arange(len(climbed) - 1, -1, -1) * period_s
-    high = min(MAYBE_LOW_M, HOP * float(climbed.max()))
-    surely_high = (climbed > high + doubt * before_s) & (before_s < KNOWN_S)
-    low_s = float(before_s[surely_high].min(initial=KNOWN_S))
-    if low_s * doubt > LANDING_DOUBT_M:
+    off = doubt * before_s * np.exp(-np.maximum(climbed, 0.0) / REACH_M)
+    if float(np.max(off[before_s < KNOWN_S])) > LANDING_DOUBT_M:
+        level = min(MAYBE_LOW_M, HOP * float(climbed.max()))
+        surely_high = (climbed > level + doubt * before_s) & (before_s < KNOWN_S)
+        low_s = float(np.min(before_s[surely_high], initial=KNOWN_S))
         return height, max(round(low_s / period_s) - (down - stop), 0)
     height[-rows:] = climbed[: stop - start][-rows:]
     return height, 0
