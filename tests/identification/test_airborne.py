@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.identification.airborne import CONTACT_S, TAKE_OFF_S, airborne, flights_in
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import CHANNELS, Run
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 T = 0.002
@@ -41,6 +41,23 @@ def test_the_ground_carries_until_the_craft_is_two_centimetres_up(run):
     assert lift < flight.first < lift + 0.25 / T
     assert sink - 0.4 / T < flight.last < sink
     assert flight.height_m[flight.first] == pytest.approx(0.02, abs=0.002)
+
+
+def _longer(values, before, after):
+    return np.pad(values, [(before, after)] + [(0, 0)] * (values.ndim - 1), "edge")
+
+
+def test_motors_that_idle_on_the_ground_make_no_flight_longer(run):
+    """An armed Brushless idles at 7000 of 65535, which a row can also have in flight."""
+    before, after = 5000, 2000
+    padded = {name: _longer(getattr(run, name), before, after) for name in CHANNELS}
+    padded["duty"][1000 : before + START] = 7000.0 / 65535.0
+    padded["duty"][before + STOP : -500] = 7000.0 / 65535.0
+    (still,), (idling,) = flights_in(run), flights_in(replace(run, **padded))
+    assert (idling.first - before, idling.last - before) == (still.first, still.last)
+    assert idling.rests == still.rests
+    height = idling.height_m[before + still.first : before + still.last]
+    np.testing.assert_allclose(height, still.height_m[still.first : still.last], atol=1e-9)
 
 
 def test_without_an_accelerometer_time_decides(run):
