@@ -76,6 +76,28 @@ def ask_again(craft: Any, uri: str) -> Callable[[], None]:
     return hush
 
 
+def begin_once(craft: Any) -> None:
+    """Let the first answer alone begin the reading of a craft's tables.
+
+    cflib begins anew with each that says which protocol is spoken, of which several may come late
+    together; it then clears the log of the craft once more, at any moment, and whoever logs by
+    then hears nothing any more.
+    """
+    fetch = craft.platform.fetch_platform_informations
+
+    def fetch_once(callback: Callable[[], None]) -> None:
+        begun = threading.Event()
+
+        def begin() -> None:
+            if not begun.is_set():
+                begun.set()
+                callback()
+
+        fetch(begin)
+
+    craft.platform.fetch_platform_informations = fetch_once
+
+
 def protocol_of(craft: Any) -> int:
     """Version of CRTP that cflib's object speaks with, -1 for one that knows no versions."""
     return int(craft.platform.get_protocol_version())

@@ -21,6 +21,7 @@ from groundstation.errors import BadInputError, LinkError
 from groundstation.links.cflib_calls import (
     LOG_CONTROL,
     ask_again,
+    begin_once,
     crtp_packet,
     elsewhere,
     protocol_of,
@@ -124,6 +125,7 @@ class Connection:
         complete: asyncio.Future[bool] = loop.create_future()
         craft = self._craft = self._new_craft()
         self._hush = ask_again(craft, self.uri)
+        begin_once(craft)
         self._complete, self._console, self.commanded = complete, "", False
 
         def call(function: Callable[..., None], *arguments: Any) -> None:

@@ -16,11 +16,12 @@ LOG_DATA = 0x52
 class NarrowRadio:
     """most_hz: log packets a second that come through, any of them, however many are sent.
     stalled: neither side hears the other, and what is said meanwhile is lost. loses: told what a
-    client sends, whether it is lost."""
+    client sends, whether it is lost. doubles: every answer comes twice."""
 
     def __init__(self, craft_port: int, most_hz: float) -> None:
         self.most_hz, self.stalled = most_hz, False
         self.loses: Callable[[bytes], bool] = lambda packet: False
+        self.doubles = False
         self._craft = ("127.0.0.1", craft_port)
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -63,14 +64,16 @@ class NarrowRadio:
                 data = self._far.recv(2048)
             except TimeoutError:
                 continue
-            if data[0] & 0xF3 == LOG_DATA:
+            is_log = data[0] & 0xF3 == LOG_DATA
+            if is_log:
                 came += 1
                 if (now := time.monotonic()) >= since + 0.5:
                     share, came, since = self.most_hz * (now - since) / came, 0, now
                 if chance.random() >= share:
                     continue
             if self._client is not None and not self.stalled:
-                self._near.sendto(data, self._client)
+                for _ in range(1 if is_log or not self.doubles else 2):
+                    self._near.sendto(data, self._client)
 
 
 @contextmanager

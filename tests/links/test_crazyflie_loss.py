@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import time
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from groundstation.links.crazyflie_log import CrazyflieTelemetry
 LOG_CONTROL, LINK_SOURCE = 0x51, 0xF1
 """Header bytes, the two link bits aside."""
 LOST = 0.05
+RESET = 5
 
 
 def header(packet: bytes) -> int:
@@ -97,3 +99,28 @@ def test_a_log_block_of_which_a_part_was_lost_is_made_anew_and_rows_are_whole() 
         radio.loses = loses
         assert asyncio.run(session(radio.uri)) > 20
     assert lost
+
+
+def test_answers_that_come_twice_clear_the_log_no_second_time() -> None:
+    """A craft that stood still answers all that it was asked meanwhile; the library began anew with
+    each answer, and the rows ceased when it cleared the log for that."""
+    cleared: list[float] = []
+
+    def loses(packet: bytes) -> bool:
+        if header(packet) == LOG_CONTROL and packet[1] == RESET:
+            cleared.append(time.monotonic())
+        return False
+
+    async def session(uri: str) -> float:
+        link = CrazyflieTelemetry(uri, rate_hz=250)
+        async with link:
+            begun_s = time.monotonic()
+            while time.monotonic() < begun_s + 1.0:
+                assert await link.read() is not None, "silent"
+        return begun_s
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        radio.loses, radio.doubles = loses, True
+        begun_s = asyncio.run(session(radio.uri))
+    assert cleared
+    assert max(cleared) < begun_s
