@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
-from groundstation.prediction.height import CLEAR_M, heights_of, rise_of
+from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -22,9 +22,6 @@ Mask = NDArray[np.bool_]
 
 TURNING_REV_S = 20.0
 """Measured speed from which a rotor turns; in flight it is ten times that."""
-IDLE_SHARE, IDLE_S = 0.4, 1.0
-"""Motors that are driven by less than this share of what they are in flight, for so long at either
-end, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535)."""
 SETTLE_S = 0.5
 """A flight that is recorded from the air on loses this: the motors forget their unknown start."""
 LANDING_CLEAR_M = 0.05
@@ -84,7 +81,7 @@ def flights_in(run: Run) -> list[Air]:
     still = np.asarray((driven <= 0.0).all(axis=1))
     found = []
     for begun, ended in spans(turning(run)):
-        lifts = _lifting(driven[begun:ended].mean(axis=1), period)
+        lifts = lifting(driven[begun:ended].mean(axis=1), period)
         start, stop = begun + lifts.start, begun + lifts.stop
         still[begun:start] = True
         rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)
@@ -101,15 +98,6 @@ def flights_in(run: Run) -> list[Air]:
             low = min(maybe_low, last - first)
             found.append(Air(start, stop, first, last, rests, height, low))
     return found
-
-
-def _lifting(driven: Array, period_s: float) -> slice:
-    """A stretch of turning motors less what they idle before and after, by what drives them on
-    average (n,)."""
-    up = np.flatnonzero(driven > IDLE_SHARE * np.percentile(driven, 95.0))
-    first, last, count = int(up[0]), int(up[-1]) + 1, len(driven)
-    idle = round(IDLE_S / period_s)
-    return slice(first if first > idle else 0, last if count - last > idle else count)
 
 
 def _clear_of_ground(

@@ -18,7 +18,7 @@ from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
-from groundstation.prediction.height import CLEAR_M, heights_of, rise_of
+from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -103,12 +103,12 @@ def drive_run(model: Model, run: Flown) -> Drive:
     return Drive(craft, sensor, run.period_s, speed, push)
 
 
-def flying_rows(run: Flown, drive: Drive) -> Mask:
+def flying_rows(run: Flown, drive: Drive, height: Array) -> Mask:
     """Rows (n,) in the air: from the first thrust above the weight, or from where the recording
     tells a height (a model without what the ground does has too little thrust there), until it has
-    gone for good."""
+    gone for good. height: (n,) as ``reckoned_height`` has it."""
     turning = turning_rows(run)
-    one, height = drive.craft[0], _reckoned(run)
+    one = drive.craft[0]
     clear = np.isfinite(height) & (height > CLEAR_M)
     lift, low_lift = drive.push[::2, 0] / one["gravity"], drive.push[::2, 1] / one["gravity"]
     flying = np.zeros(len(turning), np.bool_)
@@ -133,16 +133,20 @@ def turning_rows(run: Flown) -> Mask:
     return np.asarray((run.duty > TURNING).all(axis=1))
 
 
-def height_of(run: Flown, flying: Mask) -> Array:
-    """Height above ground (n,) in m; ``FAR_M`` in flight where a recording cannot tell it."""
-    return np.where(flying, np.clip(_reckoned(run), 0.0, FAR_M), 0.0)
-
-
-def _reckoned(run: Flown) -> Array:
-    """Height (n,) in m while motors turn, infinite where a recording cannot tell it."""
+def reckoned_height(run: Flown) -> Array:
+    """Height (n,) in m while motors lift, infinite where a recording cannot tell it."""
     height = np.full(len(run.duty), np.inf)
     rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
-    for start, stop in spans(turning_rows(run)):
+    for begun, ended in spans(turning_rows(run)):
+        lifts = lifting(run.duty[begun:ended].mean(axis=1), run.period_s)
+        start, stop = begun + lifts.start, begun + lifts.stop
+        still[begun:start] = True
         height[start:stop], _ = heights_of(rise, still, start, stop, run.period_s)
     return height
+
+
+def height_of(height: Array, flying: Mask) -> Array:
+    """What was reckoned as height above ground (n,) in m: ``FAR_M`` in flight where it is not
+    known, 0 elsewhere."""
+    return np.where(flying, np.clip(height, 0.0, FAR_M), 0.0)

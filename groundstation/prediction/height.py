@@ -36,6 +36,9 @@ REACH_M, LANDING_DOUBT_M = 0.08, 0.01
 """How high a small craft's ground effect reaches, and what the height may be off by, times what is
 left of the effect there: a craft that comes down in a second is low for too short to be misjudged,
 one that hovers low for two is not."""
+IDLE_SHARE, IDLE_S = 0.4, 1.0
+"""Motors that are driven by less than this share of what they are in flight, for so long at either
+end, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535)."""
 FALL_S, FALLING = 0.6, 0.5
 """How long a craft may fall once its motors have stopped, feeling less than this share of 1 g."""
 
@@ -52,6 +55,15 @@ def rise_of(attitude: Array, accelerometer: Array) -> Array:
     return np.asarray(np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0))
 
 
+def lifting(driven: Array, period_s: float) -> slice:
+    """A stretch of turning motors less what they idle before and after, by what drives them on
+    average (n,)."""
+    up = np.flatnonzero(driven > IDLE_SHARE * np.percentile(driven, 95.0))
+    first, last, count = int(up[0]), int(up[-1]) + 1, len(driven)
+    idle = round(IDLE_S / period_s)
+    return slice(first if first > idle else 0, last if count - last > idle else count)
+
+
 def heights_of(
     rise: Array, still: NDArray[np.bool_], start: int, stop: int, period_s: float
 ) -> tuple[Array, int]:
@@ -59,9 +71,9 @@ def heights_of(
     the number of the last of them in which a craft may be low, or stand, at an unknown height.
 
     rise: (n,) vertical acceleration of the whole recording; still: (n,) rows in which no motor
-    is driven. Nothing is known of a flight that was in the air when the recording began. Half a
-    minute's drift leaves some 10 cm: enough to tell where a recording breaks off that it may have
-    landed, too much for what the ground does in a slow landing.
+    is driven, or all idle (``lifting``). Nothing is known of a flight that was in the air when the
+    recording began. Half a minute's drift leaves some 10 cm: enough to tell where a recording
+    breaks off that it may have landed, too much for what the ground does in a slow landing.
     """
     height = np.full(stop - start, np.inf)
     down = _touch_down(rise, stop, period_s)

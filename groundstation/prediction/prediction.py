@@ -21,7 +21,14 @@ from groundstation.dynamics.state import QUATERNION, STATES
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
 from groundstation.prediction.attitude_walk import AHEAD_S, Walk, walk_of
-from groundstation.prediction.drive import Drive, Flown, drive_run, flying_rows, height_of
+from groundstation.prediction.drive import (
+    Drive,
+    Flown,
+    drive_run,
+    flying_rows,
+    height_of,
+    reckoned_height,
+)
 from groundstation.prediction.observer import Gains, Noise, gains_of
 from groundstation.prediction.start_velocity import start_velocity
 
@@ -105,7 +112,7 @@ def predict_ahead(
     A row counts from ``SETTLE_S`` after the take-off (or after the run's start) on, if the craft
     is still in the air at the longest horizon. A run that begins in the air begins with the
     velocity that its first seconds tell (``start_velocity``). height_m: (n,) above ground, for
-    ground_effect; by default reckoned by ``height_of``. noise: sets the observer's gains.
+    ground_effect; by default as ``reckoned_height`` has it. noise: sets the observer's gains.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing.
     """
@@ -130,7 +137,7 @@ def noise_of(model: Model, run: Flown) -> Noise:
     """
     drive = drive_run(model, run)
     steps = np.diff(run.gyro, axis=0) - run.period_s * drive.push[1::2, 2:]
-    flying = flying_rows(run, drive)
+    flying = flying_rows(run, drive, reckoned_height(run))
     used = flying[1:] & np.asarray(np.isfinite(steps).all(axis=1))
     if used.sum() * run.period_s < 1.0:
         raise BadInputError("less than a second in the air: the noise cannot be judged from it")
@@ -196,11 +203,12 @@ def observe_run(
     if not np.isfinite(run.gyro).any():
         raise BadInputError("the gyro is missing; the craft's state cannot be followed without it")
     drive = drive_run(model, run)
-    flying = flying_rows(run, drive)
+    reckoned = reckoned_height(run)
+    flying = flying_rows(run, drive, reckoned)
     fresh = fresh_rows(run.attitude)
     if height_m is None:
         near = any("height" in effect.unmeasured for effect, _ in acting(model))
-        height_m = height_of(run, flying) if near else np.full(len(run.duty), np.nan)
+        height_m = height_of(reckoned, flying) if near else np.full(len(run.duty), np.nan)
 
     gains = gains_of(model, run.period_s, noise)
     start = _start(run, drive, flying)

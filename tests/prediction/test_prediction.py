@@ -13,7 +13,7 @@ from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import CHANNELS as CHANNELS_OF_RUNS
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.drive import height_of
+from groundstation.prediction.drive import height_of, reckoned_height
 from groundstation.prediction.observer import Noise, gains_of
 from groundstation.prediction.prediction import (
     airborne,
@@ -198,11 +198,23 @@ def test_velocity_is_found_where_an_effect_shows_it():
 def test_height_is_reckoned_after_a_take_off_and_unknown_later():
     run, truth = flown(15.0, 6)
     seen = observe_run(BASE, run)
-    height = height_of(run, seen.flying)
+    height = height_of(reckoned_height(run), seen.flying)
     first = np.flatnonzero(seen.flying)[0]
     part = slice(first, first + 1000)
     np.testing.assert_allclose(height[part], truth["position_m"][part, 2], atol=0.05)
     assert height[-1] == FAR_M
+
+
+def test_height_is_reckoned_from_where_motors_lift_not_from_where_they_idle():
+    """An armed Brushless idles at 7000 of 65535 before it flies."""
+    run, _ = flown(15.0, 6)
+    height = reckoned_height(run)
+    start = int(np.flatnonzero(np.isfinite(height))[0])
+    duty = run.duty.copy()
+    duty[start - 1000 : start] = 7000 / 65535
+    idling = reckoned_height(replace(run, duty=duty))
+    np.testing.assert_allclose(idling[start:], height[start:], atol=0.02)
+    assert np.isinf(idling[:start]).all()
 
 
 LOW = """name = "low"
@@ -237,7 +249,7 @@ def test_an_offset_of_the_accelerometer_is_not_taken_for_height(offset_g):
     run, truth = flown(9.0, 7, effects=hidden)
     terms = [term for name, sizes in hidden.items() for term in affected(name, sizes).effects]
     model = msgspec.structs.replace(BASE, effects=tuple(terms))
-    height = height_of(run, observe_run(model, run).flying)
+    height = height_of(reckoned_height(run), observe_run(model, run).flying)
     known = (height < FAR_M) & (height > 0.0)
     assert np.abs(height - truth["position_m"][:, 2])[known].max() < 0.1
     given = truth["position_m"][:, 2].copy()
