@@ -32,10 +32,12 @@ EARLIEST_S, LATEST_S = -0.45, 0.12
 to its neighbours. Before it, because the time of a simulated craft stands still while its host is
 busy: up to as much as the telemetry may be late."""
 APART_S = 0.006
-CLEAR = 8.0
+CLEAR, AROUND_S = 8.0, 1.0
 """An edge further than that from the others' usual delay takes it instead, unless the jump in the
-motors stands out by so many standard deviations."""
+motors stands out by so many standard deviations of those around it: rows may be fewer later on."""
 LEAST_WINDOW_S = 0.15
+BRIDGED_S = 0.1
+"""Without telemetry where fewer rows are asked for: a tenth of what an edge is judged by."""
 ENVELOPE = 20
 """Parts of a flight in each of which the promptest packet ties host to device time."""
 CLOSE_RATIO, CLOSE_POINTS, CLOSE_S = 0.15, 3.0, 0.020
@@ -138,9 +140,9 @@ def analyse(
 ) -> Flown:
     """Metrics of a flown programme, beside the prediction where a plant and its gains are given.
 
-    samples: of one segment. times_ns, setpoints: as ``setpoint_table`` gives them. holds_heading:
-    a yaw setpoint turns the heading that the firmware holds, as today's does: no edge of it shows
-    in the motors.
+    samples: of one segment, or of several where the craft was asked for fewer rows and its clock
+    went on. times_ns, setpoints: as ``setpoint_table`` gives them. holds_heading: a yaw setpoint
+    turns the heading that the firmware holds, as today's does: no edge of it shows in the motors.
 
     Raises BadInputError where there is no telemetry of the setpoints, or no edge among them.
     """
@@ -174,8 +176,13 @@ def _on_grid(samples: SampleBatch) -> tuple[Array, Array, Array, Array]:
     """Device times every 2 ms, and on them: what is controlled (roll, pitch, yaw rate), duty,
     supply in mV."""
     time = samples.time_s
-    if len(time) < 100 or len(np.unique(samples.segment)) > 1:
-        raise BadInputError("the flight's telemetry is too short, or the craft restarted in it")
+    if len(time) < 100:
+        raise BadInputError(f"the flight's telemetry is too short: {len(time)} rows")
+    apart = np.diff(time)[np.diff(samples.segment) != 0]
+    if (apart <= 0.0).any():
+        raise BadInputError("the craft restarted in the flight")
+    if (apart > BRIDGED_S).any():
+        raise BadInputError(f"telemetry fails for {apart.max():.1f} s in the flight")
     grid = np.arange(time[0], time[-1], SAMPLE_PERIOD_S)
     controlled = np.column_stack([samples.attitude[:, :2], samples.gyro[:, 2]])
 
@@ -217,7 +224,7 @@ def _effective(
         rows = np.flatnonzero(np.diff(setpoints[:, axis]) != 0) + 1
         changes += [(int(row), axis) for row in rows]
     changes.sort()
-    noise = 1.4826 * np.median(np.abs(jumps), axis=0) + 1e-9
+    around = round(AROUND_S / SAMPLE_PERIOD_S)
     moments = np.array([sent[row] for row, _ in changes])
     room = 0.5 * np.diff(moments, prepend=-np.inf, append=np.inf)
     visible, delays, clear = 0, [], []
@@ -236,7 +243,8 @@ def _effective(
         # motors that stand still answer nothing
         rises = sign * jumps[strongest, axis] > 0.0
         delays.append(grid[strongest - 1] - sent[row] if rises else math.nan)
-        clear.append(sign * jumps[strongest, axis] > CLEAR * noise[axis])
+        usual_jump = np.median(np.abs(jumps[max(low - around, 0) : high + around, axis]))
+        clear.append(sign * jumps[strongest, axis] > CLEAR * (1.4826 * usual_jump + 1e-9))
     if not delays:
         return [], 0.0, 0.0, 0, 0
     usual, spread = 0.0, 0.0

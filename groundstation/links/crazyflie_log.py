@@ -98,7 +98,7 @@ class CrazyflieTelemetry(Link):
         self._console: deque[str] = deque(maxlen=CONSOLE_LINES)
         self._connection.on_console = self._console.append
         self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
-        self._period_ms = 1000 // (rate_hz or MOST_HZ)
+        self._period_ms = self._asked_ms = 1000 // (rate_hz or MOST_HZ)
         self._measures = rate_hz == 0
         self._wanted = tuple(wanted)
         self._rows: LogRows | None = None
@@ -125,7 +125,8 @@ class CrazyflieTelemetry(Link):
         try:
             identity = await self._connection.identify()
             if self._measures and identity.protocol < 0:  # which logs every 10 ms at the most
-                self._measures, self._period_ms = False, 1000 // LEAST_HZ
+                self._measures, self._asked_ms = False, 1000 // LEAST_HZ
+            self._period_ms = self._asked_ms  # whatever was lost on the connection before
             slow = self._period_ms > SETTING_MS
             plan = plan_log(self._connection.variables(), self._wanted, slow)
             if self._rows is None:
@@ -165,10 +166,10 @@ class CrazyflieTelemetry(Link):
             came_hz = max(came_hz, counted() / blocks / (self._loop.time() - since_s))
             if came_hz >= BORNE * MOST_HZ:
                 break
-        self._measures = False
+        self._measures = False  # by whoever connects again, perhaps in the air
         if came_hz < BORNE * MOST_HZ:
             rates = [rate for rate in RATES_HZ if LEAST_HZ < rate <= SPARE * came_hz]
-            self._period_ms = 1000 // (rates[0] if rates else LEAST_HZ)
+            self._period_ms = self._asked_ms = 1000 // (rates[0] if rates else LEAST_HZ)
             await self._connection.blocks.pace(self._period_ms)
             self.emit(
                 "loss",

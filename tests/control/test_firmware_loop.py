@@ -122,6 +122,29 @@ def test_stock_gains_fly_todays_craft_as_predicted(craft):
     assert [bool(one.apart) for one in other.axes] == [True, False, True]
 
 
+def test_a_flight_in_which_fewer_rows_were_asked_for_is_judged_and_a_restart_is_not():
+    settings = StandInSettings(program="wait", altitude_hold=True, seed=1)
+    samples, sent, setpoints, _ = fly_offline(settings, Programme(repeats=2), jitter_s=0.003)
+    whole = analyse(samples, sent, setpoints)
+    half = len(samples) // 2
+    rows = np.r_[:half, half + 20 : len(samples) : 2]
+    fewer = samples[rows]
+    fewer.segment[half:] += 1
+    flown = analyse(fewer, sent, setpoints)
+    assert flown.edges == 18
+    assert flown.found >= whole.found > 12
+    for one, other in zip(flown.axes, whole.axes, strict=True):
+        apart = [a - b for a, b in zip(one.response, other.response, strict=False)]
+        assert len(apart) > 450
+        assert np.std(apart) < 0.02
+    missing = fewer[np.r_[:half, half + 40 : len(fewer)]]
+    with pytest.raises(BadInputError, match=r"telemetry fails for 0\.2 s in the flight"):
+        analyse(missing, sent, setpoints)
+    fewer.ticks[half:] -= fewer.ticks[half]
+    with pytest.raises(BadInputError, match="the craft restarted in the flight"):
+        analyse(fewer, sent, setpoints)
+
+
 def test_motors_that_stand_still_are_not_said_to_have_answered():
     settings = StandInSettings(program="wait", altitude_hold=True, seed=1)
     samples, sent, setpoints, _ = fly_offline(settings, Programme(repeats=2), jitter_s=0.003)

@@ -42,6 +42,22 @@ def test_a_link_that_loses_a_third_is_asked_for_fewer_rows_in_a_segment_of_their
         assert np.median(steps) == period
 
 
+def test_who_connects_again_is_asked_for_as_many_rows_as_at_first() -> None:
+    async def session(uri: str) -> tuple[int, SampleBatch]:
+        link = CrazyflieTelemetry(uri, rate_hz=FAST_HZ)
+        async with link:
+            await link.read()
+            assert link._rows is not None
+            await link._slow_down(100, "half of the rows lost", link._rows)
+            slow_ms = link._period_ms
+        return slow_ms, (await heard(link, 1.0))[0]
+
+    with served(craft="crazyflie21") as craft:
+        slow_ms, samples = asyncio.run(session(craft.uri))
+    assert slow_ms == 10
+    assert np.median(np.diff(samples.ticks)) * samples.tick_s == 1.0 / FAST_HZ
+
+
 def test_without_a_rate_as_many_rows_are_asked_for_as_the_link_bears_and_none_is_lost() -> None:
     """340 packets a second are 170 rows; a tenth of it stays free."""
     with (
