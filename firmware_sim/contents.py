@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
-from firmware_sim.craft import HEIGHT_DECK, CraftState, StandIn
+from firmware_sim.craft import CHOSEN, HEIGHT_DECK, CraftState, StandIn
 from firmware_sim.physics import PARAMETER_NAMES
 from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED
 
@@ -107,6 +107,8 @@ def _parameters_of_today() -> Iterator[tuple[str, int]]:
     for name, kind in PARAMETERS:
         if not name.startswith(("sensorfusion6.", "imu_acc_lpf.")):
             yield name, kind
+    for name in CHOSEN:
+        yield name, PARAM_U8
     yield HEIGHT_DECK, PARAM_U8 | READ_ONLY
 
 
@@ -130,7 +132,10 @@ def _variables_of_today(
     if rotor_speed_deck:
         for index, name in enumerate(MOTORS):
             yield f"rpm.{name}", U16, _rotor_rpm(index)
+    for name in ("x", "y", "vx", "vy"):  # which nothing on board tells
+        yield f"stateEstimate.{name}", FLOAT, lambda s: 0.0
     yield "stateEstimate.z", FLOAT, lambda s: s.height_m
+    yield "stateEstimate.vz", FLOAT, lambda s: s.climb_m_s
     if height_deck:
         yield "range.zrange", U16, lambda s: 1000.0 * s.range_m
 

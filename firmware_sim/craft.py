@@ -36,6 +36,8 @@ HOLDS_THRUST = 32767.0
 """What neither climbs nor sinks, with ``flightmode.althold``; 0 sinks with 1 m/s."""
 HEIGHT_DECK = "deck.bcZRanger2"
 """What the firmware says of it can only be read."""
+CHOSEN = {"stabilizer.estimator": 1.0, "stabilizer.controller": 1.0}
+"""By which today's firmware chooses who flies: kept and said, and the first of either flies."""
 DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
 """Vehicle -> the name the firmware gives; a 2.1 and a 2.1+ call themselves alike."""
 
@@ -46,8 +48,8 @@ class CraftState:
 
     time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
     firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
-    the firmware uses them. motors: 16-bit. height_m: the firmware's estimate, range_m: what a
-    Z-ranger measures; 0 without one. supervisor: state of ``supervisor``.
+    the firmware uses them. motors: 16-bit. height_m, climb_m_s: the firmware's estimates, range_m:
+    what a Z-ranger measures; 0 without one. supervisor: state of ``supervisor``.
     """
 
     time_s: float
@@ -69,6 +71,7 @@ class CraftState:
     position_m: tuple[float, float, float]
     rotor_rev_s: tuple[float, float, float, float]
     height_m: float
+    climb_m_s: float
     range_m: float
 
 
@@ -168,6 +171,7 @@ class StandIn:
                 position_m=_floats(s["y"][:3]),
                 rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
                 height_m=float(fw["height"]),
+                climb_m_s=float(fw["climb"]),
                 range_m=float(fw["range_m"]),
             )
 
@@ -270,6 +274,8 @@ class StandIn:
 
         if name == HEIGHT_DECK:
             return float(self.settings.height_deck)
+        if name in CHOSEN:
+            return self._chosen[name]
         column, axis = gain_place(name)
         with self._lock:
             value = self._firmware[0][column]
@@ -279,6 +285,9 @@ class StandIn:
         """Write a firmware parameter; lost at the next restart, as in the craft."""
         from firmware_sim.physics import gain_place
 
+        if name in CHOSEN:
+            self._chosen[name] = float(value)
+            return
         column, axis = gain_place(name)
         with self._lock:
             if axis < 0:
@@ -384,6 +393,7 @@ class StandIn:
 
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
+        self._chosen = dict(CHOSEN)
         self._unlocked = False
         if first:
             s["rng"] = seeded(self.settings.seed, len(s["rng"]))
