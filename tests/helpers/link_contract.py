@@ -15,7 +15,7 @@ from groundstation.links.base import LinkState
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import COLUMNS, RawBatch, SampleBatch, empty_samples
 
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 SPAN_NS = 200_000_000
 """Telemetry that a test reads before it judges."""
 
