@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from firmware_sim.battery import ADC_FILTER, ADC_PASSES
 from firmware_sim.effects.effect import POSITIVE, Effect, Values, one, sets, zeroes
 from firmware_sim.layout import PASS_NS
 
-ADC_LAG_S = ADC_PASSES * PASS_NS * 1e-9 / ADC_FILTER
-"""Time constant of the firmware's battery filter."""
+ADC_LAG_S = -ADC_PASSES * PASS_NS * 1e-9 / math.log(1.0 - ADC_FILTER)
+"""Time constant of the firmware's battery filter: what is left of a step falls by a factor e."""
 
 
 def _present(p: Any) -> Values | None:

@@ -18,6 +18,7 @@ from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
+from groundstation.prediction.battery_rhythm import between_readings
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
 from groundstation.spans import spans
 
@@ -93,7 +94,7 @@ def drive_run(model: Model, run: Flown) -> Drive:
     if len(run.duty) < 2:
         raise BadInputError("a run of one row cannot be flown; give at least two")
     craft, sensor = craft_of_model(model), sensors_of_model(model)
-    supply = np.ascontiguousarray(1000.0 * run.supply_v, np.float64)
+    supply = np.ascontiguousarray(1000.0 * between_readings(run.supply_v), np.float64)
     duty = np.ascontiguousarray(run.settings, np.float64)
     start = settled_rev_s(craft, run.duty[0], float(supply[0]))
     speed = np.empty((2 * len(supply) - 1, 4))

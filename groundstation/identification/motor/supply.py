@@ -26,6 +26,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.estimate import inverse, rms, sandwich
 from groundstation.identification.motor.fit import MotorFit, bench_run, fit_motor
 from groundstation.identification.runs import Run
+from groundstation.prediction.battery_rhythm import held, reading_rows
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def estimate_supply(
     winding = vehicle.winding_ohm
     wires = vehicle.battery.supply_ohm if SAG in effects else 0.0
     emf_v = np.array([one.a1 / one.a0 / 1000.0 for one in each_motor(motor)])
-    regression = _Regression(run, np.zeros((len(run), 7)))
+    regression = _Regression(run, np.zeros((len(run), 7)), reading_rows(run.supply_v))
     lag = share = 0.0
     for _ in range(3):
         armature = run.duty * motors[:, None]
@@ -160,12 +161,14 @@ class _Regression:
 
     run: Run
     plain: Array
+    read: NDArray[np.int64]
 
     @classmethod
     def of(cls, run: Run, load: Array, back: Array) -> _Regression:
         time = np.linspace(-1.0, 1.0, len(run))
         drawn = [np.cumsum(one - one.mean()) / len(run) for one in (load, back)]
-        return cls(run, np.column_stack([np.ones(len(run)), time, time**2, -load, back, *drawn]))
+        plain = np.column_stack([np.ones(len(run)), time, time**2, -load, back, *drawn])
+        return cls(run, plain, reading_rows(run.supply_v))
 
     def best_lag(self) -> float:
         """The lag in s with the smallest error of the report."""
@@ -199,20 +202,20 @@ class _Regression:
         return float(np.sqrt(sandwich(np.array([[slope @ slope]]), scores[:, None])[0, 0]))
 
     def _solved(self, lag_s: float) -> tuple[Array, Array, int]:
-        lagged = _low_pass(self.plain, lag_s, self.run.period_s)
+        lagged = _low_pass(self.plain, lag_s, self.run.period_s, self.read)
         start = min(len(self.run) // 4, round(3 * lag_s / self.run.period_s))
         used = lagged[start:]
         weights = inverse(used.T @ used) @ (used.T @ self.run.supply_v[start:])
         return lagged, weights, start
 
 
-def _low_pass(signals: Array, lag_s: float, period_s: float) -> Array:
-    """First-order lag, settled at the first row."""
+def _low_pass(signals: Array, lag_s: float, period_s: float, read: NDArray[np.int64]) -> Array:
+    """First-order lag of what is read in some rows and held in between, settled at the first."""
     if lag_s == 0.0:
         return signals
     from scipy.signal import lfilter
 
-    keep = float(np.exp(-period_s / lag_s))
-    start = keep * signals[:1]
-    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], signals, axis=0, zi=start)
-    return np.asarray(filtered)
+    keep = float(np.exp(-period_s * (read[1] - read[0]) / lag_s))
+    start = keep * signals[read[:1]]
+    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], signals[read], axis=0, zi=start)
+    return held(np.asarray(filtered), read, len(signals))
