@@ -17,7 +17,6 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.laws import Acting, in_order
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
 from groundstation.identification.torque import rotor_squares
-from groundstation.prediction.battery_rhythm import held, reading_rows
 
 Array = NDArray[np.float64]
 
@@ -118,13 +117,12 @@ def _behind(
     run = flight.run
     load = (run.duty**2).sum(axis=1) * supply_mv
     back = (run.duty * speed) @ back_emf_mv
-    rows, read = len(run), reading_rows(run.supply_v)
+    rows = len(run)
     knots = np.linspace(0, rows - 1, max(2, round(rows * run.period_s / KNOT_S)) + 1)
     hats = np.maximum(0.0, 1.0 - np.abs(np.arange(rows)[:, None] - knots) / (knots[1] - knots[0]))
     plain = np.column_stack([hats, -load, back])
-    filtered = np.empty((len(read), plain.shape[1]))
-    first_order(np.ascontiguousarray(plain[read]), keep ** (read[1] - read[0]), filtered)
-    lagged = held(filtered, read, rows)
+    lagged = np.empty_like(plain)
+    first_order(np.ascontiguousarray(plain), keep, lagged)
     first = min(flight.first, rows // 4)
     normal = lagged[first:].T @ lagged[first:]
     scale = np.sqrt(np.diag(normal)) + 1e-12
