@@ -48,17 +48,19 @@ class Contents:
 def contents_of(craft: StandIn) -> Contents:
     """What the firmware of this craft lists."""
     has = craft.settings
-    return _contents(craft.protocol, has.rotor_speed_deck, has.height_deck, has.software_build)
+    return _contents(
+        craft.protocol, has.rotor_speed_deck, has.height_deck, has.positioned, has.software_build
+    )
 
 
 @cache
 def _contents(
-    protocol: int, rotor_speed_deck: bool, height_deck: bool, software_build: bool
+    protocol: int, rotor_speed_deck: bool, height_deck: bool, positioned: bool, software_build: bool
 ) -> Contents:
     if protocol < TODAY:
         return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
     motors = U16 if protocol >= MOTORS_16_BIT or software_build else U32
-    variables = _variables_of_today(motors, rotor_speed_deck, height_deck)
+    variables = _variables_of_today(motors, rotor_speed_deck, height_deck, positioned)
     absent = ("pm.", "pwm.", "deck.") if software_build else ()
     return Contents(
         tuple(one for one in _parameters_of_today() if not one[0].startswith(absent)),
@@ -113,7 +115,7 @@ def _parameters_of_today() -> Iterator[tuple[str, int]]:
 
 
 def _variables_of_today(
-    motors: int, rotor_speed_deck: bool, height_deck: bool
+    motors: int, rotor_speed_deck: bool, height_deck: bool, positioned: bool
 ) -> Iterator[Variable]:
     yield from _parts("gyro", FLOAT, "gyro_dps")
     yield from _parts("acc", FLOAT, "accel_g")
@@ -132,10 +134,14 @@ def _variables_of_today(
     if rotor_speed_deck:
         for index, name in enumerate(MOTORS):
             yield f"rpm.{name}", U16, _rotor_rpm(index)
-    for name in ("x", "y", "vx", "vy"):  # which nothing on board tells
+    for index, name in enumerate("xy"):
+        where = _part("position_m", index)
+        yield f"stateEstimate.{name}", FLOAT, where if positioned else lambda s: 0.0
+    for name in ("vx", "vy"):  # which nothing on board tells
         yield f"stateEstimate.{name}", FLOAT, lambda s: 0.0
     yield "stateEstimate.z", FLOAT, lambda s: s.height_m
     yield "stateEstimate.vz", FLOAT, lambda s: s.climb_m_s
+    yield "kalman.varPZ", FLOAT, lambda s: s.height_variance_m2
     if height_deck:
         yield "range.zrange", U16, lambda s: 1000.0 * s.range_m
 

@@ -36,8 +36,12 @@ HOLDS_THRUST = 32767.0
 """What neither climbs nor sinks, with ``flightmode.althold``; 0 sinks with 1 m/s."""
 HEIGHT_DECK = "deck.bcZRanger2"
 """What the firmware says of it can only be read."""
-CHOSEN = {"stabilizer.estimator": 1.0, "stabilizer.controller": 1.0}
-"""By which today's firmware chooses who flies: kept and said, and the first of either flies."""
+ESTIMATOR, CONTROLLER = "stabilizer.estimator", "stabilizer.controller"
+CHOSEN = (ESTIMATOR, CONTROLLER)
+"""By which today's firmware chooses who flies: kept and said, and change nothing."""
+COMPLEMENTARY, KALMAN, PID = 1.0, 2.0, 1.0
+HEIGHT_VARIANCE_M2 = 1e-5
+"""What the Kalman filter says of the height that it makes of ranges or positions."""
 DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
 """Vehicle -> the name the firmware gives; a 2.1 and a 2.1+ call themselves alike."""
 
@@ -49,7 +53,8 @@ class CraftState:
     time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
     firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
     the firmware uses them. motors: 16-bit. height_m, climb_m_s: the firmware's estimates, range_m:
-    what a Z-ranger measures; 0 without one. supervisor: state of ``supervisor``.
+    what a Z-ranger measures; 0 without one. height_variance_m2: of its Kalman filter, 0 where that
+    does not run. supervisor: state of ``supervisor``.
     """
 
     time_s: float
@@ -73,6 +78,7 @@ class CraftState:
     height_m: float
     climb_m_s: float
     range_m: float
+    height_variance_m2: float
 
 
 class StandIn:
@@ -173,6 +179,7 @@ class StandIn:
                 height_m=float(fw["height"]),
                 climb_m_s=float(fw["climb"]),
                 range_m=float(fw["range_m"]),
+                height_variance_m2=HEIGHT_VARIANCE_M2 * float(fw["knows_height"]),
             )
 
     def logged(self, uptime_ms: int) -> CraftState:
@@ -233,11 +240,11 @@ class StandIn:
         self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
     ) -> None:
         """The same with a height in the place of thrust, which today's firmware then finds itself;
-        without a deck that measures height nothing flies."""
+        one that does not know its height does not fly."""
         with self._lock:
             fw = self._firmware[0]
             fw["setpoint"] = roll_deg, pitch_deg, yaw_dps
-            fw["holds_height"], fw["setpoint_height"] = fw["height_deck"], height_m
+            fw["holds_height"], fw["setpoint_height"] = fw["knows_height"], height_m
             fw["holds_climb"] = 0
             fw["setpoint_ns"] = fw["client_ns"] = self._now_ns
 
@@ -393,7 +400,8 @@ class StandIn:
 
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
-        self._chosen = dict(CHOSEN)
+        filtered = self.settings.height_deck or self.settings.positioned
+        self._chosen = {ESTIMATOR: KALMAN if filtered else COMPLEMENTARY, CONTROLLER: PID}
         self._unlocked = False
         if first:
             s["rng"] = seeded(self.settings.seed, len(s["rng"]))

@@ -140,7 +140,7 @@ def _act(p: Record, fw: Record, s: Record, index: int) -> None:
     if fw.bias_found == 0:
         _motor_test(fw, s.now_ns - s.boot_ns - WAIT_NS)
     else:
-        if fw.height_deck != 0:
+        if fw.knows_height != 0:
             estimate_height(fw, s, index)
             if fw.holds_height != 0:
                 fw.setpoint_thrust = hold_height(fw, index)

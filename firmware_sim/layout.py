@@ -220,7 +220,7 @@ FIRMWARE = np.dtype(
         ("client_ns", "i8"),  # last setpoint of a client, -1: never
         ("thrust", "f8"),
         # height, with a deck that measures it
-        ("height_deck", "i8"),
+        ("knows_height", "i8"),
         ("holds_height", "i8"),  # 1: the setpoint is a height
         ("setpoint_height", "f8"),  # m
         ("holds_climb", "i8"),  # 1: the setpoint is a rate of climb

@@ -130,6 +130,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     software_build: today's firmware as it is built to run in software: it knows no battery, does
         not say what it is, and repeats a request to arm without doing it.
     height_deck: today's craft has a Z-ranger and takes setpoints of height.
+    positioned: a positioning system tells today's craft where it is, and it takes them too.
     upside_down: it lies on its back when it is switched on.
     substeps: Runge-Kutta steps per pass.
     truth: keep the log of what really happened.
@@ -162,6 +163,7 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     protocol: int = 10
     rotor_speed_deck: bool = False
     height_deck: bool = False
+    positioned: bool = False
     software_build: bool = False
     upside_down: bool = False
     substeps: int = 4

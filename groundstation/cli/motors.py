@@ -14,7 +14,8 @@ from groundstation.service.motor_stop import STOPPED
 
 motors = Commands(
     help=(
-        "Stop, arm or disarm the motors of the craft that the running daemon commands."
+        "Stop, arm or disarm the motors of the craft that the running daemon commands, or let it"
+        " recover from a crash."
         "\n\nExample: [bold]groundstation motors stop[/bold]"
     ),
     no_args_is_help=True,
@@ -68,6 +69,16 @@ def disarm(as_json: bool = AS_JSON) -> None:
     """
     ask(socket_path(), "POST", "/command/arm", {"on": False})
     _report("disarmed", "", as_json)
+
+
+@motors.command("recover")
+def recover(as_json: bool = AS_JSON) -> None:
+    """Let a craft that calls itself crashed be ready again, once it stands upright.
+
+    Example: [bold]groundstation motors recover[/bold]
+    """
+    ask(socket_path(), "POST", "/command/recover")
+    _report("recovered", "", as_json)
 
 
 def _report(state: str, more: str, as_json: bool) -> None:

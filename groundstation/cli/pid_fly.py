@@ -75,7 +75,7 @@ def fly(
     ),
     thrust: str = typer.Option(
         "",
-        help="stand-in, height:0.5 (m, held by a craft with a Flow or Z-ranger deck), keyboard or"
+        help="stand-in, height:0.5 (m, held by a craft that knows its height), keyboard or"
         " gamepad:/dev/input/js0 (default: by what the craft can).",
     ),
     restore: bool = typer.Option(False, "--restore", help="Put the former gains back after it."),
@@ -235,10 +235,10 @@ def _flight(
         if thrust.startswith("height") and not by_itself:
             raise BadInputError(
                 f"--thrust {thrust}: {uri} holds no height by itself; it needs today's firmware and"
-                " a Flow or Z-ranger deck"
+                " a Flow or Z-ranger deck, or a positioning system that has told it where it is"
             )
         usual = "height" if by_itself else "keyboard" if real else "stand-in"
-        with open_sticks(thrust or usual) as sticks:
+        with open_sticks(thrust or usual, pilot.lease["floor_m"]) as sticks:
             recording = begin_recording(path)
             changed = dict(wanted)
             if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from groundstation.cli.sticks import (
     CLIMB_M_S,
     HOLD_M,
+    CraftHeight,
     Hands,
     Source,
     StandInPilot,
@@ -141,10 +142,10 @@ def _land(
         hover = float(firmware.thrust(said["motors"], 1000.0 * battery_v).mean())
         sinking = Hands(thrust=round(DESCENT * hover))
         return _come_down(pilot, clock, low, [sinking] * round(DESCENT_S * RATE_HZ))
-    height_m = sticks.read().height_m
-    if height_m is not None:
-        ticks = range(round((height_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
-        heights = (max(height_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
+    if isinstance(sticks, CraftHeight):
+        top_m, floor_m = sticks.top_m, max(sticks.floor_m, 0.0)
+        ticks = range(round(((top_m - floor_m) / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
+        heights = (max(top_m - CLIMB_M_S * tick / RATE_HZ, floor_m) for tick in ticks)
         return _come_down(pilot, clock, low, (Hands(height_m=lower) for lower in heights))
     say("the programme is flown: land", error=True)
     while True:

@@ -19,12 +19,15 @@ from pathlib import Path
 from typing import Any, Self
 
 from groundstation.errors import BadInputError
+from groundstation.links.command import HEIGHT_MOST_M
 
 THRUST_MOST = 55000
 KEY_STEP = 500
 FULL_LEAN_DEG, FULL_YAW_DPS = 15.0, 90.0
 DEAD_ZONE = 0.08
 HEIGHTS_M, DEFAULT_HEIGHT_M, CLIMB_M_S = (0.2, 2.0), 0.5, 0.4
+FLOOR_M = 0.1
+"""A craft on the floor may say that it stands so much lower: heights are not asked for below 0."""
 HOLD_M = 0.8
 """How high a craft climbs that holds its height by ``flightmode.althold``."""
 HOLDS_THRUST = 32767.0
@@ -86,10 +89,11 @@ class StandInPilot:
 
 
 class CraftHeight:
-    """The craft holds its height by itself, measured by a deck: nobody gives thrust."""
+    """The craft holds its height by itself: nobody gives thrust. height_m: above where it stands,
+    floor_m by its own account."""
 
-    def __init__(self, height_m: float) -> None:
-        self.height_m = height_m
+    def __init__(self, height_m: float, floor_m: float) -> None:
+        self.floor_m, self.top_m = floor_m, floor_m + height_m
         self.help = f"the craft holds {height_m:g} m by itself"
         self._begun_s: float | None = None
 
@@ -97,8 +101,8 @@ class CraftHeight:
         now_s = time.monotonic()
         if self._begun_s is None:
             self._begun_s = now_s
-        height_m = min(CLIMB_M_S * (now_s - self._begun_s), self.height_m)
-        return Hands(height_m=height_m, begin=height_m >= self.height_m)
+        height_m = min(self.floor_m + CLIMB_M_S * (now_s - self._begun_s), self.top_m)
+        return Hands(height_m=max(height_m, 0.0), begin=height_m >= self.top_m)
 
     def __enter__(self) -> Self:
         return self
@@ -195,14 +199,14 @@ class Gamepad:
 Source = StandInPilot | CraftHeight | Keyboard | Gamepad
 
 
-def open_sticks(name: str) -> Source:
-    """``stand-in``, ``height:0.5``, ``keyboard`` or ``gamepad:/dev/input/js0``. Raises
-    BadInputError."""
+def open_sticks(name: str, floor_m: float = 0.0) -> Source:
+    """``stand-in``, ``height:0.5``, ``keyboard`` or ``gamepad:/dev/input/js0``. floor_m: where the
+    craft stands. Raises BadInputError."""
     kind, _, rest = name.partition(":")
     if name == "stand-in":
         return StandInPilot()
     if kind == "height":
-        return CraftHeight(_height(rest))
+        return CraftHeight(_height(rest, floor_m), floor_m)
     if name == "keyboard":
         return Keyboard()
     if kind == "gamepad":
@@ -212,7 +216,7 @@ def open_sticks(name: str) -> Source:
     )
 
 
-def _height(text: str) -> float:
+def _height(text: str, floor_m: float) -> float:
     low, high = HEIGHTS_M
     try:
         height_m = float(text or DEFAULT_HEIGHT_M)
@@ -220,6 +224,12 @@ def _height(text: str) -> float:
         height_m = math.nan
     if not low <= height_m <= high:
         raise BadInputError(f"--thrust height:{text}: give metres, {low:g}..{high:g}")
+    if not -FLOOR_M <= floor_m <= HEIGHT_MOST_M - height_m:
+        raise BadInputError(
+            f"--thrust height:{height_m:g}: the craft says that it stands at {floor_m:.2f} m, and"
+            f" takes heights of 0..{HEIGHT_MOST_M:g} m: stand it lower or higher, or set the origin"
+            " of its positioning system on the floor"
+        )
     return height_m
 
 

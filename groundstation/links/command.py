@@ -75,6 +75,12 @@ class CommandLink(ABC):
         return False
 
     @property
+    def floor_m(self) -> float:
+        """The height at which a craft that holds one stands now: not 0 on a table in a room whose
+        positioning system counts from the floor."""
+        return self.supervisor.height_m or 0.0
+
+    @property
     def disarms_in_flight(self) -> bool:
         """Whether the craft is one that was armed by request and that may be disarmed while it
         flies: its motors stop at once and it is not locked."""
@@ -133,7 +139,7 @@ class CommandLink(ABC):
             if self.state is CommandState.CONNECTED and not self.holds_height:
                 raise BadInputError(
                     "setpoint: this craft holds no height: it needs today's firmware and a deck"
-                    " that measures it (Flow or Z-ranger)"
+                    " that measures it (Flow or Z-ranger), or a positioning system"
                 )
             self._send_height(roll_deg, pitch_deg, yaw_dps, height_m)
         return self._entry(
@@ -182,6 +188,11 @@ class CommandLink(ABC):
     def arm(self, armed: bool) -> bool:
         """Arm or disarm the motors; whether this firmware knows the request. Its answer comes
         later, as ``armed``."""
+        return False
+
+    def recover(self) -> bool:
+        """Ask a craft that calls itself crashed to be ready again; whether this firmware knows the
+        request. What became of it ``supervisor`` says."""
         return False
 
     def record_parameters(self, client: str) -> None:

@@ -16,7 +16,7 @@ from groundstation.links.cflib_calls import resolve
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
-from groundstation.links.supervisor import BATTERY_LOW, DISARMED_ITSELF, INFO, POWER, Supervisor
+from groundstation.links.supervisor import BATTERY_LOW, DISARMED_ITSELF, STATE, Supervisor
 
 CONFIRM_S = 2.0
 SEND_S = 2.5
@@ -28,11 +28,14 @@ TODAY, SUPERVISED = 4, 12
 """CRTP versions: from which on there are requests to arm and stop, and a port for them."""
 PLATFORM, SUPERVISOR = (13, 0), (9, 1)
 """Port and channel of requests."""
-ARM, ANSWER = 1, 0x80
+ARM, RECOVER, ANSWER = 1, 2, 0x80
 EMERGENCY = (6, 1, b"\x03")
 SUPERVISED_STOP = (9, 1, b"\x03")
 HEIGHT_DECKS = ("deck.bcZRanger", "deck.bcZRanger2", "deck.bcFlow", "deck.bcFlow2")
 """Parameters that are 1 where such a deck is plugged in: each measures the height by itself."""
+ESTIMATOR, KALMAN = "stabilizer.estimator", 2
+"""By which a craft without such a deck is told its height by base stations, anchors or a camera
+system."""
 AT_HEIGHT = (7, 0)
 Z_DISTANCE, LEGACY_Z_DISTANCE = 9, 2
 """Generic setpoints of attitude, yaw rate and height: counter-clockwise, and clockwise before
@@ -96,7 +99,7 @@ class CrazyflieLink(CommandLink):
     async def _watch(self) -> None:
         """Be told of what keeps the craft from flying; it flies as well where it does not say."""
         listed = self._connection.variables()
-        watched = [(name, listed[name]) for name in (INFO, POWER) if name in listed]
+        watched = [(name, listed[name]) for name in STATE if name in listed]
         if not (watched and self._is_up_to_date()):
             return
         loop = asyncio.get_running_loop()
@@ -155,7 +158,11 @@ class CrazyflieLink(CommandLink):
         if not self._is_up_to_date():
             return False
         known = self.parameters()
-        return any(known.get(name) for name in HEIGHT_DECKS)
+        if any(known.get(name) for name in HEIGHT_DECKS):
+            return True
+        # one that flies is not dropped because it does not see its base stations for a moment
+        said = self.supervisor
+        return known.get(ESTIMATOR) == KALMAN and (said.height_m is not None or said.flies)
 
     @property
     def disarms_in_flight(self) -> bool:
@@ -195,11 +202,20 @@ class CrazyflieLink(CommandLink):
     def arm(self, armed: bool) -> bool:
         if not self._is_up_to_date():
             return False
-        port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
         self._asked_armed, self.armed, self._asked_s = armed, None, time.monotonic()
-        self._connection.send(port, channel, bytes([ARM, armed]))
-        self._entry("out", "arm" if armed else "disarm")
+        self._request(bytes([ARM, armed]), "arm" if armed else "disarm")
         return True
+
+    def recover(self) -> bool:
+        if not self._is_up_to_date():
+            return False
+        self._request(bytes([RECOVER]), "recover")
+        return True
+
+    def _request(self, data: bytes, kind: str) -> None:
+        port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
+        self._connection.send(port, channel, data)
+        self._entry("out", kind)
 
     def _take_answer(self, packet: Any) -> None:
         """To a request to arm: whether it was done and, from 2026 on, whether it is armed. Called

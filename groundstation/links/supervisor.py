@@ -1,33 +1,49 @@
-"""What today's firmware says of its supervisor and its battery, in words for an operator."""
+"""What today's firmware says of its supervisor, its battery and its height, in words for an
+operator."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 INFO, POWER = "supervisor.info", "pm.state"
+HEIGHT, HEIGHT_VARIANCE = "stateEstimate.z", "kalman.varPZ"
 """Log variables, slow ones."""
+STATE = (INFO, POWER, HEIGHT, HEIGHT_VARIANCE)
 LOW_POWER = 3
+HEIGHT_KNOWN_M = 0.1
+"""Standard error of a height that a craft can be left with: the estimator begins at 1 m, and stays
+there or grows where nothing measures the height; ranges, base stations or anchors make it some mm
+to cm."""
 _CAN_ARM, _ARMED, _ARMS_ITSELF, _FLIES = (1 << place for place in (0, 1, 2, 4))
 _TUMBLED, _LOCKED, _CRASHED, _DECK_FAULT = (1 << place for place in (5, 6, 7, 11))
 DISARMED_ITSELF = (
     "the craft has disarmed its motors by itself, as it does where it is not flown soon, and soon"
     " after a landing"
 )
+TUMBLED = "the craft lies on its side or its back: set it upright"
 BATTERY_LOW = "the craft warns that its battery is low: land"
 
 
 @dataclass(frozen=True, slots=True)
 class Supervisor:
-    """Bits of ``supervisor.info``; None: the craft does not say. low_battery: it warns of that."""
+    """bits: of ``supervisor.info``, None: the craft does not say. low_battery: it warns of that.
+    height_m: what its Kalman filter says, None where it is not sure of that."""
 
     bits: int | None = None
     low_battery: bool = False
+    height_m: float | None = None
 
     @classmethod
     def of(cls, values: dict[str, float]) -> Supervisor:
         """From log variables; what the firmware does not list is missing."""
-        bits = values.get(INFO)
-        return cls(None if bits is None else int(bits), values.get(POWER) == LOW_POWER)
+        bits, height_m = values.get(INFO), values.get(HEIGHT)
+        # a filter that does not run says 0
+        is_known = 0.0 < values.get(HEIGHT_VARIANCE, 0.0) <= HEIGHT_KNOWN_M**2
+        return cls(
+            None if bits is None else int(bits),
+            values.get(POWER) == LOW_POWER,
+            height_m if is_known else None,
+        )
 
     @property
     def armed(self) -> bool | None:
@@ -43,6 +59,16 @@ class Supervisor:
         return bool((self.bits or 0) & _FLIES)
 
     @property
+    def crashed(self) -> bool:
+        """Whether it calls itself crashed, and flies no more until it is asked to recover."""
+        return bool((self.bits or 0) & _CRASHED)
+
+    @property
+    def tumbled(self) -> bool:
+        """Whether it lies on its side or its back."""
+        return bool((self.bits or 0) & _TUMBLED)
+
+    @property
     def trouble(self) -> str:
         """What is wrong with it, and what to do; empty where it says nothing of that."""
         bits = self.bits or 0
@@ -56,10 +82,13 @@ class Supervisor:
                 "the craft has locked itself, by an emergency stop or because setpoints ceased in"
                 " flight: switch it off and on"
             )
-        if bits & _CRASHED:
-            return "the craft says that it has crashed: set it upright, switch it off and on"
-        if bits & _TUMBLED:
-            return "the craft lies on its side or its back: set it upright"
+        if self.crashed:
+            return (
+                "the craft says that it has crashed: set it upright, then `groundstation motors"
+                " recover`, or on the page (Recover), or switch it off and on"
+            )
+        if self.tumbled:
+            return TUMBLED
         return ""
 
     @property

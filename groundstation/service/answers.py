@@ -107,8 +107,8 @@ class TwinStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
     client: who commands. armed: what the craft last said, None where it does not say. hindrance:
-    what, as the craft says, keeps it from flying, or empty. held_level: by the operator.
-    interventions: of the dead man."""
+    what, as the craft says, keeps it from flying, or empty. crashed: whether it calls itself that.
+    held_level: by the operator. interventions: of the dead man."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
@@ -116,6 +116,7 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     client: str | None
     armed: bool | None
     hindrance: str
+    crashed: bool
     held_level: bool
     setpoints: int
     superseded: int

@@ -198,6 +198,10 @@ def _command(station: Station) -> list[Operation]:
         await commander.arm(body.on)
         return requests.Done()
 
+    async def recover(_: None) -> Any:
+        await commander.recover()
+        return requests.Done()
+
     async def connect(body: requests.CommandUri) -> Any:
         await station.craft.connect_command(body.uri)
         return overview.status(station)
@@ -225,6 +229,8 @@ def _command(station: Station) -> list[Operation]:
                   requests.Level, requests.Done, limited=False),
         Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,
                   requests.Armed, requests.Done),
+        Operation("POST", "/command/recover", "Let a crashed craft be ready again", recover,
+                  answer=requests.Done),
         Operation("POST", "/command/connect", "Command the craft at another address", connect,
                   requests.CommandUri, Status),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,

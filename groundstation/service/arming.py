@@ -1,4 +1,5 @@
-"""Asking a craft to arm its motors or disarm them, until it has answered."""
+"""Asking a craft to arm its motors, to disarm them or to recover from a crash, until it has
+answered."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ import time
 
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.command import LOOK_S, CommandLink
+from groundstation.links.supervisor import TUMBLED
 
 ANSWER_S = 2.0
 """A craft that has not answered a request to arm by then does not."""
@@ -37,6 +39,24 @@ async def ask_to_arm(link: CommandLink, on: bool) -> None:
             "the craft was disarmed and has armed itself again, as a brushed one does: its"
             " motors are stopped by `groundstation motors stop`"
         )
+
+
+async def ask_to_recover(link: CommandLink) -> None:
+    """Let a craft that calls itself crashed be ready again, and wait until it says so.
+
+    Raises BadInputError for one that has not crashed or a firmware that knows no such request,
+    LinkError where it does not recover."""
+    if not link.supervisor.crashed:
+        raise BadInputError("the craft does not say that it has crashed: nothing to recover from")
+    if link.supervisor.tumbled:
+        raise LinkError(TUMBLED)
+    if not link.recover():
+        raise BadInputError("this craft's firmware knows no recovery: switch it off and on")
+    asked_s = time.monotonic()
+    while link.supervisor.crashed:
+        if time.monotonic() - asked_s > ANSWER_S:
+            raise LinkError("the craft still calls itself crashed: switch it off and on")
+        await asyncio.sleep(LOOK_S)
 
 
 async def _armed(link: CommandLink, on: bool) -> bool:

@@ -25,7 +25,7 @@ from groundstation.errors import (
 )
 from groundstation.links.base import LinkState
 from groundstation.links.command import CommandLink, CommandState
-from groundstation.service.arming import ask_to_arm
+from groundstation.service.arming import ask_to_arm, ask_to_recover
 from groundstation.service.config import DeadManConfig
 from groundstation.service.limits import RateLimit
 from groundstation.service.motor_stop import SEEN_S, Motors, Note, Stopping, send_level
@@ -136,6 +136,7 @@ class Commander:
             state=link.state.value,
             firmware=link.firmware,
             holds_height=link.holds_height,
+            floor_m=link.floor_m,
         )
 
     def release(self, token: str) -> None:
@@ -185,15 +186,21 @@ class Commander:
 
         Raises BadInputError for a firmware that knows no arming, LinkError where it refuses or
         does not answer."""
-        link = self._require_link()
+        self._require_link()
         _, reason = self._telemetry()
         if on and reason:
             raise BadInputError(f"no craft can be armed: {reason}")
-        if link.state is not CommandState.CONNECTED:
-            raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
-        await ask_to_arm(link, on)
+        await ask_to_arm(self._require_connected(), on)
         kind, does = ("armed", "arms") if on else ("disarmed", "disarms")
         self._note(kind, f"the operator {does} the motors")
+
+    async def recover(self) -> None:
+        """Let a craft that calls itself crashed be ready again, and wait until it says so.
+
+        Raises BadInputError for one that has not crashed or a firmware that knows no such request,
+        LinkError where it does not recover."""
+        await ask_to_recover(self._require_connected())
+        self._note("recovered", "the operator has had the craft recover from its crash")
 
     async def replace(self, link: CommandLink) -> None:
         """Command through another link from now on. Raises TakenError while a client commands."""
@@ -278,6 +285,7 @@ class Commander:
             "client": self.client,
             "armed": self.link.armed,
             "hindrance": self.hindrance,
+            "crashed": self.link.supervisor.crashed,
             "held_level": self._lease is not None and self._lease.held_level,
             "setpoints": self.setpoints,
             "superseded": self.link.superseded,

@@ -143,7 +143,8 @@ class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
     """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
     uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
-    it does not say. holds_height: whether it takes a height in the place of thrust."""
+    it does not say. holds_height: whether it takes a height in the place of thrust. floor_m: the
+    height at which it stands."""
 
     token: str
     lease_s: float
@@ -153,6 +154,7 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     state: str
     firmware: str
     holds_height: bool
+    floor_m: float
 
 
 class Telemetry(msgspec.Struct, frozen=True, kw_only=True):

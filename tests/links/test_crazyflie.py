@@ -137,9 +137,11 @@ def test_every_form_of_address_that_the_library_knows_is_taken(uri: str) -> None
     assert make_command_link(uri).uri == uri
 
 
-@pytest.mark.parametrize("protocol", [7, 10])
-def test_a_craft_with_a_deck_holds_a_height_and_leans_and_turns_in_the_signs_of_the_telemetry(
-    protocol: int,
+@pytest.mark.parametrize(
+    ("protocol", "knows"), [(7, "height_deck"), (10, "height_deck"), (12, "positioned")]
+)
+def test_a_craft_that_knows_its_height_holds_it_and_leans_and_turns_in_the_signs_of_the_telemetry(
+    protocol: int, knows: str
 ) -> None:
     entries: list[dict[str, Any]] = []
 
@@ -147,7 +149,10 @@ def test_a_craft_with_a_deck_holds_a_height_and_leans_and_turns_in_the_signs_of_
         link = CrazyflieLink(craft.uri)
         link.on_entry = entries.append
         await link.open()
-        assert link.holds_height
+        async with asyncio.timeout(10.0):
+            while not (link.holds_height and link.supervisor.height_m is not None):
+                await asyncio.sleep(0.02)
+        assert abs(link.floor_m) < 0.05
         for k in range(300):
             link.setpoint(0, 0, 0, 0, height_m=min(0.004 * k, 0.5))
             await asyncio.sleep(0.01)
@@ -164,7 +169,7 @@ def test_a_craft_with_a_deck_holds_a_height_and_leans_and_turns_in_the_signs_of_
         await link.close()
         return before, after
 
-    with served(craft="crazyflie21", height_deck=True, protocol=protocol) as craft:
+    with served(craft="crazyflie21", protocol=protocol, **{knows: True}) as craft:
         before, after = asyncio.run(fly(craft))
         craft.wait_for(lambda: not craft.craft.state().thrust)
     assert before.position_m[2] == pytest.approx(0.5, abs=0.15)
@@ -185,6 +190,33 @@ def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> Non
             link.setpoint(0, 0, 0, 0, height_m=0.1)
 
     with served(craft="crazyflie21", height_deck=True) as craft:
+        asyncio.run(fly(craft))
+
+
+def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_moment() -> None:
+    async def fly(craft: ServedCraft) -> None:
+        link = CrazyflieLink(craft.uri)
+        await link.open()
+        async with asyncio.timeout(20.0):
+            while not link.holds_height:
+                await asyncio.sleep(0.02)
+            while not link.supervisor.flies:
+                link.setpoint(0, 0, 0, 0, height_m=0.4)
+                await asyncio.sleep(0.02)
+            craft.craft._firmware[0]["knows_height"] = 0
+            while link.supervisor.height_m is not None:
+                link.setpoint(0, 0, 0, 0, height_m=0.4)
+                await asyncio.sleep(0.02)
+            assert link.holds_height
+            while link.supervisor.flies:
+                link.setpoint(0, 0, 0, 0)
+                await asyncio.sleep(0.02)
+        assert not link.holds_height
+        with pytest.raises(BadInputError, match="a positioning system"):
+            link.setpoint(0, 0, 0, 0, height_m=0.4)
+        await link.close()
+
+    with served(craft="crazyflie21", positioned=True) as craft:
         asyncio.run(fly(craft))
 
 

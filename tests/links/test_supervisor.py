@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from groundstation.links.supervisor import INFO, POWER, Supervisor
+from groundstation.links.supervisor import HEIGHT, HEIGHT_VARIANCE, INFO, POWER, Supervisor
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,15 @@ def test_what_keeps_a_craft_from_flying_is_said_in_words(bits: int, said: str) -
 @pytest.mark.parametrize("bits", [0b0000_0010_0000_1110, 0b0000_0101_0001_1010])
 def test_what_high_level_commands_do_keeps_nobody_from_flying(bits: int) -> None:
     assert Supervisor.of({INFO: float(bits), POWER: 0.0}).hindrance == ""
+
+
+@pytest.mark.parametrize(
+    ("variance_m2", "is_known"),
+    [(0.0, False), (1e-5, True), (0.009, True), (0.02, False), (1.0, False)],
+)
+def test_a_height_is_known_where_the_filter_runs_and_is_sure(
+    variance_m2: float, is_known: bool
+) -> None:
+    said = Supervisor.of({HEIGHT: 0.8, HEIGHT_VARIANCE: variance_m2})
+    assert (said.height_m == 0.8) is is_known
+    assert Supervisor.of({HEIGHT: 0.8}).height_m is None

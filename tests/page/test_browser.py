@@ -10,7 +10,9 @@ import psutil
 import pytest
 from flown_link import free_udp_port
 from installed import RECORDINGS, groundstation, until
+from served_craft import served
 
+from firmware_sim.supervisor import CRASHED
 from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot
@@ -231,6 +233,20 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     expect(page.locator("#events")).to_contain_text("motors stopped")
     flight.join(60)
     assert "no more) in force" in ended[0]
+
+
+def test_a_crashed_craft_is_let_recover(page_daemon, visit):
+    with served(craft="brushless", protocol=12) as craft:
+        page = visit(page_daemon("--link", craft.uri, "--no-record").address())
+        expect(page.locator("#armed")).to_contain_text("not armed")
+        button = page.get_by_role("button", name="Recover")
+        expect(button).to_be_hidden()
+        craft.craft._firmware[0]["supervisor"] = CRASHED
+        expect(page.locator("#armed")).to_contain_text("says that it has crashed")
+        button.click()
+        expect(page.locator("#said")).to_have_text("The craft has recovered.")
+        expect(button).to_be_hidden()
+        expect(page.locator("#events")).to_contain_text("recover from its crash")
 
 
 @pytest.mark.timeout(1200)

@@ -233,5 +233,7 @@ def test_a_craft_on_its_back_is_neither_armed_nor_flown(field):
     assert "the craft refuses to arm its motors: the craft lies on its side" in told
     refused = require_failure(field.run("pid", "fly", *ONCE))
     assert refused.endswith("set it upright; nothing was flown")
+    told = require_failure(field.run("motors", "recover"))
+    assert "the craft does not say that it has crashed" in told
     assert "pid fly begins" not in field.events("mark")
     assert field.events("fault") == ["the craft lies on its side or its back: set it upright"]

@@ -116,6 +116,7 @@ function showStatus(status) {
   const today = connected && command.firmware === "2.x"; // older firmware knows no arming
   at("arm").disabled = !today || command.armed === true;
   at("disarm").disabled = !today || command.armed === false;
+  at("recover").hidden = !(connected && command.crashed);
   write("armed", !connected ? "–" : command.armed === null ? (today ? "not told" : "always")
     : (command.armed ? "yes" : "no") + (command.hindrance ? `: ${command.hindrance}` : ""));
   at("connect").hidden = connected;
@@ -260,6 +261,8 @@ at("arming").addEventListener("close", () => {
 });
 at("disarm").addEventListener("click", () =>
   change("/command/arm", { on: false }, "The motors are disarmed."));
+at("recover").addEventListener("click", () =>
+  change("/command/recover", undefined, "The craft has recovered."));
 
 /** What there is to choose from, asked for when somebody is about to choose. */
 async function offer() {

@@ -1,0 +1,91 @@
+"""What a craft is asked for by its operator, over cflib and UDP, and what it says then."""
+
+import asyncio
+
+import pytest
+from served_craft import served
+
+from firmware_sim.supervisor import CRASHED, FLYING
+from groundstation.errors import BadInputError, LinkError
+from groundstation.links.crazyflie import CrazyflieLink
+from groundstation.service.arming import ask_to_arm, ask_to_recover
+
+ON_ITS_BACK, UPRIGHT = (0.0, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+
+
+async def until(condition):
+    async with asyncio.timeout(20.0):
+        while not condition():
+            await asyncio.sleep(0.02)
+
+
+def lying(craft, quaternion):
+    """Hold the craft so, as a wall or a hand does."""
+
+    def hold():
+        craft.craft._state[0]["y"][6:10] = quaternion
+
+    craft.each_step = hold
+
+
+async def crash(craft, link):
+    await ask_to_arm(link, True)
+
+    def state():
+        return craft.craft.state().supervisor
+
+    def climbs():
+        link.setpoint(0.0, 0.0, 0.0, 40000)
+        return state() == FLYING
+
+    await until(climbs)
+    lying(craft, ON_ITS_BACK)
+
+    def steered():
+        link.setpoint(0.0, 0.0, 0.0, 40000)
+        return state() == CRASHED
+
+    await until(steered)
+    await until(lambda: link.supervisor.crashed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "protocol", "afterwards"),
+    [("crazyflie21", 10, ""), ("crazyflie21", 12, ""), ("brushless", 12, "not armed")],
+)
+def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, afterwards):
+    async def scenario(craft):
+        link = CrazyflieLink(craft.uri)
+        kinds = []
+        link.on_entry = lambda entry: kinds.append(entry["kind"])
+        await link.open()
+        with pytest.raises(BadInputError, match="does not say that it has crashed"):
+            await ask_to_recover(link)
+        await crash(craft, link)
+        assert "groundstation motors recover" in link.supervisor.hindrance
+        with pytest.raises(LinkError, match="set it upright"):
+            await ask_to_recover(link)
+        assert "recover" not in kinds
+        lying(craft, UPRIGHT)
+        await until(lambda: not link.supervisor.tumbled)
+        await ask_to_recover(link)
+        await until(lambda: "has crashed" not in link.supervisor.hindrance)
+        await until(lambda: afterwards in link.supervisor.hindrance)
+        assert bool(link.supervisor.hindrance) == bool(afterwards)
+        assert kinds.count("recover") == 1
+        await link.close()
+
+    with served(craft=kind, protocol=protocol) as craft:
+        asyncio.run(scenario(craft))
+
+
+def test_firmware_of_2014_has_nothing_to_recover_from():
+    async def scenario(craft):
+        link = CrazyflieLink(craft.uri)
+        await link.open()
+        with pytest.raises(BadInputError, match="does not say that it has crashed"):
+            await ask_to_recover(link)
+        await link.close()
+
+    with served() as craft:
+        asyncio.run(scenario(craft))
