@@ -71,11 +71,11 @@ class Field:
             samples = next(content for kind, content in told if kind == "samples")
         return max(samples["duty"][-1])
 
-    def said(self):
-        """What the craft itself says of its state, which takes it a moment."""
-        return until(
-            lambda: ask(self.daemon.socket, "GET", "/status")["command"]["hindrance"],
-            "the craft says what keeps it from flying",
+    def says(self, text):
+        """The craft itself says so of its state, which takes it a moment."""
+        until(
+            lambda: text in ask(self.daemon.socket, "GET", "/status")["command"]["hindrance"],
+            f"the craft says: {text}",
         )
 
 
@@ -125,7 +125,7 @@ def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(fie
                                    {"craft": '"brushless"', "protocol": "12"}],
                          indirect=True)  # fmt: skip
 def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
-    assert "the craft is not armed" in field.said()
+    field.says("the craft is not armed")
     assert "the craft is not armed" in require_failure(field.run("pid", "fly", *ONCE))
     assert field.run("motors", "arm").stdout == "armed\n"
     until(lambda: field.duty() > 0.1, "the motors idle")
@@ -200,7 +200,7 @@ def test_five_seconds_without_radio_end_it_and_nobody_says_that_the_motors_stopp
         time.sleep(2.0)
         field.radio.stalled = False
     field.connected_again()
-    assert LOCKED in field.said()
+    field.says(LOCKED)
     assert LOCKED in require_failure(field.run("motors", "arm"))
     refused = require_failure(field.run("pid", "fly", *ONCE))
     assert LOCKED in refused
@@ -228,7 +228,7 @@ def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(fie
                                    {"upside_down": "true", "protocol": "12"}],
                          indirect=True)  # fmt: skip
 def test_a_craft_on_its_back_is_neither_armed_nor_flown(field):
-    assert "lies on its side or its back: set it upright" in field.said()
+    field.says("lies on its side or its back: set it upright")
     told = require_failure(field.run("motors", "arm"))
     assert "the craft refuses to arm its motors: the craft lies on its side" in told
     refused = require_failure(field.run("pid", "fly", *ONCE))
