@@ -37,6 +37,20 @@ def changes_left(uri: str) -> dict[str, Any] | None:
     return _notes().get(uri)
 
 
+def still_changed(left: dict[str, Any], present: dict[str, float]) -> dict[str, float]:
+    """Of what a flight left changed, what the craft still holds as that wrote it, and the former
+    values. Others were set anew since, by somebody or by the craft's restart, which forgets them:
+    what was found before the flight has no business on it any more."""
+    import numpy as np
+
+    return {
+        name: former
+        for name, former in left["saved"].items()
+        if np.float32(present.get(name, np.nan)) == np.float32(left["written"].get(name, np.nan))
+        and np.float32(present[name]) != np.float32(former)
+    }
+
+
 def crafts_left() -> list[str]:
     """The crafts on which something was left changed."""
     return list(_notes())

@@ -23,6 +23,7 @@ from groundstation.cli.left_changed import (
     crafts_left,
     forget_changes,
     note_changes,
+    still_changed,
 )
 from groundstation.cli.model_files import (
     AS_JSON,
@@ -284,21 +285,17 @@ def _flight(
 
 
 def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-    """What an interrupted flight found on this craft, and what it wrote; empty where none was,
-    or where all is as it found it (a craft forgets when it is switched off)."""
-    import numpy as np
-
+    """What an interrupted flight found on this craft and the craft still holds as that changed it,
+    and what it wrote; empty where there is nothing such."""
     left = changes_left(uri)
     if left is None:
         return {}, {}
-    saved: dict[str, float] = left["saved"]
-    if all(
-        np.float32(present.get(name, value)) == np.float32(value) for name, value in saved.items()
-    ):
+    former = still_changed(left, present)
+    if not former:
         forget_changes(uri)
         return {}, {}
-    _tell_left(uri, left, present)
-    return saved, left["written"]
+    _tell_left(uri, left, former)
+    return former, left["written"]
 
 
 def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str, float]:
@@ -342,15 +339,11 @@ def _settle(
         say("the former gains are back", error=True)
 
 
-def _tell_left(uri: str, left: dict[str, Any], present: dict[str, float]) -> None:
+def _tell_left(uri: str, left: dict[str, Any], former: dict[str, float]) -> None:
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(left["time"]))
     say(f"the flight of {when} on {uri} was interrupted and left changed:", error=True)
-    for name, value in left["saved"].items():
-        say(
-            f"  {name}: was {value:g}, written {left['written'].get(name, value):g},"
-            f" is {present.get(name, float('nan')):g}",
-            error=True,
-        )
+    for name, value in former.items():
+        say(f"  {name}: was {value:g}, is {left['written'][name]:g}", error=True)
     say("'groundstation pid fly --undo' puts the former values back", error=True)
 
 
@@ -363,16 +356,18 @@ def _undo() -> None:
     await_connection(path)
     with Pilot(path, CLIENT) as pilot:
         uri = pilot.lease["uri"]
-        left = changes_left(uri)
-        if left is None:
+        if changes_left(uri) is None:
             raise BadInputError(
                 f"the changes were made on {', '.join(crafts)}, the daemon commands {uri};"
                 " nothing was written"
             )
-        _tell_left(uri, left, pilot.parameters())
-        _write(pilot, left["saved"])
+        former, _ = _left_changed(uri, pilot.parameters())
+        _write(pilot, former)
     forget_changes(uri)
-    show("the former values are back: " + ", ".join(left["saved"]))
+    if former:
+        show("the former values are back: " + ", ".join(former))
+    else:
+        show("nothing is left changed: the craft has been restarted or set anew since that flight")
 
 
 def _require_supply(recording: Recording) -> None:

@@ -176,7 +176,7 @@ def test_a_killed_flight_ends_with_motors_off_and_the_next_tells_what_it_left(st
     assert station.gain() == pytest.approx(DESIGNED, rel=1e-6)
     undone = station.fly("--undo")
     assert undone.returncode == 0, undone.stderr
-    assert f"{GAIN}: was 70, written 2.847, is 2.847" in undone.stderr
+    assert f"{GAIN}: was 70, is 2.847" in undone.stderr
     assert station.gain() == STOCK
     assert station.fly("--undo").stdout == "nothing was left changed\n"
 
@@ -240,6 +240,25 @@ def test_what_an_interrupted_flight_found_stays_the_former_value(station, tmp_pa
     assert changes_left(uri) is None
     refused = require_failure(station.fly("--undo"))
     assert "the changes were made on radio://0/80/250K" in refused
+
+
+def test_what_was_set_anew_since_an_interrupted_flight_is_not_put_back(
+    station, tmp_path, monkeypatch
+):
+    """By somebody, or by the craft's restart."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
+    note_changes(uri, {GAIN: 1.0, "pid_rate.yaw_kp": 55.0}, {GAIN: 2.0, "pid_rate.yaw_kp": 60.0})
+    with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
+        pilot.write({"pid_rate.yaw_kp": 60.0})
+    undone = station.fly("--undo")
+    assert undone.stdout == "the former values are back: pid_rate.yaw_kp\n"
+    assert GAIN not in undone.stderr
+    values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
+    assert (values[GAIN], values["pid_rate.yaw_kp"]) == (STOCK, 55.0)
+    note_changes(uri, {GAIN: 1.0}, {GAIN: 2.0})
+    assert "restarted or set anew since" in station.fly("--undo").stdout
+    assert (station.gain(), changes_left(uri)) == (STOCK, None)
 
 
 def test_a_fault_in_flight_ends_it_and_puts_the_gains_back(station):
