@@ -81,8 +81,7 @@ def flights_in(run: Run) -> list[Air]:
     still = np.asarray((driven <= 0.0).all(axis=1))
     found = []
     for begun, ended in spans(turning(run)):
-        lifts = lifting(driven[begun:ended].mean(axis=1), period)
-        start, stop = begun + lifts.start, begun + lifts.stop
+        start, stop = lifting(driven, begun, ended, period)
         still[begun:start] = True
         rests = (start * period > REST_S, (len(run) - stop) * period > TOUCH_DOWN_S)
         height, maybe_low = np.full(len(run), np.inf), 0

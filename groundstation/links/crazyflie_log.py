@@ -166,7 +166,7 @@ class CrazyflieTelemetry(Link):
             came_hz = max(came_hz, counted() / blocks / (self._loop.time() - since_s))
             if came_hz >= BORNE * MOST_HZ:
                 break
-        self._measures = False  # by whoever connects again, perhaps in the air
+        self._measures = False  # once, for who connects again may be in the air
         if came_hz < BORNE * MOST_HZ:
             rates = [rate for rate in RATES_HZ if LEAST_HZ < rate <= SPARE * came_hz]
             self._period_ms = self._asked_ms = 1000 // (rates[0] if rates else LEAST_HZ)

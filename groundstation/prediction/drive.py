@@ -140,8 +140,7 @@ def reckoned_height(run: Flown) -> Array:
     rise = rise_of(run.attitude, run.accelerometer)
     still = ~np.asarray((run.duty > 0.0).any(axis=1))
     for begun, ended in spans(turning_rows(run)):
-        lifts = lifting(run.duty[begun:ended].mean(axis=1), run.period_s)
-        start, stop = begun + lifts.start, begun + lifts.stop
+        start, stop = lifting(run.duty, begun, ended, run.period_s)
         still[begun:start] = True
         height[start:stop], _ = heights_of(rise, still, start, stop, run.period_s)
     return height

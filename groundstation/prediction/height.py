@@ -55,13 +55,13 @@ def rise_of(attitude: Array, accelerometer: Array) -> Array:
     return np.asarray(np.where(np.isfinite(up), up - STANDARD_GRAVITY, 0.0))
 
 
-def lifting(driven: Array, period_s: float) -> slice:
-    """A stretch of turning motors less what they idle before and after, by what drives them on
-    average (n,)."""
-    up = np.flatnonzero(driven > IDLE_SHARE * np.percentile(driven, 95.0))
-    first, last, count = int(up[0]), int(up[-1]) + 1, len(driven)
-    idle = round(IDLE_S / period_s)
-    return slice(first if first > idle else 0, last if count - last > idle else count)
+def lifting(driven: Array, begun: int, ended: int, period_s: float) -> tuple[int, int]:
+    """Rows ``begun`` to ``ended`` of turning motors less those in which they idle before and after,
+    by what drives each of them (n, 4)."""
+    mean = driven[begun:ended].mean(axis=1)
+    up = begun + np.flatnonzero(mean > IDLE_SHARE * np.percentile(mean, 95.0))
+    first, last, idle = int(up[0]), int(up[-1]) + 1, round(IDLE_S / period_s)
+    return first if first - begun > idle else begun, last if ended - last > idle else ended
 
 
 def heights_of(

@@ -8,7 +8,7 @@ import pytest
 from affected_flights import BASE, flown
 
 from groundstation.dynamics.model import EffectTerm, Estimate
-from groundstation.prediction.battery_rhythm import between_readings, held, reading_rows
+from groundstation.prediction.battery_rhythm import between_readings, held, reading_rhythm
 from groundstation.prediction.drive import drive_run
 
 ROWS = 4000
@@ -24,12 +24,13 @@ def report(stride, phase=0, seed=1):
 
 @pytest.mark.parametrize(("stride", "phase"), [(2, 1), (5, 0), (5, 3), (10, 7)])
 def test_the_rows_of_the_readings_are_known_by_where_the_report_changes(stride, phase):
-    np.testing.assert_array_equal(reading_rows(report(stride, phase)) % stride, phase)
+    found = reading_rhythm(report(stride, phase))
+    assert (found.stride, found.phase) == (stride, phase)
 
 
 @pytest.mark.parametrize("shown", [report(1), np.full(ROWS, 3.7), report(5)[:200]])
 def test_a_report_that_shows_no_rhythm_is_taken_as_read_in_every_row(shown):
-    assert len(reading_rows(shown)) == len(shown)
+    assert reading_rhythm(shown).stride == 1
     np.testing.assert_array_equal(between_readings(shown), shown)
 
 

@@ -26,7 +26,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.estimate import inverse, rms, sandwich
 from groundstation.identification.motor.fit import MotorFit, bench_run, fit_motor
 from groundstation.identification.runs import Run
-from groundstation.prediction.battery_rhythm import held, reading_rows
+from groundstation.prediction.battery_rhythm import held, reading_rhythm
 
 Array = NDArray[np.float64]
 
@@ -68,13 +68,14 @@ def estimate_supply(
     winding = vehicle.winding_ohm
     wires = vehicle.battery.supply_ohm if SAG in effects else 0.0
     emf_v = np.array([one.a1 / one.a0 / 1000.0 for one in each_motor(motor)])
-    regression = _Regression(run, np.zeros((len(run), 7)), reading_rows(run.supply_v))
+    read = reading_rhythm(run.supply_v).rows(len(run))
+    regression = _Regression(run, np.zeros((len(run), 7)), read)
     lag = share = 0.0
     for _ in range(3):
         armature = run.duty * motors[:, None]
         speed, _square = simulate_motor(motor, 1000.0 * armature[1:], run.period_s)
         back = (run.duty * speed) @ emf_v
-        regression = _Regression.of(run, (run.duty * armature).sum(axis=1), back)
+        regression = _Regression.of(run, (run.duty * armature).sum(axis=1), back, read)
         lag = regression.best_lag() if LAG in effects else 0.0
         terminal, share = regression.terminal(lag)
         # V = terminal - wires (sum d^2 V - k sum d n) / winding, linear in V.
@@ -164,11 +165,11 @@ class _Regression:
     read: NDArray[np.int64]
 
     @classmethod
-    def of(cls, run: Run, load: Array, back: Array) -> _Regression:
+    def of(cls, run: Run, load: Array, back: Array, read: NDArray[np.int64]) -> _Regression:
         time = np.linspace(-1.0, 1.0, len(run))
         drawn = [np.cumsum(one - one.mean()) / len(run) for one in (load, back)]
         plain = np.column_stack([np.ones(len(run)), time, time**2, -load, back, *drawn])
-        return cls(run, plain, reading_rows(run.supply_v))
+        return cls(run, plain, read)
 
     def best_lag(self) -> float:
         """The lag in s with the smallest error of the report."""
