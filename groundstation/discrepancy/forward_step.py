@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundstation.discrepancy.acceptance import SHARE, Stage, Trial, plausible, refusal
-from groundstation.discrepancy.evidence import gather
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import (
     PENALTY,
@@ -68,7 +67,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         rest = tuple(key for key in after.keys if key not in variant.keys)
         before = search.problem.fit(without(after.point, variant), rest, settled=ROUGHLY)
         after = search.nested(after, before, variant)
-        evidence = gather(search.problem, search.validation, before, after, variant)
+        evidence = search.weighed(before, after, variant)
         why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
         if why is None:
             search.accepted.insert(0, Accepted(variant, evidence, []))
@@ -103,9 +102,7 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
                 search.refused.setdefault(label, why)
                 continue
             assert trial.fit is not None
-            trial.evidence = gather(
-                search.problem, search.validation, before, trial.fit, trial.variant
-            )
+            trial.evidence = search.weighed(before, trial.fit, trial.variant)
             trial.tried = search.names(label) in search.tried
             search.held_out[label] = trial.evidence.held_out
             why = refusal(Stage.WEIGHED, trial)

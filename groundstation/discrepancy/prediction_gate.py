@@ -106,7 +106,7 @@ def drop_idle(search: SearchState, judge: Judge) -> bool:
             return changed
         share, out, search.now = min(trials, key=lambda trial: trial[0])
         search.accepted.remove(out)
-        names = ", ".join(CHANNELS[c] for c in out.evidence.channels)
+        names = _named(out.evidence.channels)
         search.refused[out.variant.label] = Refusal(
             Reason.DROWNED,
             f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions of {names};"
@@ -129,14 +129,24 @@ def _lower(left: Predicted, now: Predicted) -> bool:
 
 
 def _refusal(now: Predicted, left: Predicted) -> Refusal:
-    names = [CHANNELS[channel] for channel in now.worse if channel not in left.worse]
-    if names:
-        words = f"predicts {', '.join(names)} on held-out rows worse than the given model"
+    mended = [channel for channel in now.worse if channel not in left.worse]
+    if mended:
+        words = f"predicts {_named(mended)} on held-out rows worse than the given model"
+    elif now.worse:
+        words = (
+            f"{_named(now.worse)} on held-out rows would be predicted worse than by the given"
+            " model, and the least so without it"
+        )
     else:
         words = (
-            f"held-out rows are predicted better without it: gap {left.gap:.2f}, not {now.gap:.2f}"
+            f"held-out rows are predicted better without it: the gap of {now.gap:.2f} falls by"
+            f" {100.0 * (1.0 - left.gap / now.gap):.1f} %"
         )
     return Refusal(Reason.PREDICTS_WORSE, words)
+
+
+def _named(channels: Iterable[int]) -> str:
+    return ", ".join(CHANNELS[channel] for channel in channels)
 
 
 def _by_channels(

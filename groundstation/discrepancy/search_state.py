@@ -7,7 +7,7 @@ from copy import copy
 from dataclasses import dataclass
 
 from groundstation.discrepancy.base_constants import groups
-from groundstation.discrepancy.evidence import Evidence
+from groundstation.discrepancy.evidence import Evidence, gather
 from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.identification.flight import Flight
@@ -127,6 +127,10 @@ class SearchState:
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
         point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
         return self.problem.fit(point, [key for key in keys if key not in held])
+
+    def weighed(self, before: Fit, after: Fit, variant: Variant) -> Evidence:
+        """What speaks for a variant: ``before`` and ``after`` it joined."""
+        return gather(self.problem, self.validation, before, after, variant)
 
     def point_with(self, accepted: Sequence[Accepted]) -> Point:
         """The final constants, with only some of the effects."""

@@ -10,7 +10,6 @@ import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
-from groundstation.discrepancy.evidence import gather
 from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
 from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.discrepancy.search_state import Accepted, SearchState
@@ -56,7 +55,7 @@ def name_base_changes(search: SearchState) -> None:
             continue
         held = search.held | {key}
         before, after = _renamed(search, search.accepted, held, own)
-        evidence = gather(search.problem, search.validation, before, after, variant)
+        evidence = search.weighed(before, after, variant)
         trial = Trial(variant, after, evidence=evidence)
         if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
             continue

@@ -77,7 +77,9 @@ def test_an_effect_that_raises_the_gap_is_taken_back(hunt):
     assert answer_to_predictions(hunt, judged({"drag": 0.5, "bias": -0.3}, []))
     assert [one.label for one in hunt.accepted] == ["drag"]
     assert hunt.refused["bias"].reason is Reason.PREDICTS_WORSE
-    assert "predicted better without it" in hunt.refused["bias"].words
+    assert "predicted better without it: the gap of 1.80 falls by 16.7 %" in (
+        hunt.refused["bias"].words
+    )
 
 
 def test_one_that_raises_it_only_beside_what_is_slow_stays(hunt):
@@ -113,9 +115,27 @@ def test_what_spoils_a_channel_that_it_hardly_touches_is_found_and_none_blamed_t
     assert not hunt.held
 
 
+def test_what_leaves_before_a_channel_is_right_again_is_told_as_no_more_than_the_best_way(hunt):
+    """Only without both culprits nothing is spoilt."""
+    hunt.accepted.append(Effect("lag", (3,)))
+    hunt.now = hunt.refit(hunt.accepted, hunt.held)
+    spoilt = judged({"drag": 0.5}, [("bias", 3, 4.0), ("lag", 3, 3.0)])
+
+    def judge(point):
+        found = spoilt(point)
+        both = 4.0 * ("bias" in point) + 3.0 * ("lag" in point)
+        return Predicted(found.gap, {3: both} if both else {})
+
+    assert answer_to_predictions(hunt, judge)
+    assert [one.label for one in hunt.accepted] == ["drag"]
+    assert "the least so without it" in hunt.refused["bias"].words
+    assert "predicts accelerometer_x on held-out rows worse" in hunt.refused["lag"].words
+
+
 def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
     everything = [(name, c, 5.0) for c, name in enumerate(["drag", "bias", "c0", "c2"])]
     answer_to_predictions(hunt, judged({}, everything))
+    assert "worse than the given model" in hunt.refused["drag"].words
     assert hunt.now.point == set()
     assert not hunt.accepted
     assert hunt.held == {"c0", "c2"}

@@ -366,7 +366,7 @@ def make_run(folder):
     done = run_program(
         [
             *("make", f"VENV={environment}", "-o", f"{environment}/.ready", "run"),
-            f"ARGS=--for 1 --recordings {folder / 'sessions'} {ports}",
+            f"ARGS=--for 4 --recordings {folder / 'sessions'} {ports}",
         ],
         cwd=ROOT,
         env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import numpy as np
+from held_up import in_real_time
 from narrow_radio import narrow
 from served_craft import served
 
@@ -18,12 +19,15 @@ async def heard(link: CrazyflieTelemetry, seconds: float) -> tuple[SampleBatch, 
     told: list[str] = []
     link.on_event = lambda event: told.append(f"{event.kind}: {event.text}")
     batches = []
-    async with link:
-        end = asyncio.get_running_loop().time() + seconds
-        while asyncio.get_running_loop().time() < end:
-            batches.append(await link.read())
-            if any("from now on" in line for line in told) and seconds > 0:
-                end, seconds = asyncio.get_running_loop().time() + 2.0, 0.0
+    with in_real_time():
+        async with link:
+            end = asyncio.get_running_loop().time() + seconds
+            while asyncio.get_running_loop().time() < end:
+                batch = await link.read()
+                assert batch is not None, told
+                batches.append(batch)
+                if any("from now on" in line for line in told) and seconds > 0:
+                    end, seconds = asyncio.get_running_loop().time() + 2.0, 0.0
     return SampleBatch.concatenate(batches), told
 
 

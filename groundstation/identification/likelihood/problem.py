@@ -134,12 +134,12 @@ class Problem:
         """
         plain = linearise(flights, self.frame, point, keys)
         spectra: list[Spectrum] = []
-        for s in plain.spectra:
+        while plain.spectra:  # one by one and in place: they are hundreds of megabytes
+            s = plain.spectra.pop(0)
             root = self.root(flights[s.flight], s.channel, s.hz)
             lasting = None if s.lasting is None else self._lasting(s.channel) * s.lasting / root
-            scaled = replace(
-                s, residual=s.residual / root, columns=s.columns / root, lasting=lasting
-            )
+            np.divide(s.columns, root, out=s.columns)
+            scaled = replace(s, residual=s.residual / root, lasting=lasting)
             spectra.append(trimmed(scaled, self.noise[s.channel]) if self.noise else scaled)
         return replace(plain, spectra=spectra)
 

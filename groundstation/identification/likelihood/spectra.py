@@ -127,6 +127,8 @@ def transform_channel(signals: Mapping[str, Array], channel: int, flight: Flight
 
 
 def fourier(stack: Array, step_s: float) -> tuple[Array, Array, Array]:
+    """Spectra (k, 2 m) of rows (k, n), their frequencies in Hz and weights (2 m,). The rows are
+    overwritten: a search's are hundreds of megabytes."""
     from scipy.fft import next_fast_len, rfft
 
     rows = stack.shape[1]
@@ -136,13 +138,16 @@ def fourier(stack: Array, step_s: float) -> tuple[Array, Array, Array]:
     fade[:edge], fade[-edge:] = ramp, ramp[::-1]
     size = next_fast_len(rows, real=True)
     energy = float((fade**2).sum())
-    spectra = rfft(stack * fade, size, axis=1) / np.sqrt(energy)
+    stack *= fade
+    spectra = rfft(stack, size, axis=1, overwrite_x=True)
     hz = np.arange(spectra.shape[1]) / (size * step_s)
     weight = np.full(len(hz), 2.0 * energy / size)
     weight[0] *= 0.5
     if size % 2 == 0:
         weight[-1] *= 0.5
-    real = np.concatenate([spectra.real, spectra.imag], axis=1)
+    real, scale = np.empty((len(stack), 2 * len(hz))), 1.0 / np.sqrt(energy)
+    np.multiply(spectra.real, scale, out=real[:, : len(hz)])
+    np.multiply(spectra.imag, scale, out=real[:, len(hz) :])
     return real, np.tile(hz, 2), np.tile(weight, 2)
 
 
