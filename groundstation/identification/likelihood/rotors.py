@@ -48,7 +48,7 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
         lag = value(point, SENSOR_LAG)
         return rotors if lag == 0.0 else _before_sensor(rotors, lag, run.period_s)
     there = list(frame.acting(point).values())
-    supply = 1000.0 * run.supply_v
+    supply = np.repeat(1000.0 * run.supply_v, len(run.settings) // len(run))
     start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * supply[0])
     craft = frame.craft(point)
     keeps = {one: _keep(one, craft, supply[0], run.period_s) for one in in_order(there, "supply")}
@@ -56,7 +56,8 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
     acting = [*prompt, *in_order(there, "motor")]
     add_effects(record, [(one.effect, one.named) for one in acting])
     for keep in (keep for keep in keeps.values() if keep != 0.0):
-        speed = _run(flight, record, supply, start).end
+        turned = _run(flight, record, supply, start)
+        speed = (turned.halves or turned).end
         supply = supply + _behind(flight, supply, speed, keep, record["back_emf_mv"])
     return _run(flight, record, supply, start)
 
@@ -69,11 +70,12 @@ def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
 
 
 def _run(flight: Flight, record: np.void, supply: Array, start: Array) -> Rotors:
+    """supply: (m,) mV under each setting."""
     from groundstation.dynamics.motor_kernels import run_motors
 
     run, settings = flight.run, flight.run.settings
     each = len(settings) // len(run)
-    behind = np.repeat(supply[1:], each)
+    behind = supply[each:]
     voltage = np.ascontiguousarray(settings[each:] * behind[:, None])
     speed, square = np.empty((len(voltage) + 1, 4)), np.empty_like(voltage)
     run_motors(record, voltage, behind, run.period_s / each, SUBSTEPS, start, speed, square)
@@ -104,29 +106,32 @@ def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float
 
 
 def _behind(
-    flight: Flight, supply_mv: Array, speed: Array, keep: float, back_emf_mv: Array
+    flight: Flight, reported: Array, speed: Array, keep: float, back_emf_mv: Array
 ) -> Array:
-    """Real less reported voltage (n,) mV of a report that remembers the share ``keep`` of itself.
+    """Real less reported voltage (m,) mV, under each setting, of a report that remembers the share
+    ``keep`` of itself from row to row. speed: (m, 4) rev/s behind the settings.
 
     The reading itself cannot be differentiated: its steps of a millivolt would be amplified. The
     cell can be modelled: E(t) - A sum d^2 V + B sum d n, lagged, is fitted to the report, which
-    is what ``identification/motor/supply.py`` does on a bench; E is linear between knots.
+    is what ``identification/motor/supply.py`` does on a bench; E is linear between knots. A row
+    that tells two settings holds what was read under the second.
     """
     from groundstation.identification.likelihood.kernels import first_order
 
-    run = flight.run
-    load = (run.duty**2).sum(axis=1) * supply_mv
-    back = (run.duty * speed) @ back_emf_mv
-    rows = len(run)
-    knots = np.linspace(0, rows - 1, max(2, round(rows * run.period_s / KNOT_S)) + 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(rows)[:, None] - knots) / (knots[1] - knots[0]))
+    run, count = flight.run, len(reported)
+    each = count // len(run)
+    read = slice(each - 1, None, each)
+    load = (run.settings**2).sum(axis=1) * reported
+    back = (run.settings * speed) @ back_emf_mv
+    knots = np.linspace(0, count - 1, max(2, round(len(run) * run.period_s / KNOT_S)) + 1)
+    hats = np.maximum(0.0, 1.0 - np.abs(np.arange(count)[:, None] - knots) / (knots[1] - knots[0]))
     plain = np.column_stack([hats, -load, back])
     lagged = np.empty_like(plain)
-    first_order(np.ascontiguousarray(plain), keep, lagged)
-    first = min(flight.first, rows // 4)
-    normal = lagged[first:].T @ lagged[first:]
+    first_order(np.ascontiguousarray(plain), keep ** (1.0 / each), lagged)
+    first = each * min(flight.first, len(run) // 4)
+    used, told = lagged[first:][read], reported[first:][read]
+    normal = used.T @ used
     scale = np.sqrt(np.diag(normal)) + 1e-12
-    weights = np.linalg.lstsq(
-        normal / np.outer(scale, scale), lagged[first:].T @ supply_mv[first:] / scale, rcond=1e-10
-    )[0]
-    return np.asarray((plain - lagged) @ (weights / scale))
+    scaled = normal / np.outer(scale, scale), used.T @ told / scale
+    weights = np.linalg.lstsq(*scaled, rcond=1e-10)[0] / scale
+    return np.asarray((plain - np.repeat(lagged[read], each, axis=0)) @ weights)
