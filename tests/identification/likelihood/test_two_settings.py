@@ -74,8 +74,8 @@ def test_the_rotors_inertia_is_right_where_rows_tell_both_settings(slow):
 
 def test_rotors_turn_as_they_did_behind_a_report_that_lags():
     """Under a row's first setting the voltage was another, which a report that lags does not show;
-    rev/s of 290 on average. With the same voltage under both settings, and the current of their mean,
-    it would be 0.25."""
+    rev/s of 290 on average. With the same voltage under both settings and the current of their
+    mean it would be 0.25."""
     lag = {"battery_reading_lag": {"time_constant_s": 0.2}}
     flight_of = {"craft": "brushless", "plant": "reduced", "program": str(PROGRAMME)}
     samples, truth = recorded(40.0, seed=5, gains=GAINS, effects=lag, **flight_of)
