@@ -30,8 +30,8 @@ goes with it in every channel that it touches, and these are left at so many tim
 then something else is wrong in them, of which it has taken the little that it can imitate."""
 
 
-Trial = tuple[Predicted, Accepted | Group, Fit]
-"""What predictions say of the joint fit without an effect or a changed constant."""
+Without = tuple[Predicted, Accepted | Group, Fit]
+"""What predictions say of the joint fit without an effect or a changed constant, and that fit."""
 
 
 def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
@@ -54,7 +54,7 @@ def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
     return changed
 
 
-def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Trial]:
+def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
     """What predictions say without each effect or changed constant that may be at fault.
 
     Where channels are predicted worse, those that touch them; where none of these makes it better,
@@ -70,7 +70,7 @@ def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Trial]:
     return trials
 
 
-def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Trial:
+def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Without:
     search.progress("asking predictions of held-out rows", 0.93)
     rest = [one for one in search.accepted if one is not option]
     held = search.held.union(option) if isinstance(option, tuple) else search.held
