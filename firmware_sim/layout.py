@@ -219,7 +219,7 @@ FIRMWARE = np.dtype(
         ("setpoint_ns", "i8"),
         ("client_ns", "i8"),  # last setpoint of a client, -1: never
         ("thrust", "f8"),
-        # height, with a deck that measures it
+        # height, by a deck that measures it or a positioning system
         ("knows_height", "i8"),
         ("holds_height", "i8"),  # 1: the setpoint is a height
         ("setpoint_height", "f8"),  # m

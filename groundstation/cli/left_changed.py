@@ -18,7 +18,16 @@ def notes_path() -> Path:
     return Path(base) / "groundstation" / "pid_fly.json"
 
 
-def note_changes(uri: str, saved: dict[str, float], written: dict[str, float]) -> None:
+Written = dict[str, list[float]]
+"""Values that flights wrote, or were about to write when they ended."""
+
+
+def also_written(written: Written, changed: dict[str, float]) -> Written:
+    """What flights wrote, and what one is about to write."""
+    return written | {name: [*written.get(name, []), value] for name, value in changed.items()}
+
+
+def note_changes(uri: str, saved: dict[str, float], written: Written) -> None:
     """Say, before anything is written, what is about to change on the craft at ``uri``."""
     note = {"time": time.time(), "saved": saved, "written": written}
     _put({**_notes(), uri: note})
@@ -46,7 +55,7 @@ def still_changed(left: dict[str, Any], present: dict[str, float]) -> dict[str, 
     return {
         name: former
         for name, former in left["saved"].items()
-        if np.float32(present.get(name, np.nan)) == np.float32(left["written"].get(name, np.nan))
+        if np.float32(present.get(name, np.nan)) in np.float32(left["written"].get(name, []))
         and np.float32(present[name]) != np.float32(former)
     }
 
@@ -64,7 +73,10 @@ def _notes() -> dict[str, dict[str, Any]]:
             str(uri): {
                 "time": float(note["time"]),
                 "saved": {str(k): float(v) for k, v in note["saved"].items()},
-                "written": {str(k): float(v) for k, v in note["written"].items()},
+                "written": {
+                    str(k): [float(one) for one in (v if isinstance(v, list) else [v])]
+                    for k, v in note["written"].items()
+                },
             }
             for uri, note in content.items()
         }

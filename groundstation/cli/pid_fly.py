@@ -19,6 +19,8 @@ from groundstation.cli.commanding import (
     require_ready,
 )
 from groundstation.cli.left_changed import (
+    Written,
+    also_written,
     changes_left,
     crafts_left,
     forget_changes,
@@ -233,13 +235,15 @@ def _flight(
         if real and not yes:
             require_consent(pilot, f"{uri}: clear of people, ready to fly?", "not flown")
         by_itself = pilot.lease["holds_height"]
+        # where it stands now: it may have been put elsewhere before it was said to be ready
+        floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
         if thrust.startswith("height") and not by_itself:
             raise BadInputError(
                 f"--thrust {thrust}: {uri} holds no height by itself; it needs today's firmware and"
                 " a Flow or Z-ranger deck, or a positioning system that has told it where it is"
             )
         usual = "height" if by_itself else "keyboard" if real else "stand-in"
-        with open_sticks(thrust or usual, pilot.lease["floor_m"]) as sticks:
+        with open_sticks(thrust or usual, floor_m) as sticks:
             recording = begin_recording(path)
             changed = dict(wanted)
             if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):
@@ -247,7 +251,7 @@ def _flight(
             # what an interrupted flight found is what the craft had
             saved = {name: former.get(name, before[name]) for name in changed}
             if changed:
-                note_changes(uri, {**former, **saved}, {**written, **changed})
+                note_changes(uri, {**former, **saved}, also_written(written, changed))
             aborted, motors, stopped = "an unforeseen error", "", False
             try:
                 _write(pilot, changed)
@@ -284,7 +288,7 @@ def _flight(
     }
 
 
-def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], Written]:
     """What an interrupted flight found on this craft and the craft still holds as that changed it,
     and what it wrote; empty where there is nothing such."""
     left = changes_left(uri)
@@ -294,7 +298,7 @@ def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float]
     if not former:
         forget_changes(uri)
         return {}, {}
-    _tell_left(uri, left, former)
+    _tell_left(uri, left, former, present)
     return former, left["written"]
 
 
@@ -321,7 +325,7 @@ def _settle(
     uri: str,
     back: dict[str, float],
     earlier: dict[str, float],
-    written: dict[str, float],
+    written: Written,
     aborted: str,
 ) -> None:
     """Put parameters back. Once that has worked the note holds no more than ``earlier``, what an
@@ -339,11 +343,13 @@ def _settle(
         say("the former gains are back", error=True)
 
 
-def _tell_left(uri: str, left: dict[str, Any], former: dict[str, float]) -> None:
+def _tell_left(
+    uri: str, left: dict[str, Any], former: dict[str, float], present: dict[str, float]
+) -> None:
     when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(left["time"]))
     say(f"the flight of {when} on {uri} was interrupted and left changed:", error=True)
     for name, value in former.items():
-        say(f"  {name}: was {value:g}, is {left['written'][name]:g}", error=True)
+        say(f"  {name}: was {value:g}, is {present[name]:g}", error=True)
     say("'groundstation pid fly --undo' puts the former values back", error=True)
 
 

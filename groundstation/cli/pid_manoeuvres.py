@@ -143,9 +143,9 @@ def _land(
         sinking = Hands(thrust=round(DESCENT * hover))
         return _come_down(pilot, clock, low, [sinking] * round(DESCENT_S * RATE_HZ))
     if isinstance(sticks, CraftHeight):
-        top_m, floor_m = sticks.top_m, max(sticks.floor_m, 0.0)
-        ticks = range(round(((top_m - floor_m) / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
-        heights = (max(top_m - CLIMB_M_S * tick / RATE_HZ, floor_m) for tick in ticks)
+        # to the floor even where it took off from a table: it may have drifted from there
+        ticks = range(round((sticks.top_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
+        heights = (max(sticks.top_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
         return _come_down(pilot, clock, low, (Hands(height_m=lower) for lower in heights))
     say("the programme is flown: land", error=True)
     while True:

@@ -135,7 +135,7 @@ def _refusal(now: Predicted, left: Predicted) -> Refusal:
     elif now.worse:
         words = (
             f"{_named(now.worse)} on held-out rows would be predicted worse than by the given"
-            " model, and the least so without it"
+            " model; it is what costs the least to take out"
         )
     else:
         words = (

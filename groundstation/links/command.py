@@ -75,12 +75,6 @@ class CommandLink(ABC):
         return False
 
     @property
-    def floor_m(self) -> float:
-        """The height at which a craft that holds one stands now: not 0 on a table in a room whose
-        positioning system counts from the floor."""
-        return self.supervisor.height_m or 0.0
-
-    @property
     def disarms_in_flight(self) -> bool:
         """Whether the craft is one that was armed by request and that may be disarmed while it
         flies: its motors stop at once and it is not locked."""
@@ -190,10 +184,10 @@ class CommandLink(ABC):
         later, as ``armed``."""
         return False
 
-    def recover(self) -> bool:
-        """Ask a craft that calls itself crashed to be ready again; whether this firmware knows the
-        request. What became of it ``supervisor`` says."""
-        return False
+    def recover(self) -> None:
+        """Ask a craft to be ready again, where ``supervisor`` says that it has crashed, and then
+        says what becomes of it."""
+        raise NotImplementedError
 
     def record_parameters(self, client: str) -> None:
         """Put every parameter, as last read, into the recording."""

@@ -48,6 +48,10 @@ SETTLES_S = 2.5
 is locked until it is switched off and on."""
 STATE_S = 0.3
 """What its log says of being armed may be older than its answer to a request, by less than this."""
+FIRST_S = 0.5
+"""It says ten times a second what state it is in."""
+HEIGHT_LOST_S = 1.0
+"""A craft in the air that has not known its height for so long does not hold it."""
 LOCKS_AFTER_S = 2.0
 """Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
 _WHOLE = {
@@ -76,6 +80,8 @@ class CrazyflieLink(CommandLink):
         self._sender: _Sender | None = None
         self._asked_armed = False
         self._asked_s = -STATE_S
+        self._told = asyncio.Event()  # of its state, for the first time
+        self._knows_height, self._height_s = False, 0.0
 
     async def open(self) -> None:
         if self._is_shared and not self._connection.is_open:
@@ -93,16 +99,19 @@ class CrazyflieLink(CommandLink):
         self.settles_s = SETTLES_S if self._connection.protocol >= TODAY else 0.0
         for port in (PLATFORM[0], SUPERVISOR[0]):
             self._connection.craft.add_port_callback(port, self._take_answer)
-        self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
         await self._watch()
+        if self.state is not CommandState.CONNECTING:
+            raise LinkError(f"{self.uri}: the connection was lost at once")
+        self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
 
     async def _watch(self) -> None:
-        """Be told of what keeps the craft from flying; it flies as well where it does not say."""
+        """Be told of what keeps the craft from flying, for the first time before anybody asks; it
+        flies as well where it does not say."""
         listed = self._connection.variables()
         watched = [(name, listed[name]) for name in STATE if name in listed]
-        if not (watched and self._is_up_to_date()):
+        if not watched or self._connection.protocol < TODAY:
             return
-        loop = asyncio.get_running_loop()
+        loop, self._told = asyncio.get_running_loop(), asyncio.Event()
 
         def tell(values: dict[str, float]) -> None:
             with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
@@ -110,12 +119,22 @@ class CrazyflieLink(CommandLink):
 
         try:
             await self._connection.blocks.watch(watched, tell)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(FIRST_S):
+                    await self._told.wait()
         except GroundStationError as error:
-            if self.state is CommandState.CONNECTED:
+            if self.state is CommandState.CONNECTING:
                 self._tell("waiting", f"what keeps the craft from flying is not told: {error}")
 
     def _take_state(self, said: Supervisor) -> None:
         before, self.supervisor = self.supervisor, said
+        self._told.set()
+        now_s = time.monotonic()
+        if said.height_m is not None:
+            self._height_s = now_s
+        # one that flies is not dropped because it does not see its base stations for a moment
+        stays = self._knows_height and said.flies and now_s < self._height_s + HEIGHT_LOST_S
+        self._knows_height = said.height_m is not None or stays
         if said.armed is not None and time.monotonic() >= self._asked_s + STATE_S:
             if self.armed and not (said.armed or said.arms_itself or said.trouble):
                 self._tell("disarmed", DISARMED_ITSELF)
@@ -131,7 +150,7 @@ class CrazyflieLink(CommandLink):
 
     def _forget(self) -> None:
         """What it said of itself holds no longer."""
-        self.armed, self.supervisor = None, Supervisor()
+        self.armed, self.supervisor, self._knows_height = None, Supervisor(), False
 
     def _tell(self, kind: str, text: str) -> None:
         self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
@@ -160,9 +179,7 @@ class CrazyflieLink(CommandLink):
         known = self.parameters()
         if any(known.get(name) for name in HEIGHT_DECKS):
             return True
-        # one that flies is not dropped because it does not see its base stations for a moment
-        said = self.supervisor
-        return known.get(ESTIMATOR) == KALMAN and (said.height_m is not None or said.flies)
+        return known.get(ESTIMATOR) == KALMAN and self._knows_height
 
     @property
     def disarms_in_flight(self) -> bool:
@@ -206,11 +223,9 @@ class CrazyflieLink(CommandLink):
         self._request(bytes([ARM, armed]), "arm" if armed else "disarm")
         return True
 
-    def recover(self) -> bool:
-        if not self._is_up_to_date():
-            return False
-        self._request(bytes([RECOVER]), "recover")
-        return True
+    def recover(self) -> None:
+        if self._is_up_to_date():
+            self._request(bytes([RECOVER]), "recover")
 
     def _request(self, data: bytes, kind: str) -> None:
         port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR

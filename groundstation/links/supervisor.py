@@ -3,12 +3,13 @@ operator."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 INFO, POWER = "supervisor.info", "pm.state"
 HEIGHT, HEIGHT_VARIANCE = "stateEstimate.z", "kalman.varPZ"
-"""Log variables, slow ones."""
 STATE = (INFO, POWER, HEIGHT, HEIGHT_VARIANCE)
+"""Log variables, slow ones."""
 LOW_POWER = 3
 HEIGHT_KNOWN_M = 0.1
 """Standard error of a height that a craft can be left with: the estimator begins at 1 m, and stays
@@ -36,13 +37,13 @@ class Supervisor:
     @classmethod
     def of(cls, values: dict[str, float]) -> Supervisor:
         """From log variables; what the firmware does not list is missing."""
-        bits, height_m = values.get(INFO), values.get(HEIGHT)
+        bits, height_m = values.get(INFO), values.get(HEIGHT, math.nan)
         # a filter that does not run says 0
-        is_known = 0.0 < values.get(HEIGHT_VARIANCE, 0.0) <= HEIGHT_KNOWN_M**2
+        is_sure = 0.0 < values.get(HEIGHT_VARIANCE, 0.0) <= HEIGHT_KNOWN_M**2
         return cls(
             None if bits is None else int(bits),
             values.get(POWER) == LOW_POWER,
-            height_m if is_known else None,
+            height_m if is_sure and math.isfinite(height_m) else None,
         )
 
     @property

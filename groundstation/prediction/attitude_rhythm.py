@@ -19,7 +19,7 @@ its angles), and the others in less than this share of that."""
 
 @dataclass(frozen=True, slots=True)
 class Rhythm:
-    """New attitudes come ``stride`` rows apart, the first in row ``phase``.
+    """New values come ``stride`` rows apart, the first in row ``phase``.
 
     regular: whether rows beside the comb hold none; otherwise the comb is the best there is.
     """

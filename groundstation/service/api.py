@@ -182,6 +182,7 @@ def _command(station: Station) -> list[Operation]:
             telemetry=station.newest.telemetry(),
             link_state=station.receiver.state.value,
             hindrance=commander.hindrance,
+            height_m=commander.height_m,
         )
 
     async def stop(_: None) -> Any:

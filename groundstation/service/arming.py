@@ -44,19 +44,19 @@ async def ask_to_arm(link: CommandLink, on: bool) -> None:
 async def ask_to_recover(link: CommandLink) -> None:
     """Let a craft that calls itself crashed be ready again, and wait until it says so.
 
-    Raises BadInputError for one that has not crashed or a firmware that knows no such request,
-    LinkError where it does not recover."""
+    Raises BadInputError for one that has not crashed, LinkError where it does not recover."""
     if not link.supervisor.crashed:
         raise BadInputError("the craft does not say that it has crashed: nothing to recover from")
-    if link.supervisor.tumbled:
-        raise LinkError(TUMBLED)
-    if not link.recover():
-        raise BadInputError("this craft's firmware knows no recovery: switch it off and on")
     asked_s = time.monotonic()
     while link.supervisor.crashed:
+        if link.supervisor.tumbled:
+            raise LinkError(TUMBLED)
         if time.monotonic() - asked_s > ANSWER_S:
             raise LinkError("the craft still calls itself crashed: switch it off and on")
-        await asyncio.sleep(LOOK_S)
+        link.recover()  # again, for a request may be lost
+        await asyncio.sleep(STATE_S)
+    if link.supervisor.bits is None:
+        raise LinkError(f"{link.uri} is not connected any more: look at the craft")
 
 
 async def _armed(link: CommandLink, on: bool) -> bool:

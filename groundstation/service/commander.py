@@ -110,6 +110,11 @@ class Commander:
         """What, as the craft says, keeps it from flying; empty where it says nothing of that."""
         return "" if self.link is None else self.link.supervisor.hindrance
 
+    @property
+    def height_m(self) -> float | None:
+        """Where the craft is by its own account, None where it is not sure of that."""
+        return None if self.link is None else self.link.supervisor.height_m
+
     def acquire(self, client: str) -> Granted:
         """Begin a lease: its token, and the limits the client must keep."""
         link = self._require_link()
@@ -136,7 +141,6 @@ class Commander:
             state=link.state.value,
             firmware=link.firmware,
             holds_height=link.holds_height,
-            floor_m=link.floor_m,
         )
 
     def release(self, token: str) -> None:
@@ -197,8 +201,13 @@ class Commander:
     async def recover(self) -> None:
         """Let a craft that calls itself crashed be ready again, and wait until it says so.
 
-        Raises BadInputError for one that has not crashed or a firmware that knows no such request,
-        LinkError where it does not recover."""
+        Raises BadInputError for one that has not crashed, TakenError while a client asks for
+        thrust, LinkError where it does not recover."""
+        if self._lease is not None and self._lease.flies:
+            raise TakenError(f"{self._lease.client} asks for thrust: motors might turn at once")
+        _, reason = self._telemetry()
+        if reason:
+            raise BadInputError(f"no craft can recover: {reason}")
         await ask_to_recover(self._require_connected())
         self._note("recovered", "the operator has had the craft recover from its crash")
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from groundstation.errors import LinkError
+from groundstation.errors import BadInputError, LinkError
 from groundstation.links.command import LOOK_S, CommandLink
 
 ENDS_S, FLIES_ON_S = 0.25, 5.0
@@ -153,6 +153,7 @@ def send_level(
 ) -> None:
     """A setpoint of level attitude, where there is a craft."""
     if link is not None:
-        # without the craft there is nothing to be done: its own limits stop it
-        with contextlib.suppress(LinkError):
+        # without the craft, or a height that it knows, there is nothing to be done: its own limits
+        # stop it, or the stop that follows
+        with contextlib.suppress(LinkError, BadInputError):
             link.setpoint(0.0, 0.0, 0.0, thrust, height_m=height_m, client=client)

@@ -143,8 +143,7 @@ class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
     """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
     uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
-    it does not say. holds_height: whether it takes a height in the place of thrust. floor_m: the
-    height at which it stands."""
+    it does not say. holds_height: whether it takes a height in the place of thrust."""
 
     token: str
     lease_s: float
@@ -154,7 +153,6 @@ class Lease(msgspec.Struct, frozen=True, kw_only=True):
     state: str
     firmware: str
     holds_height: bool
-    floor_m: float
 
 
 class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
@@ -172,12 +170,14 @@ class Telemetry(msgspec.Struct, frozen=True, kw_only=True):
 
 class Sent(msgspec.Struct, frozen=True, kw_only=True):
     """time_ns: when the setpoint was handed to the radio. telemetry: None where nothing has
-    come yet. hindrance: what, as the craft says, keeps it from flying, or empty."""
+    come yet. hindrance: what, as the craft says, keeps it from flying, or empty. height_m: where it
+    is by its own account, None where it is not sure of that."""
 
     time_ns: int
     telemetry: Telemetry | None
     link_state: str
     hindrance: str = ""
+    height_m: float | None = None
 
 
 class Values(msgspec.Struct, frozen=True, kw_only=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -152,7 +153,7 @@ def test_a_craft_that_knows_its_height_holds_it_and_leans_and_turns_in_the_signs
         async with asyncio.timeout(10.0):
             while not (link.holds_height and link.supervisor.height_m is not None):
                 await asyncio.sleep(0.02)
-        assert abs(link.floor_m) < 0.05
+        assert abs(link.supervisor.height_m or 0.0) < 0.05
         for k in range(300):
             link.setpoint(0, 0, 0, 0, height_m=min(0.004 * k, 0.5))
             await asyncio.sleep(0.01)
@@ -208,10 +209,12 @@ def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_m
                 link.setpoint(0, 0, 0, 0, height_m=0.4)
                 await asyncio.sleep(0.02)
             assert link.holds_height
-            while link.supervisor.flies:
-                link.setpoint(0, 0, 0, 0)
+            lost_s = time.monotonic()
+            while link.holds_height:
+                link.setpoint(0, 0, 0, 0, height_m=0.4)
                 await asyncio.sleep(0.02)
-        assert not link.holds_height
+            assert link.supervisor.flies
+            assert time.monotonic() - lost_s > 0.5
         with pytest.raises(BadInputError, match="a positioning system"):
             link.setpoint(0, 0, 0, 0, height_m=0.4)
         await link.close()

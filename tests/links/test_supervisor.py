@@ -38,3 +38,4 @@ def test_a_height_is_known_where_the_filter_runs_and_is_sure(
     said = Supervisor.of({HEIGHT: 0.8, HEIGHT_VARIANCE: variance_m2})
     assert (said.height_m == 0.8) is is_known
     assert Supervisor.of({HEIGHT: 0.8}).height_m is None
+    assert Supervisor.of({HEIGHT: float("nan"), HEIGHT_VARIANCE: variance_m2}).height_m is None

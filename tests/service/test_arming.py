@@ -9,6 +9,7 @@ from firmware_sim.supervisor import CRASHED, FLYING
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.service.arming import ask_to_arm, ask_to_recover
+from groundstation.service.motor_stop import send_level
 
 ON_ITS_BACK, UPRIGHT = (0.0, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
@@ -88,4 +89,24 @@ def test_firmware_of_2014_has_nothing_to_recover_from():
         await link.close()
 
     with served() as craft:
+        asyncio.run(scenario(craft))
+
+
+def test_a_dead_man_goes_on_where_the_craft_does_not_know_its_height_any_more():
+    """Nothing may keep him from stopping the motors then."""
+
+    async def scenario(craft):
+        link = CrazyflieLink(craft.uri)
+        entries = []
+        link.on_entry = entries.append
+        await link.open()
+        with pytest.raises(BadInputError, match="holds no height"):
+            link.setpoint(0.0, 0.0, 0.0, 0, height_m=0.4)
+        send_level(link, 0, "dead man", 0.4)
+        assert entries == []
+        send_level(link, 0, "dead man")
+        assert [entry["client"] for entry in entries] == ["dead man"]
+        await link.close()
+
+    with served(craft="crazyflie21") as craft:
         asyncio.run(scenario(craft))

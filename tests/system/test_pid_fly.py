@@ -16,7 +16,7 @@ from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failur
 from programs import Program, run_program
 
 from groundstation.cli.commanding import kept
-from groundstation.cli.left_changed import changes_left, note_changes
+from groundstation.cli.left_changed import also_written, changes_left, note_changes
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot, ask
 
@@ -223,8 +223,8 @@ def test_what_an_interrupted_flight_found_stays_the_former_value(station, tmp_pa
     uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
     former = {"pid_attitude.roll_kp": 3.5, "pid_rate.yaw_kp": 50.0}
     written = {"pid_attitude.roll_kp": 5.0, "pid_rate.yaw_kp": 60.0}
-    note_changes("radio://0/80/250K", {GAIN: 1.0}, {GAIN: 2.0})
-    note_changes(uri, former, written)
+    note_changes("radio://0/80/250K", {GAIN: 1.0}, {GAIN: [2.0]})
+    note_changes(uri, former, also_written({}, written))
     with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
         pilot.write(written)
     gains = tmp_path / "wild.toml"
@@ -248,7 +248,9 @@ def test_what_was_set_anew_since_an_interrupted_flight_is_not_put_back(
     """By somebody, or by the craft's restart."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     uri = ask(station.daemon.socket, "GET", "/status")["command"]["uri"]
-    note_changes(uri, {GAIN: 1.0, "pid_rate.yaw_kp": 55.0}, {GAIN: 2.0, "pid_rate.yaw_kp": 60.0})
+    # the second flight on the yaw gain could not write it any more
+    written = {GAIN: [2.0], "pid_rate.yaw_kp": [60.0, 65.0]}
+    note_changes(uri, {GAIN: 1.0, "pid_rate.yaw_kp": 55.0}, written)
     with Pilot(station.daemon.socket, "an interrupted flight") as pilot:
         pilot.write({"pid_rate.yaw_kp": 60.0})
     undone = station.fly("--undo")
@@ -256,7 +258,7 @@ def test_what_was_set_anew_since_an_interrupted_flight_is_not_put_back(
     assert GAIN not in undone.stderr
     values = ask(station.daemon.socket, "GET", "/command/parameters")["values"]
     assert (values[GAIN], values["pid_rate.yaw_kp"]) == (STOCK, 55.0)
-    note_changes(uri, {GAIN: 1.0}, {GAIN: 2.0})
+    note_changes(uri, {GAIN: 1.0}, {GAIN: [2.0]})
     assert "restarted or set anew since" in station.fly("--undo").stdout
     assert (station.gain(), changes_left(uri)) == (STOCK, None)
 

@@ -262,7 +262,7 @@ at("arming").addEventListener("close", () => {
 at("disarm").addEventListener("click", () =>
   change("/command/arm", { on: false }, "The motors are disarmed."));
 at("recover").addEventListener("click", () =>
-  change("/command/recover", undefined, "The craft has recovered."));
+  change("/command/recover", null, "The craft has recovered."));
 
 /** What there is to choose from, asked for when somebody is about to choose. */
 async function offer() {
