@@ -52,12 +52,13 @@ def still_changed(left: dict[str, Any], present: dict[str, float]) -> dict[str, 
     what was found before the flight has no business on it any more."""
     import numpy as np
 
-    return {
-        name: former
-        for name, former in left["saved"].items()
-        if np.float32(present.get(name, np.nan)) in np.float32(left["written"].get(name, []))
-        and np.float32(present[name]) != np.float32(former)
-    }
+    still = {}
+    for name, former in left["saved"].items():
+        now = np.float32(present.get(name, np.nan))
+        wrote = any(now == np.float32(one) for one in left["written"].get(name, ()))
+        if wrote and now != np.float32(former):
+            still[name] = former
+    return still
 
 
 def crafts_left() -> list[str]:

@@ -48,14 +48,14 @@ async def ask_to_recover(link: CommandLink) -> None:
     if not link.supervisor.crashed:
         raise BadInputError("the craft does not say that it has crashed: nothing to recover from")
     asked_s = time.monotonic()
-    while link.supervisor.crashed:
-        if link.supervisor.tumbled:
+    while (said := link.supervisor).crashed:
+        if said.tumbled:
             raise LinkError(TUMBLED)
         if time.monotonic() - asked_s > ANSWER_S:
             raise LinkError("the craft still calls itself crashed: switch it off and on")
         link.recover()  # again, for a request may be lost
         await asyncio.sleep(STATE_S)
-    if link.supervisor.bits is None:
+    if said.bits is None:
         raise LinkError(f"{link.uri} is not connected any more: look at the craft")
 
 
