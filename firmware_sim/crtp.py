@@ -3,7 +3,8 @@
 One datagram is one packet: a header byte (port << 4 | channel) and up to 30 bytes of data.
 ``Conversation`` is the protocol for one client, without I/O; ``crtp_server`` puts it on UDP. A
 craft with the firmware of 2014 speaks protocol 1, one with today's firmware 7 to 12, where numbers
-in the tables of contents have 16 bits and log blocks have a command for periods below 10 ms.
+in the tables of contents have 16 bits and log blocks have a command for periods below 10 ms. Until
+protocol 10 it logs by the commands of 2014 as well, which know its first 255 variables.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from firmware_sim.contents import (
     PARAM_U8,
     READ_ONLY,
     TODAY,
+    U32,
     Contents,
     checksum,
     contents_of,
@@ -31,7 +33,7 @@ from firmware_sim.supervisor import CRASHED, LOCKED
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5
 LOCALIZATION, GENERIC, SUPERVISOR, PLATFORM, LINK = 6, 7, 9, 13, 15
 SUPERVISED = 12
-"""The protocol from which on the supervisor has a port."""
+"""The protocol from which on the supervisor has a port, and the commands of 2014 are gone."""
 MAX_DATA = 30
 MAX_LOG_BYTES = 26
 NULL_PACKET = b"\xff"
@@ -40,14 +42,6 @@ MISSED_MS = 1000
 
 _PARAM_FORMAT = {PARAM_FLOAT: "<f", PARAM_U8: "<B"}
 _LOG_FORMAT = {1: "<B", 2: "<H", 3: "<I", 4: "<b", 5: "<h", 6: "<i", FLOAT: "<f", HALF: "<e"}
-_LOG_LIMITS = {
-    1: (0, 255),
-    2: (0, 65535),
-    3: (0, 2**32 - 1),
-    4: (-128, 127),
-    5: (-32768, 32767),
-    6: (-(2**31), 2**31 - 1),
-}
 _HALF_MOST = 65504.0
 _SETPOINT = struct.Struct("<fffH")
 _AT_HEIGHT = struct.Struct("<Bffff")
@@ -56,6 +50,8 @@ LEGACY_Z_DISTANCE, Z_DISTANCE = 2, 9
 
 CREATE, APPEND, DELETE, START, STOP, RESET, CREATE_V2, APPEND_V2, START_V2 = range(9)
 """Commands of the log; those of version 2 are today's."""
+GET_ITEM, GET_INFO, GET_ITEM_V2, GET_INFO_V2 = range(4)
+"""Commands of the tables of contents."""
 
 SAID = {
     LOCKED: "SUP: Locked, reboot required\n",
@@ -81,6 +77,7 @@ class Conversation:
         self.contents: Contents = contents_of(craft)
         self._craft = craft
         self._today = craft.protocol >= TODAY
+        self._by_both = self._today and craft.protocol < SUPERVISED
         self._boots = craft.boots
         self._blocks: dict[int, LogBlock] = {}
         self._supervisor = craft.state().supervisor
@@ -199,6 +196,9 @@ class Conversation:
 
     def _parameter(self, channel: int, data: bytes) -> list[bytes]:
         if channel == 0:
+            if self._by_both and data[:1] in (bytes([GET_ITEM]), bytes([GET_INFO])):
+                # of parameters nothing is told by them any more
+                return [data[:1] if data[0] == GET_ITEM else bytes([GET_INFO, 0, 0, 0])]
             return self._contents(data, self.contents.parameter_items, b"")
         width = 2 if self._today else 1
         if len(data) < width or channel not in (1, 2):
@@ -236,25 +236,23 @@ class Conversation:
         if command == RESET:
             self._blocks.clear()
             return 0
-        if command == (CREATE_V2 if self._today else CREATE):
+        if command not in self._log_commands():
+            return errno.ENOEXEC
+        if command in (CREATE, CREATE_V2):
             if block is not None:
                 return errno.EEXIST
             if len(self._blocks) >= self.contents.most_blocks:
                 return errno.ENOMEM
             # today's firmware keeps a block whose variables it refuses
             block = LogBlock()
-            error = self._append(block, data)
+            error = self._append(block, data, 2 if command == CREATE_V2 else 1)
             if error == 0 or self._today:
                 self._blocks[number] = block
             return error
-        append = APPEND_V2 if self._today else APPEND
-        known = (append, DELETE, START, STOP, *((START_V2,) if self._today else ()))
-        if command not in known:
-            return errno.ENOEXEC
         if block is None:
             return errno.ENOENT
-        if command == append:
-            return self._append(block, data)
+        if command in (APPEND, APPEND_V2):
+            return self._append(block, data, 2 if command == APPEND_V2 else 1)
         if command == DELETE:
             del self._blocks[number]
         elif command == STOP:
@@ -267,9 +265,14 @@ class Conversation:
             block.next_ms = self._craft.uptime_ms + block.period_ms
         return 0
 
-    def _append(self, block: LogBlock, data: bytes) -> int:
-        """Until the first variable that is refused, as the firmware does."""
-        width = 2 if self._today else 1
+    def _log_commands(self) -> tuple[int, ...]:
+        old, new = (CREATE, APPEND), (CREATE_V2, APPEND_V2, START_V2)
+        own = (*old, *new) if self._by_both else new if self._today else old
+        return (*own, DELETE, START, STOP)
+
+    def _append(self, block: LogBlock, data: bytes, width: int) -> int:
+        """Until the first variable that is refused, as the firmware does. width: bytes of a
+        variable's number."""
         added = [
             (int.from_bytes(data[at + 1 : at + 1 + width], "little"), data[at] & 0x0F)
             for at in range(0, len(data) - width, 1 + width)
@@ -290,15 +293,18 @@ class Conversation:
         """A table of contents: its size and checksum, or one item."""
         if not data:
             return []
-        about, one, width = (3, 2, 2) if self._today else (1, 0, 1)
-        if data[0] == about:
-            size = len(items).to_bytes(width, "little")
-            return [bytes([about]) + size + checksum(items) + limits]
-        if data[0] == one and len(data) > width:
-            place = data[1 : 1 + width]
-            number = int.from_bytes(place, "little")
-            return [bytes([one]) + place + items[number] if number < len(items) else bytes([one])]
-        return []
+        asked, is_new = data[0], data[0] in (GET_ITEM_V2, GET_INFO_V2)
+        if asked > GET_INFO_V2 or not (is_new == self._today or self._by_both):
+            return []
+        width = 2 if is_new else 1
+        if asked in (GET_INFO, GET_INFO_V2):
+            size = min(len(items), 256**width - 1).to_bytes(width, "little")
+            return [bytes([asked]) + size + checksum(items) + limits]
+        if len(data) <= width:
+            return []
+        place = data[1 : 1 + width]
+        number = int.from_bytes(place, "little")
+        return [bytes([asked]) + place + items[number] if number < len(items) else bytes([asked])]
 
     def _value(self, state: CraftState, variable: int, kind: int) -> bytes:
         value = self.contents.variables[variable][2](state)
@@ -306,8 +312,11 @@ class Conversation:
             value = min(max(value, -_HALF_MOST), _HALF_MOST)
         if kind in (FLOAT, HALF):
             return struct.pack(_LOG_FORMAT[kind], value)
-        low, high = _LOG_LIMITS[kind]
-        return struct.pack(_LOG_FORMAT[kind], int(min(max(value, low), high)))
+        # a float is cut to 32 bits, and its lowest bytes are sent
+        low, high = (0, 2**32 - 1) if kind == U32 else (-(2**31), 2**31 - 1)
+        size = struct.calcsize(_LOG_FORMAT[kind])
+        whole = int(min(max(value, low), high)) % 2 ** (8 * size)
+        return whole.to_bytes(size, "little")
 
     def _banner(self) -> str:
         if not self._today:

@@ -16,9 +16,19 @@ from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from cflib.crazyflie.syncLogger import SyncLogger
 from served_craft import ServedCraft, served
 
-from firmware_sim.contents import U16
+from firmware_sim.contents import U8, U16
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.crtp import CREATE_V2, RESET, START_V2, Conversation
+from firmware_sim.crtp import (
+    APPEND,
+    CREATE,
+    CREATE_V2,
+    GET_INFO,
+    GET_ITEM,
+    RESET,
+    START,
+    START_V2,
+    Conversation,
+)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +178,7 @@ def test_limits_and_errors_are_those_of_the_firmware(client):
     assert asked(client, CREATE_V2, 1, gyro * 7) == errno.E2BIG
     assert asked(client, CREATE_V2, 2, struct.pack("<BH", 7, 999)) == errno.ENOENT
     assert asked(client, START_V2, 77, b"\x01\x00") == errno.ENOENT
-    assert asked(client, 0, 3, b"\x07\x00") == errno.ENOEXEC  # of protocols before 4
+    assert asked(client, 9, 3, b"\x07\x00") == errno.ENOEXEC
     for number in range(3, 16):
         assert asked(client, CREATE_V2, number, gyro) == 0
     assert asked(client, CREATE_V2, 16, gyro) == errno.ENOMEM
@@ -219,3 +229,62 @@ def test_firmware_built_to_run_in_software_repeats_a_request_to_arm_and_does_not
     assert not [name for name in kinds if name.startswith(("pm.", "pwm."))]
     assert kinds["motor.m1"] == U16
     assert not [name for name, _ in talk.contents.parameters if name.startswith("deck.")]
+
+
+def logged_as_in_2014(craft: StandIn) -> list[bytes]:
+    """What a client that knows only the commands of 2014 is answered: table, block, start."""
+    client = Conversation(craft)
+    table = client.answer(bytes([0x50, GET_INFO]))
+    if not table:
+        return []
+    items = [client.answer(bytes([0x50, GET_ITEM, number]))[0] for number in range(table[0][2])]
+    (place,) = [n for n, item in enumerate(items) if item[4:] == b"gyro\0z\0"]
+    kind = items[place][3]
+    create = client.answer(bytes([0x51, CREATE, 3, kind, place]))
+    append = client.answer(bytes([0x51, APPEND, 3, kind, place]))
+    start = client.answer(bytes([0x51, START, 3, 2]))
+    craft.advance(craft.time_s + 0.1)
+    return [*create, *append, *start, *client.due(craft.uptime_ms)]
+
+
+@pytest.mark.parametrize("protocol", [7, 10])
+def test_the_log_commands_of_2014_work_as_well_until_2026(protocol: int) -> None:
+    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced", protocol=protocol))
+    craft.advance(2.0)
+    create, append, start, *packets = logged_as_in_2014(craft)
+    assert [create[1:], append[1:], start[1:]] == [
+        bytes([command, 3, 0]) for command in (CREATE, APPEND, START)
+    ]
+    stamps = [int.from_bytes(packet[2:5], "little") for packet in packets]
+    assert {b - a for a, b in itertools.pairwise(stamps)} == {20}
+    values = struct.unpack("<ff", packets[-1][5:])
+    said = craft.logged(stamps[-1]).gyro_dps[2]
+    assert values == pytest.approx((said, said), abs=1e-4)
+    client = Conversation(craft)
+    assert client.answer(bytes([0x20, GET_INFO])) == [bytes([0x20, GET_INFO, 0, 0, 0])]
+    assert client.answer(bytes([0x20, GET_ITEM, 5])) == [bytes([0x20, GET_ITEM])]
+
+
+def test_from_2026_on_the_log_commands_of_2014_are_gone() -> None:
+    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced", protocol=12))
+    craft.advance(2.0)
+    assert logged_as_in_2014(craft) == []
+    client = Conversation(craft)
+    for command in (CREATE, APPEND):
+        (answer,) = client.answer(bytes([0x51, command, 3, 7, 0]))
+        assert answer[-1] == errno.ENOEXEC
+    assert client.answer(bytes([0x20, GET_INFO])) == []
+
+
+def test_a_number_that_does_not_fit_is_cut_to_its_lowest_bytes() -> None:
+    craft = StandIn(StandInSettings(craft="crazyflie21", plant="reduced"))
+    craft.advance(2.0)
+    client = Conversation(craft)
+    place = [name for name, *_ in client.contents.variables].index("pm.vbatMV")
+    ask = struct.pack("<BHBH", U16, place, U8, place)
+    assert asked(client, CREATE_V2, 1, ask) == 0
+    assert asked(client, START_V2, 1, b"\x05\x00") == 0
+    craft.advance(craft.time_s + 0.1)
+    whole, cut = struct.unpack("<HB", client.due(craft.uptime_ms)[-1][5:])
+    assert whole > 3000
+    assert cut == whole % 256
