@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from compared_flights import judged
 
-from groundstation.discrepancy.proof import HeldOut, worse_channels
+from groundstation.discrepancy.proof import WORSE_T, HeldOut, worse_channels
 
 
 def test_a_model_that_predicts_no_number_is_worse_than_any_other():
@@ -20,6 +20,21 @@ def test_a_model_that_predicts_no_number_is_worse_than_any_other():
         errors.append(replace(one, horizons=tuple(horizons)))
     assert worse_channels(given, replace(given, errors=tuple(errors))) == {0: math.inf}
     assert worse_channels(given, given) == {}
+
+
+def test_a_model_that_is_wrong_in_one_second_alone_is_worse():
+    given = judged()
+    errors = []
+    for one in given.errors:
+        horizons = [rows.copy() for rows in one.horizons]
+        middle, second = len(horizons[0]) // 2, round(1.0 / one.run.period_s)
+        for rows in horizons:
+            rows[:, 0] *= 0.99
+            rows[middle : middle + second, 0] *= 20.0
+            rows[middle : middle + second, 1] *= 1.01
+        errors.append(replace(one, horizons=tuple(horizons)))
+    found = worse_channels(given, replace(given, errors=tuple(errors)))
+    assert found == {0: WORSE_T}
 
 
 def test_what_the_seconds_add_is_the_squared_gap():
