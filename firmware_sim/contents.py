@@ -10,10 +10,11 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 
 from firmware_sim.craft import CHOSEN, HEIGHT_DECK, CraftState, StandIn
 from firmware_sim.physics import PARAMETER_NAMES
+from firmware_sim.settings import StandInSettings
 from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED
 
 U8, U16, U32, I8, I16, I32, FLOAT, HALF = range(1, 9)
@@ -48,20 +49,11 @@ class Contents:
 def contents_of(craft: StandIn) -> Contents:
     """What the firmware of this craft lists."""
     has = craft.settings
-    return _contents(
-        craft.protocol, has.rotor_speed_deck, has.height_deck, has.positioned, has.software_build
-    )
-
-
-@cache
-def _contents(
-    protocol: int, rotor_speed_deck: bool, height_deck: bool, positioned: bool, software_build: bool
-) -> Contents:
-    if protocol < TODAY:
+    if craft.protocol < TODAY:
         return Contents(PARAMETERS, VARIABLES, most_blocks=8, most_variables=64)
-    motors = U16 if protocol >= MOTORS_16_BIT or software_build else U32
-    variables = _variables_of_today(motors, rotor_speed_deck, height_deck, positioned)
-    absent = ("pm.", "pwm.", "deck.") if software_build else ()
+    motors = U16 if craft.protocol >= MOTORS_16_BIT or has.software_build else U32
+    variables = _variables_of_today(motors, has)
+    absent = ("pm.", "pwm.", "deck.") if has.software_build else ()
     return Contents(
         tuple(one for one in _parameters_of_today() if not one[0].startswith(absent)),
         tuple(one for one in variables if not one[0].startswith(absent)),
@@ -114,9 +106,7 @@ def _parameters_of_today() -> Iterator[tuple[str, int]]:
     yield HEIGHT_DECK, PARAM_U8 | READ_ONLY
 
 
-def _variables_of_today(
-    motors: int, rotor_speed_deck: bool, height_deck: bool, positioned: bool
-) -> Iterator[Variable]:
+def _variables_of_today(motors: int, has: StandInSettings) -> Iterator[Variable]:
     yield from _parts("gyro", FLOAT, "gyro_dps")
     yield from _parts("acc", FLOAT, "accel_g")
     yield from _parts("stabilizer", FLOAT, "angles_deg", ANGLES)
@@ -131,18 +121,18 @@ def _variables_of_today(
     yield "pm.vbatMV", U16, lambda s: 1000.0 * s.battery_v
     yield "pm.state", I8, lambda s: s.power_state
     yield "supervisor.info", U16, supervisor_bits
-    if rotor_speed_deck:
+    if has.rotor_speed_deck:
         for index, name in enumerate(MOTORS):
             yield f"rpm.{name}", U16, _rotor_rpm(index)
     for index, name in enumerate("xy"):
         where = _part("position_m", index)
-        yield f"stateEstimate.{name}", FLOAT, where if positioned else lambda s: 0.0
+        yield f"stateEstimate.{name}", FLOAT, where if has.positioned else lambda s: 0.0
     for name in ("vx", "vy"):  # which nothing on board tells
         yield f"stateEstimate.{name}", FLOAT, lambda s: 0.0
     yield "stateEstimate.z", FLOAT, lambda s: s.height_m
     yield "stateEstimate.vz", FLOAT, lambda s: s.climb_m_s
     yield "kalman.varPZ", FLOAT, lambda s: s.height_variance_m2
-    if height_deck:
+    if has.height_deck:
         yield "range.zrange", U16, lambda s: 1000.0 * s.range_m
 
 

@@ -400,8 +400,8 @@ class StandIn:
 
         s, p = self._state[0], self._parameters[0]
         self._firmware[:] = self._fresh_firmware
-        filtered = self.settings.height_deck or self.settings.positioned
-        self._chosen = {ESTIMATOR: KALMAN if filtered else COMPLEMENTARY, CONTROLLER: PID}
+        estimator = KALMAN if self.settings.knows_height else COMPLEMENTARY
+        self._chosen = {ESTIMATOR: estimator, CONTROLLER: PID}
         self._unlocked = False
         if first:
             s["rng"] = seeded(self.settings.seed, len(s["rng"]))

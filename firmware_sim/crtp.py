@@ -238,6 +238,8 @@ class Conversation:
             return 0
         if command not in self._log_commands():
             return errno.ENOEXEC
+        is_new = command in (CREATE_V2, APPEND_V2, START_V2)
+        width = 2 if is_new else 1
         if command in (CREATE, CREATE_V2):
             if block is not None:
                 return errno.EEXIST
@@ -245,23 +247,22 @@ class Conversation:
                 return errno.ENOMEM
             # today's firmware keeps a block whose variables it refuses
             block = LogBlock()
-            error = self._append(block, data, 2 if command == CREATE_V2 else 1)
+            error = self._append(block, data, width)
             if error == 0 or self._today:
                 self._blocks[number] = block
             return error
         if block is None:
             return errno.ENOENT
         if command in (APPEND, APPEND_V2):
-            return self._append(block, data, 2 if command == APPEND_V2 else 1)
+            return self._append(block, data, width)
         if command == DELETE:
             del self._blocks[number]
         elif command == STOP:
             block.period_ms = 0
         else:
-            width, unit_ms = (2, 1) if command == START_V2 else (1, 10)
             if len(data) < width:
                 return errno.ENOEXEC
-            block.period_ms = int.from_bytes(data[:width], "little") * unit_ms
+            block.period_ms = int.from_bytes(data[:width], "little") * (1 if is_new else 10)
             block.next_ms = self._craft.uptime_ms + block.period_ms
         return 0
 

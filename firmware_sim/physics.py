@@ -210,7 +210,7 @@ def firmware(settings: StandInSettings) -> NDArray[np.void]:
     fw["tilted_ns"] = fw["turned_ns"] = -1
     if is_today:
         fw["today"], fw["accel_factor"] = 1, 256.0  # the fusion sees what is logged
-        fw["knows_height"] = settings.height_deck or settings.positioned
+        fw["knows_height"] = settings.knows_height
         fw["thrust_curve"], fw["thrust_most_n"] = today.thrust_curve(vehicle)
         fw["idle"] = today.idle_pwm(vehicle)
         fw["compensates"] = not settings.software_build

@@ -169,6 +169,11 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     substeps: int = 4
     truth: bool = False
 
+    @property
+    def knows_height(self) -> bool:
+        """Today's craft is told its height and takes setpoints of it."""
+        return self.height_deck or self.positioned
+
     def __post_init__(self) -> None:
         _require(
             self,

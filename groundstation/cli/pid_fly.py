@@ -368,8 +368,9 @@ def _undo() -> None:
                 " nothing was written"
             )
         former, _ = _left_changed(uri, pilot.parameters())
-        _write(pilot, former)
-    forget_changes(uri)
+        if former:
+            _write(pilot, former)
+            forget_changes(uri)
     if former:
         show("the former values are back: " + ", ".join(former))
     else:

@@ -101,6 +101,7 @@ class CrazyflieLink(CommandLink):
             self._connection.craft.add_port_callback(port, self._take_answer)
         await self._watch()
         if self.state is not CommandState.CONNECTING:
+            await self.close()
             raise LinkError(f"{self.uri}: the connection was lost at once")
         self._enter(CommandState.CONNECTED, f"connected, {len(self.parameters())} parameters")
 
@@ -135,7 +136,7 @@ class CrazyflieLink(CommandLink):
         # one that flies is not dropped because it does not see its base stations for a moment
         stays = self._knows_height and said.flies and now_s < self._height_s + HEIGHT_LOST_S
         self._knows_height = said.height_m is not None or stays
-        if said.armed is not None and time.monotonic() >= self._asked_s + STATE_S:
+        if said.armed is not None and now_s >= self._asked_s + STATE_S:
             if self.armed and not (said.armed or said.arms_itself or said.trouble):
                 self._tell("disarmed", DISARMED_ITSELF)
             self.armed = said.armed

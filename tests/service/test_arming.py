@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from eventually import until
 from served_craft import served
 
 from firmware_sim.supervisor import CRASHED, FLYING
@@ -12,12 +13,6 @@ from groundstation.service.arming import ask_to_arm, ask_to_recover
 from groundstation.service.motor_stop import send_level
 
 ON_ITS_BACK, UPRIGHT = (0.0, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-
-
-async def until(condition):
-    async with asyncio.timeout(20.0):
-        while not condition():
-            await asyncio.sleep(0.02)
 
 
 def lying(craft, quaternion):

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 import pytest
+from eventually import until
 from served_craft import ServedCraft, served
 
 from groundstation.errors import LinkError
@@ -51,11 +52,6 @@ def run(station: Station, scenario) -> None:
             await running
 
     asyncio.run(session())
-
-
-async def until(condition) -> None:
-    while not condition():
-        await asyncio.sleep(0.01)
 
 
 def recorded(folder):

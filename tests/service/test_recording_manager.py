@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 import pytest
+from eventually import until
 
 from groundstation.errors import BadInputError
 from groundstation.recording.catalogue import catalogue
@@ -44,12 +45,6 @@ def run(tmp_path, monkeypatch):
 
 def recorded(station):
     return overview.status(station)["recording"]["samples"]
-
-
-async def until(condition):
-    async with asyncio.timeout(60):
-        while not condition():
-            await asyncio.sleep(0.01)
 
 
 def files(tmp_path):

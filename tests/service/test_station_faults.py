@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from eventually import until
 from flights import COPIES, flight
 
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
@@ -48,12 +49,6 @@ class FedLink(Link):
 
     async def _close(self):
         pass
-
-
-async def until(condition):
-    async with asyncio.timeout(20):
-        while not condition():
-            await asyncio.sleep(0.002)
 
 
 @pytest.fixture

@@ -3,6 +3,8 @@
 import asyncio
 import socket
 
+from eventually import until
+
 from groundstation.viewer.relay import Relay, _Progress
 
 PIECE = bytes(20_000)
@@ -30,11 +32,6 @@ def test_a_viewer_that_reads_nothing_is_behind_and_one_that_catches_up_is_live()
         finally:
             writer.transport.abort()
             gone.set()
-
-    async def until(condition):
-        async with asyncio.timeout(20):
-            while not condition():
-                await asyncio.sleep(0.05)
 
     ended, gone = asyncio.Event(), asyncio.Event()
 

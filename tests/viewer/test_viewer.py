@@ -15,6 +15,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import psutil
 import pytest
+from eventually import until
 from programs import Program, run_program
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
@@ -29,13 +30,6 @@ from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
 PATIENCE_S = 60
 FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
 RELAY = "groundstation.viewer.relay"
-
-
-async def until(condition, what):
-    deadline = asyncio.get_running_loop().time() + PATIENCE_S
-    while not condition():
-        assert asyncio.get_running_loop().time() < deadline, f"never happened: {what}"
-        await asyncio.sleep(0.01)
 
 
 def child(marker, parent=None):

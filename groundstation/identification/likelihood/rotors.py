@@ -16,6 +16,7 @@ from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.laws import Acting, in_order
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
+from groundstation.identification.runs import Run
 from groundstation.identification.torque import rotor_squares
 
 Array = NDArray[np.float64]
@@ -48,7 +49,8 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
         lag = value(point, SENSOR_LAG)
         return rotors if lag == 0.0 else _before_sensor(rotors, lag, run.period_s)
     there = list(frame.acting(point).values())
-    supply = np.repeat(1000.0 * run.supply_v, len(run.settings) // len(run))
+    settings = run.settings
+    supply = np.repeat(1000.0 * run.supply_v, len(settings) // len(run))
     start = steady_rev_s(rotor_motors(frame.model(point)), run.duty[0] * supply[0])
     craft = frame.craft(point)
     keeps = {one: _keep(one, craft, supply[0], run.period_s) for one in in_order(there, "supply")}
@@ -56,10 +58,10 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
     acting = [*prompt, *in_order(there, "motor")]
     add_effects(record, [(one.effect, one.named) for one in acting])
     for keep in (keep for keep in keeps.values() if keep != 0.0):
-        turned = _run(flight, record, supply, start)
-        speed = (turned.halves or turned).end
-        supply = supply + _behind(flight, supply, speed, keep, record["back_emf_mv"])
-    return _run(flight, record, supply, start)
+        turned = _run(run, settings, record, supply, start)
+        back = (settings * (turned.halves or turned).end) @ record["back_emf_mv"]
+        supply = supply + _behind(flight, settings, supply, back, keep)
+    return _run(run, settings, record, supply, start)
 
 
 def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
@@ -69,11 +71,10 @@ def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
     return Rotors(end, (end**2 + before**2 + before * end) / 3)
 
 
-def _run(flight: Flight, record: np.void, supply: Array, start: Array) -> Rotors:
-    """supply: (m,) mV under each setting."""
+def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array) -> Rotors:
+    """settings: (m, 4); supply: (m,) mV under each."""
     from groundstation.dynamics.motor_kernels import run_motors
 
-    run, settings = flight.run, flight.run.settings
     each = len(settings) // len(run)
     behind = supply[each:]
     voltage = np.ascontiguousarray(settings[each:] * behind[:, None])
@@ -105,11 +106,10 @@ def _keep(one: Acting, craft: Craft, supply_mv: float, period_s: float) -> float
     return (nothing - behind(supply_mv, near)) / (behind(near, supply_mv) - nothing)
 
 
-def _behind(
-    flight: Flight, reported: Array, speed: Array, keep: float, back_emf_mv: Array
-) -> Array:
+def _behind(flight: Flight, settings: Array, reported: Array, back: Array, keep: float) -> Array:
     """Real less reported voltage (m,) mV, under each setting, of a report that remembers the share
-    ``keep`` of itself from row to row. speed: (m, 4) rev/s behind the settings.
+    ``keep`` of itself from row to row. settings: (m, 4); back: (m,) mV, what the rotors' speeds
+    induce, each weighed by its setting.
 
     The reading itself cannot be differentiated: its steps of a millivolt would be amplified. The
     cell can be modelled: E(t) - A sum d^2 V + B sum d n, lagged, is fitted to the report, which
@@ -121,8 +121,7 @@ def _behind(
     run, count = flight.run, len(reported)
     each = count // len(run)
     read = slice(each - 1, None, each)
-    load = (run.settings**2).sum(axis=1) * reported
-    back = (run.settings * speed) @ back_emf_mv
+    load = (settings**2).sum(axis=1) * reported
     knots = np.linspace(0, count - 1, max(2, round(len(run) * run.period_s / KNOT_S)) + 1)
     hats = np.maximum(0.0, 1.0 - np.abs(np.arange(count)[:, None] - knots) / (knots[1] - knots[0]))
     plain = np.column_stack([hats, -load, back])
