@@ -27,9 +27,10 @@ WORSE_T, WORSE_SHARE = 1.0, 0.02
 from the spread of blocks, and the RMS by this share: a doubt counts against what was found, and
 what does not change a prediction is no doubt."""
 WORSE_ANYWHERE = 0.1
-"""A channel whose RMS grows by this share is predicted worse whatever its blocks scatter: errors
-that all lie in one second (a model that believes it has left the ground) have no standard error,
-and whoever flies the model meets them. As far as noise floors are off (``LEFT``)."""
+"""A channel whose RMS grows by this share beyond what it was and beyond noise is predicted worse
+whatever its blocks scatter: errors that all lie in one second (a model that believes it has left
+the ground) have no standard error, and whoever flies the model meets them. As far as noise floors
+are off (``LEFT``)."""
 LEAST_BLOCKS = 3
 KEPT = 4
 """Predictions of a minute take 10 MB, and a search asks for fifty."""
@@ -154,6 +155,7 @@ def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
     """Channels that are predicted worse: number -> by how many standard errors, at least
     ``WORSE_T``; without end where the other model predicts no number at all."""
     growth = after.rms > (1.0 + WORSE_SHARE) * before.rms
+    anyhow = after.rms > (1.0 + WORSE_ANYWHERE) * np.maximum(before.rms, before.noise_floor)
     lost = np.isfinite(before.rms) & ~np.isfinite(after.rms)
     blocks = np.concatenate(
         [_block_sums(one, other) for one, other in zip(before.errors, after.errors, strict=True)]
@@ -164,7 +166,7 @@ def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
         if len(sums) < LEAST_BLOCKS:
             continue
         t = float(sums.mean() / max(sums.std(ddof=1) / np.sqrt(len(sums)), 1e-300))
-        if t > WORSE_T or after.rms[channel] > (1.0 + WORSE_ANYWHERE) * before.rms[channel]:
+        if t > WORSE_T or anyhow[channel]:
             found[channel] = max(t, WORSE_T)
     return found
 

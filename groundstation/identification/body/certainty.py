@@ -3,23 +3,31 @@ by how much an estimate moves with the band it is made in."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.registry import DELAY
-from groundstation.identification.body.setup import CONSTANTS, SPIN_UP, Setup
+from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
-from groundstation.identification.likelihood.parameters import SENSOR_LAG
+from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point
 from groundstation.identification.runs import Run
 from groundstation.telemetry.packet import FULL_16_BIT
 
 Array = NDArray[np.float64]
+Known = tuple[Point, Array]
+"""Estimates and their covariance (p, p)."""
 
 BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
 YAW_BANDS = BANDS[:2]
 """Hz. A constant of the craft is the same in all of them. Above 2 Hz yaw answers to the change of
 the rotors' speeds, not to their drag."""
+STEERED_HZ, NARROWER_HZ = (2.0, 20.0), (4.0, 18.0)
+"""Hz. Below, torque answers to slow moments of the air and the balance; above, to vibration that
+the controller copies. In between the coherence of torque and acceleration is highest on real
+flights."""
 BLOCK_S, LEAST_BLOCKS, LEAST_FLIGHTS = 5.0, 8, 4
 """Longer than what the spectra remember; scatter over fewer blocks says nothing."""
 AGAIN = (*CONSTANTS, "slow_moment", SPIN_UP, DELAY, SENSOR_LAG)
@@ -37,19 +45,70 @@ MOTION_S = 0.05
 """Means over so long are the craft's motion, not its vibration."""
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
+ABOVE, NOISE_FROM, NOISY = 1.5, 0.6, 30.0
+"""Measured speeds tell nothing above ``STEERED_HZ`` where within half as much again there is less
+than so many times the noise, which is what is left near half the rate, where no motor follows:
+noise in what is recorded bends a gain by its share, and 3 % is what a minute's flight tells."""
+MATERIAL = 0.02
+"""Share of c0 or c1 from which a move takes the estimate along: half of what disjoint flights of
+one craft differ by at best (docs/real_flights.md)."""
 
 
-def certain(setup: Setup, free: FreeFit) -> tuple[Array, dict[str, float]]:
-    """Covariance (p, p), and for c0, c1, c2 the largest move between bands beyond chance.
+def certain(setup: Setup, free: FreeFit) -> tuple[Point, Array, dict[str, float]]:
+    """The estimates, their covariance (p, p), and for c0, c1, c2 the largest move between bands
+    beyond chance.
 
-    A move counts as an error of its own beside the likelihood's: on real flights it is about as
-    large as what disjoint flights of one craft differ by (docs/real_flights.md).
+    All frequencies together know most, and are right in closed loop, where what drives the rotors
+    is known at each of them. Where it is not, and c0 or c1 is another in ``STEERED_HZ``, both are
+    those of that band (Hausman's test: an estimate that is precise gives way to one that needs less
+    to be right). A move counts as an error of its own beside the likelihood's: of c0 and c1 then
+    the one to ``NARROWER_HZ``.
     """
-    covariance = _by_blocks(setup, free, inverse(free.normal))
+    covariance, point, keys = _by_blocks(setup, free, inverse(free.normal)), free.point, setup.keys
     moves = _moves(setup, free, covariance)
+    gains = {key: keys.index(key) for key in GAINS if key in keys}
+    if _blurred([one.run for one in setup.problem.flights]):
+        steered = _in_band(setup, free, STEERED_HZ)
+        another = _share((point, covariance), steered, gains) > MATERIAL
+        if another and _tells(steered, gains):
+            left = _share(steered, _in_band(setup, free, NARROWER_HZ), gains)
+            for key, i in gains.items():
+                covariance[i] = covariance[:, i] = 0.0
+                covariance[i, i] = steered[1][i, i]
+                moves[key] = left * abs(steered[0][key])
+                point = {**point, key: steered[0][key]}
+            if setup.tied:
+                point = {**point, "c1": point["c0"]}
     for key, move in moves.items():
-        covariance[setup.keys.index(key), setup.keys.index(key)] += move**2
-    return covariance, moves
+        covariance[keys.index(key), keys.index(key)] += move**2
+    return point, covariance, moves
+
+
+def _blurred(runs: Sequence[Run]) -> bool:
+    """Whether runs say less of what drives the rotors above ``STEERED_HZ``: where rows are slower
+    than the motors' settings, and where measured speeds are mostly noise there."""
+    if not is_fast(runs[0].period_s):
+        return True
+    if not all(np.isfinite(run.rotor_rev_s).all() for run in runs):
+        return False
+    fast, noise = 0.0, 0.0
+    for run in runs:
+        hz = np.fft.rfftfreq(len(run), run.period_s)
+        bent = run.rotor_rev_s - run.rotor_rev_s.mean(axis=0)
+        power = np.abs(np.fft.rfft(bent * np.hanning(len(run))[:, None], axis=0)) ** 2
+        above = (hz > STEERED_HZ[1]) & (hz < ABOVE * STEERED_HZ[1])
+        fast += float(np.mean(power[above], axis=0).sum())
+        noise += float(np.median(power[hz > NOISE_FROM * hz[-1]], axis=0).sum() / np.log(2.0))
+    return fast < NOISY * noise
+
+
+def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:
+    """The estimates of a band (Hz) and their covariance, what it hardly tells held."""
+    cut = setup.within(band)
+    still = [key for key in setup.keys if not key.startswith(AGAIN)]
+    limits = cut.limits().held(setup.keys, still, free.values)
+    part = fit_free(cut.linearise, free.point, limits, white=False)
+    return part.point, inverse(part.normal)
 
 
 def is_fast(period_s: float) -> bool:
@@ -147,27 +206,35 @@ def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
 
 
 def _moves(setup: Setup, free: FreeFit, covariance: Array) -> dict[str, float]:
-    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0."""
-    keys, now = setup.keys, free.values
-    found = dict.fromkeys((key for key in keys if key in CONSTANTS), 0.0)
-    still = [key for key in keys if not key.startswith(AGAIN)]
+    """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0.
+
+    Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
+    with them bends both alike, and may show in the one that is flown more.
+    """
+    places = {key: setup.keys.index(key) for key in CONSTANTS if key in setup.keys}
+    gains = {key: i for key, i in places.items() if key in GAINS}
+    share, yaw = 0.0, 0.0
     for band in BANDS:
-        cut = setup.within(band)
-        part = fit_free(cut.linearise, free.point, cut.limits().held(keys, still, now), white=False)
-        inside = inverse(part.normal)
-        for key in found:
-            if key == "c2" and band not in YAW_BANDS:
-                continue
-            place = keys.index(key)
-            known, there = covariance[place, place], part.values[place]
-            if inside[place, place] > (TELLS * there) ** 2:
-                continue
-            move = abs(there - now[place])
-            chance = BY_CHANCE * np.sqrt(max(inside[place, place] - known, 0.2 * known))
-            if move > chance:
-                found[key] = max(found[key], float(move))
-    # Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
-    # with them bends both alike, and may show in the one that is flown more.
-    alike = [key for key in ("c0", "c1") if key in found]
-    share = max(found[key] / abs(free.point[key]) for key in alike)
-    return found | {key: share * abs(free.point[key]) for key in alike}
+        part = _in_band(setup, free, band)
+        share = max(share, _share((free.point, covariance), part, gains))
+        if band in YAW_BANDS:
+            yaw = max(yaw, _share((free.point, covariance), part, {"c2": places["c2"]}))
+    return {key: abs(free.point[key]) * (share if key in gains else yaw) for key in places}
+
+
+def _share(one: Known, other: Known, places: Mapping[str, int]) -> float:
+    """By which share the estimates of a band differ from those with more of the flights, at most;
+    0 where that is chance, or where the band does not tell."""
+    found = [0.0]
+    for key, i in places.items():
+        (now, variance), (there, inside) = ((p[key], c[i, i]) for p, c in (one, other))
+        chance = BY_CHANCE * np.sqrt(max(inside - variance, 0.2 * variance))
+        if _tells(other, {key: i}) and abs(there - now) > chance:
+            found.append(abs((there - now) / now))
+    return float(max(found))
+
+
+def _tells(one: Known, places: Mapping[str, int]) -> bool:
+    """Whether a band knows all these well enough to judge by them."""
+    point, covariance = one
+    return all(covariance[i, i] <= (TELLS * point[key]) ** 2 for key, i in places.items())

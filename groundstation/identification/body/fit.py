@@ -23,6 +23,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import between_rows, certain, is_fast
 from groundstation.identification.body.judgement import (
     cross_talk,
+    given_way,
     hints,
     require_told,
     require_usable,
@@ -258,11 +259,10 @@ def vertical(setup: Setup, point: Point) -> tuple[Array, Array]:
 def _outcome(
     setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
 ) -> BodyFit:
-    keys, point = setup.keys, free.point
-    size = len(keys)
-    thrust, thrust_error = fit_thrust(setup, point)
+    keys, size = setup.keys, len(setup.keys)
     covariance = np.zeros((size + 1, size + 1))
-    covariance[:size, :size], moves = certain(setup, free)
+    point, covariance[:size, :size], moves = certain(setup, free)
+    thrust, thrust_error = fit_thrust(setup, point)
     missed = between_rows(setup)
     for key in missed.keys() & {*keys}:
         covariance[keys.index(key), keys.index(key)] += (missed[key] * point[key]) ** 2
@@ -281,7 +281,6 @@ def _outcome(
     rows = sum(f.last - f.first for f in setup.problem.flights)
     estimates = Estimates(names, found, covariance, rows - size)
     share = 1.0 - own[reported] * scale**2 / np.maximum(np.diag(covariance), 1e-300)
-    free = replace(free, point={**point, "thrust_per_mass": thrust})
     c2, reasons = point["c2"], untold(estimates, moves, setup.problem.flights)
     if "c2" in reasons:
         c2 = setup.problem.frame.vehicle.body_constants[2]
@@ -291,13 +290,14 @@ def _outcome(
         effects,
         nuisances,
         setup,
-        free,
+        replace(free, point={**point, "thrust_per_mass": thrust}),
         share,
         (
             *(
                 f"{key} is not identified, because {reason}; the model has the profile's"
                 for key, reason in reasons.items()
             ),
+            *given_way(free.point, point),
             *warnings_of(estimates, moves, missed),
             *slow_rows(setup.problem.flights[0].run, missed),
             *cross_talk(setup, free),

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import settings_a_row
-from groundstation.identification.body.setup import CONSTANTS, SPIN_UP, Setup
+from groundstation.identification.body.certainty import STEERED_HZ, settings_a_row
+from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit
-from groundstation.identification.likelihood.parameters import value
+from groundstation.identification.likelihood.parameters import Point, value
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
 from groundstation.identification.torque import AXES
@@ -124,6 +124,19 @@ def untold(
             raise BadInputError(f"{names}: {name} is not identified, because {reason}")
         found[name] = reason
     return found
+
+
+def given_way(whole: Point, point: Point) -> list[str]:
+    """A warning where c0 and c1 are not those of all frequencies: what these say instead."""
+    off = [whole[key] / point[key] - 1.0 for key in GAINS]
+    if max(map(abs, off)) < WELL_KNOWN:
+        return []
+    low, high = STEERED_HZ
+    return [
+        f"c0 and c1 are those of {low:g} to {high:g} Hz: all frequencies together say"
+        f" {100 * off[0]:+.0f} and {100 * off[1]:+.0f} %, but do not agree (rotor speeds that are"
+        " noisy or joined from other rates, shaking, slow moments)"
+    ]
 
 
 def warnings_of(

@@ -36,7 +36,8 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-CONSTANTS = ("c0", "c1", "c2")
+GAINS = ("c0", "c1")
+CONSTANTS = (*GAINS, "c2")
 SUPPLY_EFFECTS = (LAG, SAG)
 """Undone before the fit, from the report itself (``motor/supply.py``): they change what drives the
 motors, and a flight's rates alone cannot tell them from other constants."""

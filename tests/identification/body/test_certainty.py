@@ -1,0 +1,47 @@
+"""Constants that all frequencies together do not agree on."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter1d
+from stand_in_flights import recorded, truth_of
+
+from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
+from groundstation.identification.body.fit import fit_body
+from groundstation.identification.runs import runs_of
+from groundstation.identification.stretches import stretches_of
+
+VEHICLE = BUILT_IN["crazyflie1"]
+TRUE = dict(zip(("c0", "c1"), VEHICLE.body_constants[:2], strict=True))
+
+
+def fitted(noise_rev_s, averaged_rows=1, held_rows=1, tied=False):
+    """The fit to a flight whose rotor speeds are averaged, held and noisy."""
+    samples, truth = recorded(66.0, plant="reduced", seed=31)
+    speeds = truth_of(samples, truth)["rotor_rev_s"].astype(np.float64)
+    mean = uniform_filter1d(speeds, averaged_rows, axis=0, origin=(averaged_rows - 1) // 2)
+    row = np.arange(len(mean))
+    noise = np.random.default_rng(31).normal(0.0, noise_rev_s, mean.shape)
+    samples.rotor_rev_s[:] = mean[row - row % held_rows] + noise
+    stretches = stretches_of(runs_of(samples, "flight"), THESIS_MOTOR, measured=True)
+    return fit_body(stretches, VEHICLE, tie_roll_pitch=tied)
+
+
+@pytest.mark.parametrize("tied", [False, True])
+def test_noisy_rotor_speeds_leave_the_constants_right_and_a_word(tied):
+    """A noise of 1 rev/s hides what rotors do at high frequency: all frequencies together make
+    the constants four to five times too small, with standard errors of per cents."""
+    fit = fitted(1.0, averaged_rows=4, held_rows=2, tied=tied)
+    for name in TRUE.keys() & {*fit.estimates.names}:
+        low, high = fit.estimates.interval(0.95)[fit.estimates.names.index(name)]
+        assert fit.estimates[name] == pytest.approx(TRUE[name], rel=0.06)
+        assert low < TRUE[name] < high
+    assert fit.body.c1 == pytest.approx(TRUE["c1"], rel=0.06)
+    (said,) = [line for line in fit.warnings if "2 to 20 Hz" in line]
+    assert "do not agree" in said
+
+
+def test_speeds_that_are_known_well_tell_by_all_frequencies_and_nothing_is_said():
+    fit = fitted(0.02)
+    for name, true in TRUE.items():
+        assert fit.estimates[name] == pytest.approx(true, rel=0.02)
+    assert not [line for line in fit.warnings if "2 to 20 Hz" in line]
