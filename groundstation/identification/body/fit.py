@@ -29,6 +29,7 @@ from groundstation.identification.body.judgement import (
     require_usable,
     slow_rows,
     untold,
+    unused_speeds,
     warnings_of,
 )
 from groundstation.identification.body.setup import (
@@ -297,6 +298,7 @@ def _outcome(
                 f"{key} is not identified, because {reason}; the model has the profile's"
                 for key, reason in reasons.items()
             ),
+            *unused_speeds(setup.problem.flights),
             *given_way(free.point, point),
             *warnings_of(estimates, moves, missed),
             *slow_rows(setup.problem.flights[0].run, missed),

@@ -139,6 +139,19 @@ def given_way(whole: Point, point: Point) -> list[str]:
     ]
 
 
+def unused_speeds(flights: Sequence[Flight]) -> list[str]:
+    """A warning where rotor speeds were recorded throughout and the motors' model drove the fit."""
+    unused = [
+        one for one in flights if not one.rotor_measured and np.isfinite(one.run.rotor_rev_s).all()
+    ]
+    if len(unused) < len(flights):
+        return []
+    return [
+        "rotor speeds were recorded and are not used: with --measured-rotors c0 and c1 do not"
+        " depend on how fast the motors are believed to answer"
+    ]
+
+
 def warnings_of(
     estimates: Estimates, moves: Mapping[str, float], beside: Mapping[str, float]
 ) -> list[str]:

@@ -14,7 +14,7 @@ VEHICLE = BUILT_IN["crazyflie1"]
 TRUE = dict(zip(("c0", "c1"), VEHICLE.body_constants[:2], strict=True))
 
 
-def fitted(noise_rev_s, averaged_rows=1, held_rows=1, tied=False):
+def fitted(noise_rev_s, averaged_rows=1, held_rows=1, tied=False, measured=True):
     """The fit to a flight whose rotor speeds are averaged, held and noisy."""
     samples, truth = recorded(66.0, plant="reduced", seed=31)
     speeds = truth_of(samples, truth)["rotor_rev_s"].astype(np.float64)
@@ -22,7 +22,7 @@ def fitted(noise_rev_s, averaged_rows=1, held_rows=1, tied=False):
     row = np.arange(len(mean))
     noise = np.random.default_rng(31).normal(0.0, noise_rev_s, mean.shape)
     samples.rotor_rev_s[:] = mean[row - row % held_rows] + noise
-    stretches = stretches_of(runs_of(samples, "flight"), THESIS_MOTOR, measured=True)
+    stretches = stretches_of(runs_of(samples, "flight"), THESIS_MOTOR, measured)
     return fit_body(stretches, VEHICLE, tie_roll_pitch=tied)
 
 
@@ -45,3 +45,11 @@ def test_speeds_that_are_known_well_tell_by_all_frequencies_and_nothing_is_said(
     for name, true in TRUE.items():
         assert fit.estimates[name] == pytest.approx(true, rel=0.02)
     assert not [line for line in fit.warnings if "2 to 20 Hz" in line]
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_speeds_that_were_recorded_and_not_used_are_worth_a_word(measured):
+    said = [
+        line for line in fitted(0.02, measured=measured).warnings if "--measured-rotors" in line
+    ]
+    assert len(said) == (not measured)
