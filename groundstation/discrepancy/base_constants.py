@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
+from groundstation.identification.body.certainty import STEERED_HZ, blurred
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER
 from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
@@ -74,22 +75,25 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
     """Of c0, c1 and c2 the one whose change the rates about its axis speak for least, where that
     is less than keeps an effect; None where all changes stand.
 
-    They are asked as the body's fit asks them, with noise that is free at every frequency: what the
-    search has no name for bends a constant otherwise.
+    They are asked as the body's fit asks them, with noise that is free at every frequency, and
+    roll and pitch in ``STEERED_HZ`` where flights say less above: what the search has no name for
+    bends a constant otherwise.
     """
     found: list[tuple[float, str]] = []
     for axis, key in enumerate(BODY_KEYS[:3]):
         if key in fit.keys and fit.point[key] != problem.start[key]:
             back = {**fit.point, key: problem.start[key]}
-            costs = [_free_cost(problem, point, (axis,)) for point in (back, fit.point)]
+            costs = [_free_cost(problem, point, axis) for point in (back, fit.point)]
             found.append((costs[0] - costs[1], key))
     gain, key = min(found, default=(KEEP, ""))
     return (key,) if gain < KEEP else None
 
 
-def _free_cost(problem: Problem, point: Point, channels: Container[int]) -> float:
-    """-2 log L of some channels, each flight's spectrum at its best."""
-    linear = linearise(problem.flights, problem.frame, point, (), channels)
+def _free_cost(problem: Problem, point: Point, axis: int) -> float:
+    """-2 log L of the rates about an axis, each flight's spectrum at its best."""
+    linear = linearise(problem.flights, problem.frame, point, (), (axis,))
+    if axis < 2 and blurred(problem.flights):
+        linear = linear.within(*STEERED_HZ)
     left = [s.residual for s in linear.spectra]
     return cost_of(linear.spectra, smoothed(linear.spectra, left), left)
 

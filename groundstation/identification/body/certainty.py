@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.registry import DELAY
 from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import inverse
+from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point
 from groundstation.identification.runs import Run
@@ -67,7 +68,7 @@ def certain(setup: Setup, free: FreeFit) -> tuple[Point, Array, dict[str, float]
     covariance, point, keys = _by_blocks(setup, free, inverse(free.normal)), free.point, setup.keys
     moves = _moves(setup, free, covariance)
     gains = {key: keys.index(key) for key in GAINS if key in keys}
-    if _blurred([one.run for one in setup.problem.flights]):
+    if blurred(setup.problem.flights):
         steered = _in_band(setup, free, STEERED_HZ)
         another = _share((point, covariance), steered, gains) > MATERIAL
         if another and _tells(steered, gains):
@@ -84,15 +85,12 @@ def certain(setup: Setup, free: FreeFit) -> tuple[Point, Array, dict[str, float]
     return point, covariance, moves
 
 
-def _blurred(runs: Sequence[Run]) -> bool:
-    """Whether runs say less of what drives the rotors above ``STEERED_HZ``: where rows are slower
-    than the motors' settings, and where measured speeds are mostly noise there."""
-    if not is_fast(runs[0].period_s):
-        return True
-    if not all(np.isfinite(run.rotor_rev_s).all() for run in runs):
+def blurred(flights: Sequence[Flight]) -> bool:
+    """Whether rotor speeds are measured ones that are mostly noise above ``STEERED_HZ``."""
+    if not all(one.rotor_measured for one in flights):
         return False
     fast, noise = 0.0, 0.0
-    for run in runs:
+    for run in (one.run for one in flights):
         hz = np.fft.rfftfreq(len(run), run.period_s)
         bent = run.rotor_rev_s - run.rotor_rev_s.mean(axis=0)
         power = np.abs(np.fft.rfft(bent * np.hanning(len(run))[:, None], axis=0)) ** 2
@@ -214,7 +212,8 @@ def _moves(setup: Setup, free: FreeFit, covariance: Array) -> dict[str, float]:
     places = {key: setup.keys.index(key) for key in CONSTANTS if key in setup.keys}
     gains = {key: i for key, i in places.items() if key in GAINS}
     share, yaw = 0.0, 0.0
-    for band in BANDS:
+    slow = not is_fast(setup.problem.flights[0].period_s)
+    for band in (*BANDS, STEERED_HZ, NARROWER_HZ) if slow else BANDS:
         part = _in_band(setup, free, band)
         share = max(share, _share((free.point, covariance), part, gains))
         if band in YAW_BANDS:

@@ -109,13 +109,9 @@ class Setup:
             linear = joined(linear, "c0", {"c0": 1.0, "c1": 1.0})
         if PACE in self.keys:
             linear = joined(linear, PACE, {key: point[key] for key in MOTOR_KEYS})
-        if self.least_hz > 0.0:
-            spectra = []
-            for s in linear.spectra:
-                inside = (s.hz >= self.least_hz) & (s.hz <= self.most_share * s.hz[-1])
-                spectra.append(replace(s, weight=np.where(inside, s.weight, 0.0)))
-            linear = replace(linear, spectra=spectra)
-        return linear
+        if self.least_hz == 0.0:
+            return linear
+        return linear.within(self.least_hz, self.most_share * 0.5 / problem.flights[0].period_s)
 
     def limits(self) -> Limits:
         """Where each key is kept."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,14 @@ class Linear:
 
     def place(self, keys: Sequence[str]) -> list[int]:
         return [self.keys.index(key) for key in keys]
+
+    def within(self, least_hz: float, most_hz: float) -> Linear:
+        """The same where only a band counts."""
+        spectra = []
+        for s in self.spectra:
+            inside = (s.hz >= least_hz) & (s.hz <= most_hz)
+            spectra.append(replace(s, weight=np.where(inside, s.weight, 0.0)))
+        return replace(self, spectra=spectra)
 
 
 def linearise(
