@@ -76,8 +76,8 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
     is less than keeps an effect; None where all changes stand.
 
     They are asked as the body's fit asks them, with noise that is free at every frequency, and
-    roll and pitch in ``STEERED_HZ`` where flights say less above: what the search has no name for
-    bends a constant otherwise.
+    roll and pitch in ``STEERED_HZ`` alone where measured speeds are noisy above: what the search
+    has no name for bends a constant otherwise.
     """
     found: list[tuple[float, str]] = []
     for axis, key in enumerate(BODY_KEYS[:3]):

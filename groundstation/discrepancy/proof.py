@@ -163,9 +163,9 @@ def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
     found = dict.fromkeys(np.flatnonzero(lost).tolist(), math.inf)
     for channel in np.flatnonzero(growth).tolist():
         sums = blocks[np.isfinite(blocks[:, channel]), channel]
-        if len(sums) < LEAST_BLOCKS:
-            continue
-        t = float(sums.mean() / max(sums.std(ddof=1) / np.sqrt(len(sums)), 1e-300))
+        t = 0.0
+        if len(sums) >= LEAST_BLOCKS:
+            t = float(sums.mean() / max(sums.std(ddof=1) / np.sqrt(len(sums)), 1e-300))
         if t > WORSE_T or anyhow[channel]:
             found[channel] = max(t, WORSE_T)
     return found

@@ -41,6 +41,21 @@ def test_a_model_that_is_wrong_in_one_second_alone_is_worse_where_noise_is_less(
     assert found == worse
 
 
+def test_two_seconds_are_enough_to_see_that_a_model_is_far_worse():
+    given = judged()
+    parts = {1.0: [], 20.0: []}
+    for one in given.errors:
+        middle, second = len(one.horizons[0]) // 2, round(1.0 / one.run.period_s)
+        for factor, found in parts.items():
+            horizons = [np.full_like(rows, np.nan) for rows in one.horizons]
+            for rows, all_rows in zip(horizons, one.horizons, strict=True):
+                rows[middle : middle + second] = all_rows[middle : middle + second]
+                rows[:, 0] *= factor
+            found.append(replace(one, horizons=tuple(horizons)))
+    before, after = (replace(given, errors=tuple(errors)) for errors in parts.values())
+    assert worse_channels(before, after) == {0: WORSE_T}
+
+
 def test_what_the_seconds_add_is_the_squared_gap():
     given = judged()
     found = HeldOut(given).judge(given.model)

@@ -4,6 +4,7 @@ by how much an estimate moves with the band it is made in."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,18 @@ from groundstation.telemetry.packet import FULL_16_BIT
 Array = NDArray[np.float64]
 Known = tuple[Point, Array]
 """Estimates and their covariance (p, p)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Certainty:
+    """point: the estimates. covariance: (p, p) of all errors. moves: for c0, c1, c2 the largest
+    move between bands beyond chance. alone: (p,) variances by the likelihood alone."""
+
+    point: Point
+    covariance: Array
+    moves: dict[str, float]
+    alone: Array
+
 
 BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
 YAW_BANDS = BANDS[:2]
@@ -47,66 +60,87 @@ MOTION_S = 0.05
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
 ABOVE, NOISE_FROM, NOISY = 1.5, 0.6, 30.0
-"""Measured speeds tell nothing above ``STEERED_HZ`` where within half as much again there is less
-than so many times the noise, which is what is left near half the rate, where no motor follows:
-noise in what is recorded bends a gain by its share, and 3 % is what a minute's flight tells."""
-MATERIAL = 0.02
-"""Share of c0 or c1 from which a move takes the estimate along: half of what disjoint flights of
-one craft differ by at best (docs/real_flights.md)."""
+"""Measured speeds tell too little above ``STEERED_HZ`` where within half as much again there is
+less than so many times the noise, which is what is left near half the rate: noise in what is
+recorded bends a gain by its share, and 3 % is what a minute's flight tells."""
+NO_MOTOR_HZ = 60.0
+"""A motor of 30 ms shows a hundredth of the power that it is given there."""
 
 
-def certain(setup: Setup, free: FreeFit) -> tuple[Point, Array, dict[str, float]]:
-    """The estimates, their covariance (p, p), and for c0, c1, c2 the largest move between bands
-    beyond chance.
+def certain(setup: Setup, free: FreeFit) -> Certainty:
+    """The estimates and how certain they are.
 
     All frequencies together know most, and are right in closed loop, where what drives the rotors
-    is known at each of them. Where it is not, and c0 or c1 is another in ``STEERED_HZ``, both are
-    those of that band (Hausman's test: an estimate that is precise gives way to one that needs less
-    to be right). A move counts as an error of its own beside the likelihood's: of c0 and c1 then
-    the one to ``NARROWER_HZ``.
+    is known at each of them. Where measured speeds do not tell it (``blurred``), c0 and c1 are
+    those of ``STEERED_HZ``. A move counts as an error of its own beside the likelihood's: of c0 and
+    c1 then the one to ``NARROWER_HZ``.
     """
-    covariance, point, keys = _by_blocks(setup, free, inverse(free.normal)), free.point, setup.keys
-    moves = _moves(setup, free, covariance)
-    gains = {key: keys.index(key) for key in GAINS if key in keys}
+    plain = inverse(free.normal)
+    covariance = _by_blocks(setup, free, plain)
+    found = Certainty(
+        free.point, covariance, _moves(setup, free, covariance), np.diag(plain).copy()
+    )
     if blurred(setup.problem.flights):
-        steered = _in_band(setup, free, STEERED_HZ)
-        another = _share((point, covariance), steered, gains) > MATERIAL
-        if another and _tells(steered, gains):
-            left = _share(steered, _in_band(setup, free, NARROWER_HZ), gains)
-            for key, i in gains.items():
-                covariance[i] = covariance[:, i] = 0.0
-                covariance[i, i] = steered[1][i, i]
-                moves[key] = left * abs(steered[0][key])
-                point = {**point, key: steered[0][key]}
-            if setup.tied:
-                point = {**point, "c1": point["c0"]}
-    for key, move in moves.items():
-        covariance[keys.index(key), keys.index(key)] += move**2
-    return point, covariance, moves
+        found = _given_way(setup, free, found)
+    for key, move in found.moves.items():
+        found.covariance[setup.keys.index(key), setup.keys.index(key)] += move**2
+    return found
+
+
+def _given_way(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
+    """The same with the gains of ``STEERED_HZ``. One that this band does not tell stays, and is as
+    uncertain as it moves."""
+    gains = {key: setup.keys.index(key) for key in GAINS if key in setup.keys}
+    steered, narrower = (_in_band(setup, free, band) for band in (STEERED_HZ, NARROWER_HZ))
+    told = {key: i for key, i in gains.items() if _tells(steered, {key: i})}
+    left = max((abs(narrower[0][key] / steered[0][key] - 1.0) for key in told), default=0.0)
+    point, covariance, moves = dict(whole.point), whole.covariance, dict(whole.moves)
+    alone = whole.alone.copy()
+    for key, i in gains.items():
+        if key not in told:
+            moves[key] = max(moves[key], abs(steered[0][key] - point[key]))
+            continue
+        covariance[i] = covariance[:, i] = 0.0
+        covariance[i, i] = alone[i] = steered[1][i, i]
+        point[key], moves[key] = steered[0][key], left * abs(steered[0][key])
+    if setup.tied:
+        point["c1"] = point["c0"]
+    return Certainty(point, covariance, moves, alone)
 
 
 def blurred(flights: Sequence[Flight]) -> bool:
-    """Whether rotor speeds are measured ones that are mostly noise above ``STEERED_HZ``."""
+    """Whether rotor speeds are measured ones that may not tell what is above ``STEERED_HZ``: more
+    than 1 / ``NOISY`` of it is noise, or readings so slow that noise cannot be told from motion.
+
+    The noise is read near half the rate of fresh readings; readings that were joined by straight
+    lines hide it.
+    """
     if not all(one.rotor_measured for one in flights):
         return False
     fast, noise = 0.0, 0.0
-    for run in (one.run for one in flights):
-        hz = np.fft.rfftfreq(len(run), run.period_s)
-        bent = run.rotor_rev_s - run.rotor_rev_s.mean(axis=0)
-        power = np.abs(np.fft.rfft(bent * np.hanning(len(run))[:, None], axis=0)) ** 2
+    for flight in flights:
+        speeds = flight.run.rotor_rev_s[flight.rows]
+        fresh = float(np.mean(np.diff(speeds, axis=0) != 0.0))
+        top = fresh * 0.5 / flight.period_s
+        if NOISE_FROM * top < NO_MOTOR_HZ:
+            return True
+        hz = np.fft.rfftfreq(len(speeds), flight.period_s)
+        window = np.hanning(len(speeds))[:, None]
+        power = np.abs(np.fft.rfft((speeds - speeds.mean(axis=0)) * window, axis=0)) ** 2
         above = (hz > STEERED_HZ[1]) & (hz < ABOVE * STEERED_HZ[1])
+        floor = (hz > NOISE_FROM * top) & (hz < top)
         fast += float(np.mean(power[above], axis=0).sum())
-        noise += float(np.median(power[hz > NOISE_FROM * hz[-1]], axis=0).sum() / np.log(2.0))
+        noise += float(np.median(power[floor], axis=0).sum() / np.log(2.0))
     return fast < NOISY * noise
 
 
 def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:
-    """The estimates of a band (Hz) and their covariance, what it hardly tells held."""
+    """The estimates of a band (Hz) and their covariance; all but ``AGAIN`` stays as it is."""
     cut = setup.within(band)
     still = [key for key in setup.keys if not key.startswith(AGAIN)]
     limits = cut.limits().held(setup.keys, still, free.values)
     part = fit_free(cut.linearise, free.point, limits, white=False)
-    return part.point, inverse(part.normal)
+    return part.point, _by_blocks(setup, part, inverse(part.normal))
 
 
 def is_fast(period_s: float) -> bool:
@@ -192,8 +226,9 @@ def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
     for s, power, left in zip(free.linear.spectra, free.powers, free.left, strict=True):
         flight = setup.problem.flights[s.flight]
         size = round(1.0 / (s.hz[1] * s.period_s))
-        energy = 0.5 * s.weight[1] * size
-        real, imaginary = np.split(np.vstack([left, s.columns]), 2, axis=1)
+        energy = 0.5 * s.weight.max() * size
+        inside = np.vstack([left, s.columns]) * (s.weight > 0.0)
+        real, imaginary = np.split(inside, 2, axis=1)
         white = irfft((real + 1j * imaginary) * np.sqrt(energy / power), size, axis=1)
         rows = np.arange(flight.last - flight.first)
         count = max(1, round(len(rows) * s.period_s / BLOCK_S))
@@ -229,7 +264,7 @@ def _share(one: Known, other: Known, places: Mapping[str, int]) -> float:
         (now, variance), (there, inside) = ((p[key], c[i, i]) for p, c in (one, other))
         chance = BY_CHANCE * np.sqrt(max(inside - variance, 0.2 * variance))
         if _tells(other, {key: i}) and abs(there - now) > chance:
-            found.append(abs((there - now) / now))
+            found.append(abs(there - now) / max(abs(now), 1e-300))
     return float(max(found))
 
 

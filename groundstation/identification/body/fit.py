@@ -145,7 +145,6 @@ def fit_body(
         other = fit_free(raw.linearise, free.point, raw.limits(), white=False)
         if other.cost < free.cost:
             setup, free = raw, likeliest(raw)
-    require_told(setup, free)
     if doubt:
         motor = np.array([free.point[key] for key in MOTOR_KEYS])
         motor_covariance = doubt**2 * np.outer(motor, motor)
@@ -261,8 +260,12 @@ def _outcome(
     setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
 ) -> BodyFit:
     keys, size = setup.keys, len(setup.keys)
+    known = certain(setup, free)
+    require_told(setup, known)
+    free, whole = moved_to(setup, free, known.point), free.point
+    point, moves = free.point, known.moves
     covariance = np.zeros((size + 1, size + 1))
-    point, covariance[:size, :size], moves = certain(setup, free)
+    covariance[:size, :size] = known.covariance
     thrust, thrust_error = fit_thrust(setup, point)
     missed = between_rows(setup)
     for key in missed.keys() & {*keys}:
@@ -299,7 +302,7 @@ def _outcome(
                 for key, reason in reasons.items()
             ),
             *unused_speeds(setup.problem.flights),
-            *given_way(free.point, point),
+            *given_way(whole, point),
             *warnings_of(estimates, moves, missed),
             *slow_rows(setup.problem.flights[0].run, missed),
             *cross_talk(setup, free),
@@ -307,6 +310,17 @@ def _outcome(
         ),
         reasons,
     )
+
+
+def moved_to(setup: Setup, free: FreeFit, point: Point) -> FreeFit:
+    """A fit whose constants are others than where its likelihood is largest: what it leaves."""
+    if point == free.point:
+        return free
+    linear = setup.linearise(point)
+    left = [s.residual for s in linear.spectra]
+    powers = smoothed(linear.spectra, left)
+    cost = cost_of(linear.spectra, powers, left)
+    return replace(free, point=point, cost=cost, linear=linear, powers=powers, left=left)
 
 
 def _by_motor(setup: Setup, free: FreeFit) -> Array:

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import STEERED_HZ, settings_a_row
+from groundstation.identification.body.certainty import (
+    STEERED_HZ,
+    Certainty,
+    blurred,
+    settings_a_row,
+)
 from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
@@ -73,18 +78,24 @@ def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
     ]
 
 
-def require_told(setup: Setup, free: FreeFit) -> None:
+def require_told(setup: Setup, known: Certainty) -> None:
     """A c0 or c1 that may as well be zero is no model, nor is a negative constant."""
-    errors = np.sqrt(np.diag(inverse(free.normal)))
+    errors = np.sqrt(known.alone)
     names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
     for key in setup.keys:
         if key not in CONSTANTS:
             continue
         axis = "roll and pitch" if setup.tied and key == "c0" else AXES[CONSTANTS.index(key)]
-        found, error = free.point[key], float(errors[setup.keys.index(key)])
+        found, error = known.point[key], float(errors[setup.keys.index(key)])
         unclear = not np.isfinite(found) or error > UNKNOWN * abs(found)
         if unclear and key == "c2":
             continue  # figures of eight hardly turn the craft about yaw: not identified
+        if unclear and blurred(setup.problem.flights):
+            raise BadInputError(
+                f"{names}: torque does not show in the rate about {axis} (its constant is"
+                f" {found:.3g} +- {error:.2g}): measured rotor speeds are noisy; fly longer and"
+                " move that axis more, or fit without --measured-rotors"
+            )
         if unclear:
             raise BadInputError(
                 f"{names}: torque does not show in the rate about {axis} (its constant is"
@@ -129,13 +140,13 @@ def untold(
 def given_way(whole: Point, point: Point) -> list[str]:
     """A warning where c0 and c1 are not those of all frequencies: what these say instead."""
     off = [whole[key] / point[key] - 1.0 for key in GAINS]
-    if max(map(abs, off)) < WELL_KNOWN:
+    if not any(off):
         return []
     low, high = STEERED_HZ
     return [
-        f"c0 and c1 are those of {low:g} to {high:g} Hz: all frequencies together say"
-        f" {100 * off[0]:+.0f} and {100 * off[1]:+.0f} %, but do not agree (rotor speeds that are"
-        " noisy or joined from other rates, shaking, slow moments)"
+        f"c0 and c1 are those of {low:g} to {high:g} Hz, for measured rotor speeds are too noisy or"
+        f" too slow above: all frequencies together say {100 * off[0]:+.0f} and"
+        f" {100 * off[1]:+.0f} %"
     ]
 
 
