@@ -51,7 +51,8 @@ def test_rates_of_the_flight_held_out_are_foretold_50_ms_ahead(fitted):
 
 
 def test_the_two_flights_agree_within_their_stated_intervals(fitted, tmp_path):
-    """Fitted apart, on other days and paths; the likelihood alone states 2 to 3 %."""
+    """Fitted apart, on other days and paths. The likelihood alone states 2 to 3 %; single flights
+    of this set differ by 31 % (docs/real_flights.md)."""
     other = tmp_path / "trefoil.json"
     said("fit", "body", HELD.removeprefix("--validate="), f"--validate={FLIGHT}", "-o", str(other))
     fits = [json.loads(path.read_text())["fit"]["body"]["estimates"] for path in (fitted, other)]
@@ -59,7 +60,7 @@ def test_the_two_flights_agree_within_their_stated_intervals(fitted, tmp_path):
         values = [one["values"][one["names"].index(name)] for one in fits]
         errors = [one["stderr"][one["names"].index(name)] for one in fits]
         assert abs(values[0] - values[1]) < 1.96 * (errors[0] ** 2 + errors[1] ** 2) ** 0.5
-        assert max(errors) < 0.2 * min(values)
+        assert max(errors) < 0.5 * min(values)
 
 
 def test_a_figure_of_eight_does_not_tell_the_drag_of_the_rotors(fitted):
