@@ -20,7 +20,7 @@ from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.unknowns import to_stderr, to_values
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import between_rows, certain, is_fast
+from groundstation.identification.body.certainty import between_rows, blurred, certain, is_fast
 from groundstation.identification.body.judgement import (
     cross_talk,
     given_way,
@@ -260,8 +260,10 @@ def _outcome(
     setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
 ) -> BodyFit:
     keys, size = setup.keys, len(setup.keys)
+    if not blurred(setup.problem.flights):  # their bands tell where all frequencies may not
+        require_told(setup, free.point, np.diag(inverse(free.normal)))
     known = certain(setup, free)
-    require_told(setup, known)
+    require_told(setup, known.point, known.alone)
     free, whole = moved_to(setup, free, known.point), free.point
     point, moves = free.point, known.moves
     covariance = np.zeros((size + 1, size + 1))

@@ -12,7 +12,6 @@ from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import (
     STEERED_HZ,
-    Certainty,
     blurred,
     settings_a_row,
 )
@@ -78,15 +77,16 @@ def slow_rows(run: Run, shares: Mapping[str, float]) -> list[str]:
     ]
 
 
-def require_told(setup: Setup, known: Certainty) -> None:
-    """A c0 or c1 that may as well be zero is no model, nor is a negative constant."""
-    errors = np.sqrt(known.alone)
+def require_told(setup: Setup, point: Point, variances: Array) -> None:
+    """A c0 or c1 that may as well be zero is no model, nor is a negative constant. variances: (p,)
+    by the likelihood."""
+    errors = np.sqrt(variances)
     names = ", ".join(sorted({f.run.name for f in setup.problem.flights}))
     for key in setup.keys:
         if key not in CONSTANTS:
             continue
         axis = "roll and pitch" if setup.tied and key == "c0" else AXES[CONSTANTS.index(key)]
-        found, error = known.point[key], float(errors[setup.keys.index(key)])
+        found, error = point[key], float(errors[setup.keys.index(key)])
         unclear = not np.isfinite(found) or error > UNKNOWN * abs(found)
         if unclear and key == "c2":
             continue  # figures of eight hardly turn the craft about yaw: not identified
