@@ -11,6 +11,7 @@ from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.identification.body.certainty import STEERED_HZ, blurred
+from groundstation.identification.body.setup import GAINS
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER
 from groundstation.identification.likelihood.free_spectra import cost_of, smoothed
@@ -24,6 +25,7 @@ Group = tuple[str, ...]
 """Constants that change or stay together."""
 
 THRUST = "thrust_per_mass"
+EVERY_HZ = (0.0, math.inf)
 DRIVING = ("supply", "motor")
 """Stages of effects that change how fast a rotor turns by its PWM."""
 SAME_PERCENT = 1.0
@@ -80,20 +82,20 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
     has no name for bends a constant otherwise.
     """
     found: list[tuple[float, str]] = []
+    gains_hz = STEERED_HZ if blurred(problem.flights) else EVERY_HZ
     for axis, key in enumerate(BODY_KEYS[:3]):
         if key in fit.keys and fit.point[key] != problem.start[key]:
             back = {**fit.point, key: problem.start[key]}
-            costs = [_free_cost(problem, point, axis) for point in (back, fit.point)]
+            band = gains_hz if key in GAINS else EVERY_HZ
+            costs = [_free_cost(problem, point, axis, band) for point in (back, fit.point)]
             found.append((costs[0] - costs[1], key))
     gain, key = min(found, default=(KEEP, ""))
     return (key,) if gain < KEEP else None
 
 
-def _free_cost(problem: Problem, point: Point, axis: int) -> float:
-    """-2 log L of the rates about an axis, each flight's spectrum at its best."""
-    linear = linearise(problem.flights, problem.frame, point, (), (axis,))
-    if axis < 2 and blurred(problem.flights):
-        linear = linear.within(*STEERED_HZ)
+def _free_cost(problem: Problem, point: Point, axis: int, band: tuple[float, float]) -> float:
+    """-2 log L of the rates about an axis in a band (Hz), each flight's spectrum at its best."""
+    linear = linearise(problem.flights, problem.frame, point, (), (axis,)).within(*band)
     left = [s.residual for s in linear.spectra]
     return cost_of(linear.spectra, smoothed(linear.spectra, left), left)
 

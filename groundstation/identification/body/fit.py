@@ -264,7 +264,7 @@ def _outcome(
         require_told(setup, free.point, np.diag(inverse(free.normal)))
     known = certain(setup, free)
     require_told(setup, known.point, known.alone)
-    free, whole = moved_to(setup, free, known.point), free.point
+    free, whole = _moved_to(setup, free, known.point), free.point
     point, moves = free.point, known.moves
     covariance = np.zeros((size + 1, size + 1))
     covariance[:size, :size] = known.covariance
@@ -314,7 +314,7 @@ def _outcome(
     )
 
 
-def moved_to(setup: Setup, free: FreeFit, point: Point) -> FreeFit:
+def _moved_to(setup: Setup, free: FreeFit, point: Point) -> FreeFit:
     """A fit whose constants are others than where its likelihood is largest: what it leaves."""
     if point == free.point:
         return free

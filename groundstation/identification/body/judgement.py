@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.registry import DELAY, EFFECTS
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import (
-    STEERED_HZ,
-    blurred,
-    settings_a_row,
-)
+from groundstation.identification.body.certainty import STEERED_HZ, blurred, settings_a_row
 from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, Setup
 from groundstation.identification.estimate import Estimates, inverse
 from groundstation.identification.flight import Flight
