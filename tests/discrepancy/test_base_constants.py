@@ -1,14 +1,29 @@
-"""What a change of the given model's constants is said to mean."""
+"""Which changes of the given model's constants stand, and what they are said to mean."""
+
+from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
-from groundstation.discrepancy.base_constants import base_changes, in_words
+from groundstation.discrepancy.acceptance import KEEP
+from groundstation.discrepancy.base_constants import (
+    EVERY_HZ,
+    base_changes,
+    confirmation,
+    in_words,
+    unconfirmed,
+)
+from groundstation.dynamics.model import vehicle_model
+from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, point_of
 from groundstation.identification.likelihood.problem import Fit, Problem
+from groundstation.identification.recordings import flights_of
+from groundstation.recording.open_recording import open_recording
 
+RECORDINGS = Path(__file__).parents[2] / "recordings"
 KEYS = (*BODY_KEYS, *MOTOR_KEYS)
 
 
@@ -60,3 +75,27 @@ def test_a_change_of_another_constant_says_nothing_of_speeds(problem):
     change = changed(problem, c0=0.9)["c0"]
     assert change.pushed is None
     assert in_words(change).startswith("c0 -10 %: roll answers less")
+
+
+def with_c2(problem, factor):
+    return Fit({**problem.start, "c2": factor * problem.start["c2"]}, ("c2",), 0.0, np.eye(1))
+
+
+@pytest.mark.parametrize("flight", ["trefoil", "figure8"])
+def test_slow_air_alone_does_not_change_the_drag_of_real_rotors(flight):
+    """In slow air torque answers to moments, so that a third of the drag is likelier on all
+    frequencies together; a propeller has no such drag, and where the craft is steered the flight
+    says so."""
+    model = vehicle_model(BUILT_IN["crazyflie21"])
+    samples = open_recording(RECORDINGS / f"nanobench_{flight}.mcap").samples
+    problem = Problem(prepare(flights_of(samples, flight)), model, point_of(model))
+    bent = with_c2(problem, 0.3)
+    assert confirmation(problem, bent.point, 2, EVERY_HZ) > 3.0 * KEEP
+    assert unconfirmed(problem, bent) == ("c2",)
+
+
+def test_a_drag_of_the_rotors_that_is_another_stands():
+    start = point_of(BASE)
+    flights = prepare([flown(30.0, 3)[0]])
+    other = Problem(flights, BASE, {**start, "c2": 0.7 * start["c2"]})
+    assert unconfirmed(other, with_c2(other, 1.0 / 0.7)) is None

@@ -35,9 +35,10 @@ class Certainty:
 
 
 BANDS = ((1.0, 60.0), (0.3, 40.0), (2.0, 30.0))
-YAW_BANDS = BANDS[:2]
-"""Hz. A constant of the craft is the same in all of them. Above 2 Hz yaw answers to the change of
-the rotors' speeds, not to their drag."""
+YAW_BANDS, DRAG_HZ = BANDS[:2], (0.3, 4.0)
+"""Hz. A constant of the craft is the same in all of them. Above some 2 Hz yaw answers to the change
+of the rotors' speeds, not to their drag: c2 is then what a wrong phase of that change leaves, and
+noisy speeds do not tell the phase."""
 STEERED_HZ, NARROWER_HZ = (2.0, 20.0), (4.0, 18.0)
 """Hz. Below, torque answers to slow moments of the air and the balance; above, to vibration that
 the controller copies. In between the coherence of torque and acceleration is highest on real
@@ -67,27 +68,26 @@ NO_MOTOR_HZ = 60.0
 """A motor of 30 ms shows a hundredth of the power that it is given there."""
 
 
-def certain(setup: Setup, free: FreeFit) -> Certainty:
-    """The estimates and how certain they are.
+def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
+    """The estimates and how certain they are. noisy: whether measured speeds are (``blurred``).
 
     All frequencies together know most, and are right in closed loop, where what drives the rotors
-    is known at each of them. Where measured speeds do not tell it (``blurred``), c0 and c1 are
-    those of ``STEERED_HZ``. A move counts as an error of its own beside the likelihood's: of c0 and
-    c1 then the one to ``NARROWER_HZ``.
+    is known at each of them. Where noisy speeds do not tell it, c0 and c1 are those of
+    ``STEERED_HZ``. A move counts as an error of its own beside the likelihood's: of c0 and c1 then
+    the one to ``NARROWER_HZ``, of c2 the one to ``DRAG_HZ``, too.
     """
     plain = inverse(free.normal)
     covariance = _by_blocks(setup, free, plain)
-    found = Certainty(
-        free.point, covariance, _moves(setup, free, covariance), np.diag(plain).copy()
-    )
-    if blurred(setup.problem.flights):
-        found = _given_way(setup, free, found)
+    moves = _moves(setup, free, covariance, noisy)
+    found = Certainty(free.point, covariance, moves, np.diag(plain).copy())
+    if noisy:
+        found = _steered(setup, free, found)
     for key, move in found.moves.items():
         found.covariance[setup.keys.index(key), setup.keys.index(key)] += move**2
     return found
 
 
-def _given_way(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
+def _steered(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
     """The same with the gains of ``STEERED_HZ``. One that this band does not tell stays, and is as
     uncertain as it moves."""
     gains = {key: setup.keys.index(key) for key in GAINS if key in setup.keys}
@@ -238,7 +238,7 @@ def _scores(setup: Setup, free: FreeFit) -> dict[tuple[int, int], Array]:
     return sums
 
 
-def _moves(setup: Setup, free: FreeFit, covariance: Array) -> dict[str, float]:
+def _moves(setup: Setup, free: FreeFit, covariance: Array, noisy: bool) -> dict[str, float]:
     """How far c0, c1, c2 move with the band where that is beyond chance, otherwise 0.
 
     Rotors, their sensor and the joining of rows are the same for roll and pitch: what is wrong
@@ -246,13 +246,16 @@ def _moves(setup: Setup, free: FreeFit, covariance: Array) -> dict[str, float]:
     """
     places = {key: setup.keys.index(key) for key in CONSTANTS if key in setup.keys}
     gains = {key: i for key, i in places.items() if key in GAINS}
+    drag = {"c2": places["c2"]}
     share, yaw = 0.0, 0.0
     slow = not is_fast(setup.problem.flights[0].period_s)
     for band in (*BANDS, STEERED_HZ, NARROWER_HZ) if slow else BANDS:
         part = _in_band(setup, free, band)
         share = max(share, _share((free.point, covariance), part, gains))
         if band in YAW_BANDS:
-            yaw = max(yaw, _share((free.point, covariance), part, {"c2": places["c2"]}))
+            yaw = max(yaw, _share((free.point, covariance), part, drag))
+    if noisy:
+        yaw = max(yaw, _share((free.point, covariance), _in_band(setup, free, DRAG_HZ), drag))
     return {key: abs(free.point[key]) * (share if key in gains else yaw) for key in places}
 
 

@@ -51,6 +51,7 @@ from groundstation.identification.likelihood.free_spectra import (
     fit_free,
     reweighted,
     smoothed,
+    unfitted,
 )
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
@@ -260,9 +261,10 @@ def _outcome(
     setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
 ) -> BodyFit:
     keys, size = setup.keys, len(setup.keys)
-    if not blurred(setup.problem.flights):  # their bands tell where all frequencies may not
+    noisy = blurred(setup.problem.flights)
+    if not noisy:  # a band tells where all frequencies may not
         require_told(setup, free.point, np.diag(inverse(free.normal)))
-    known = certain(setup, free)
+    known = certain(setup, free, noisy)
     require_told(setup, known.point, known.alone)
     free, whole = _moved_to(setup, free, known.point), free.point
     point, moves = free.point, known.moves
@@ -319,9 +321,7 @@ def _moved_to(setup: Setup, free: FreeFit, point: Point) -> FreeFit:
     if point == free.point:
         return free
     linear = setup.linearise(point)
-    left = [s.residual for s in linear.spectra]
-    powers = smoothed(linear.spectra, left)
-    cost = cost_of(linear.spectra, powers, left)
+    left, powers, cost = unfitted(linear)
     return replace(free, point=point, cost=cost, linear=linear, powers=powers, left=left)
 
 

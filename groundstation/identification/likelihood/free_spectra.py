@@ -159,6 +159,13 @@ def cost_of(spectra: Sequence[Spectrum], powers: Sequence[Array], left: Sequence
     return total
 
 
+def unfitted(linear: Linear) -> tuple[list[Array], list[Array], float]:
+    """What a linearisation leaves at its point: residuals (2 m,), their spectra (m,), -2 log L."""
+    left = [s.residual for s in linear.spectra]
+    powers = smoothed(linear.spectra, left)
+    return left, powers, cost_of(linear.spectra, powers, left)
+
+
 def joined(linear: Linear, key: str, parts: Mapping[str, float]) -> Linear:
     """The linearisation with several keys made one, whose unit moves each by its share.
 
