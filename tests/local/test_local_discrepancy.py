@@ -17,7 +17,7 @@ import pytest
 from installed import COMMAND
 from programs import run_program
 
-from groundstation.discrepancy.engine import find_effects
+from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
@@ -54,14 +54,16 @@ def searched(samples, held, measured):
     fitted = [name for name in FLIGHTS if name != held]
     spun = [run for name in fitted for run in runs_of(samples[name], name)]
     motor = identify_motor(spun, [], vehicle_model(VEHICLE), VEHICLE).model
-    fit_on, judged = (flights(samples, names, measured) for names in (fitted, [held]))
+    fit_on, judged = (
+        [flights(samples, [name], measured) for name in names] for names in (fitted, [held])
+    )
     model = identify_body(
-        *([without_gaps(run) for run in part] for part in (fit_on, judged)),
+        *([without_gaps(run) for flown in part for run in flown] for part in (fit_on, judged)),
         motor,
         VEHICLE,
         measured=measured,
     ).model
-    return find_effects(fit_on, model, judged)
+    return find_discrepancy(fit_on, model, judged).findings
 
 
 @pytest.mark.parametrize(

@@ -50,5 +50,7 @@ EFFECT = Effect(
     channels=FORCE,
     regimes=TILTING | YAWING | {"rotor acceleration"},
     needs=("accelerometer",),
+    negligible=5e-4,
+    because="less than a battery moves the centre of gravity by when it is put back",
     confused_with=(Confusion("rotor_drag", f"{HOVER_DOUBLETS}; {TRANSLATE}"),),
 )
