@@ -151,7 +151,7 @@ def assert_taken(command):
 @pytest.mark.timeout(900)  # half a minute where nothing else runs
 def test_the_story_of_getting_started_goes_as_printed(folder, larder, for_a_while):
     """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
-    said, clone, there = "", folder, set(folder.iterdir())
+    said, told, clone, there = "", "", folder, set(folder.iterdir())
     for block in blocks_of(STORY):
         if block.language == "toml":
             (folder / "flight.toml").write_text(block.text)
@@ -173,7 +173,9 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, for_a_whil
                 if command == "groundstation recordings sessions":
                     assert ".mcap" in carry_out(command, folder)
                     continue
-                said += carry_out(command, folder) or ""
+                told = carry_out(command, folder) or ""
+                said += told
+    require_no_channel_worse(told)
     overlooked = (ROOT / ".gitignore").read_text().split()
     left = {one.name for one in set(clone.iterdir()) - there if one.name not in OF_THE_TEST}
     assert folder.name in left
@@ -185,6 +187,16 @@ def require_said(block, said):
     lines = iter(said.splitlines())
     for expected in block.text.splitlines():
         assert any(alike(expected, line) for line in lines), f"{block.where}: {expected}\n{said}"
+
+
+def require_no_channel_worse(told):
+    """Of the search on a real flight, which ends the story: its gaps on the flight held out."""
+    gap = re.search(r"^gap over all channels: ([\d.]+), after ([\d.]+)", told, re.MULTILINE)
+    assert float(gap[2]) < float(gap[1])
+    channels = re.findall(r"^  (\S+) +([\d.]+) +([\d.]+) +\S+ .*, noise ", told, re.MULTILINE)
+    assert len(channels) == 9
+    for name, before, after in channels:
+        assert float(after) <= 1.02 * float(before), name
 
 
 def require_planned(block, said):
