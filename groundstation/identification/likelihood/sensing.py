@@ -17,6 +17,15 @@ from numpy.typing import NDArray
 from groundstation.dynamics.effect import ANGLES
 from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
 from groundstation.identification.likelihood.laws import Acting
+from groundstation.identification.likelihood.linear_filters import (
+    FORCES,
+    RATES,
+    SAME,
+    NearRest,
+    behind_firmware,
+    behind_sensor,
+    solved,
+)
 from groundstation.identification.likelihood.motion import (
     BodyRows,
     Rows,
@@ -26,15 +35,10 @@ from groundstation.identification.likelihood.motion import (
 
 Array = NDArray[np.float64]
 
-FIRMWARE_HZ = 1000.0
-"""Rate of the firmware's sensor loop."""
 PROBE = 1e-3
 """Step of the differences in SI: small beside what a sensor reads in flight."""
-SAME = 1e-12
-"""Rounding of these differences."""
 _STILL, _FOUR = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
 REST = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), _STILL, _STILL, _FOUR, _FOUR, 0.0, _STILL, _STILL)
-RATES, FORCES = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +153,7 @@ class Sensors:
         found = None
         for one in self.estimators:
             near = _estimator_near_rest(one, self.craft)
-            more = _filtered(near, FORCES, force, first, period_s)
+            more = behind_sensor(near, FORCES, force, first, period_s)
             more[:first] = 0.0
             found = more if found is None else found + more
         return found
@@ -167,7 +171,7 @@ class Sensors:
         angular, force = stacked(shown.angular, count), stacked(shown.force, count)
         if self.gyro_filter_hz:
             within = moving.within
-            angular = _filtered_on_board(angular, self.gyro_filter_hz, period, True, within)
+            angular = behind_firmware(angular, self.gyro_filter_hz, period, True, within)
         if self.accelerometer_filter_hz:
             force = self._force_filtered(force, period)
         return angular, force
@@ -195,14 +199,14 @@ class Sensors:
         behind: how many of the sensors they have passed already.
         """
         if part == RATES and self.gyro_filter_hz:
-            values = _filtered_on_board(values, self.gyro_filter_hz, moving.period_s, True)
+            values = behind_firmware(values, self.gyro_filter_hz, moving.period_s, True)
         elif part == FORCES and self.accelerometer_filter_hz:
             values = self._force_filtered(values, moving.period_s)
         matrix = np.eye(3)
         for near in self.linear[behind:]:
             if near.c[part].any():
                 given = _turned(values, matrix)
-                values = _filtered(near, part, given, moving.first, moving.period_s)
+                values = behind_sensor(near, part, given, moving.first, moving.period_s)
                 matrix = np.eye(3)
             else:
                 matrix = near.d[part, part] @ matrix
@@ -214,8 +218,9 @@ class Sensors:
         Not along z: what is fast there is less thrust than the noise of modelled and measured rotor
         speeds, and behind the filter it would say how late everything is.
         """
-        plane = _filtered_on_board(force[:, :2], self.accelerometer_filter_hz, period_s, False)
-        return np.column_stack([plane, force[:, 2]])
+        found = behind_firmware(force, self.accelerometer_filter_hz, period_s, False)
+        found[:, 2] = force[:, 2]
+        return found
 
     def feel_alike(self, other: Sensors) -> bool:
         """Whether the two tell the same specific force, and the same angles by it."""
@@ -237,37 +242,14 @@ class Sensors:
         return same and np.allclose(one, two, rtol=0.0, atol=SAME)
 
 
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """One sensor near rest."""
-
-    a: Array
-    b: Array
-    c: Array
-    d: Array
-    offset: Array
-
-    @cached_property
-    def steady(self) -> tuple[Array, Array]:
-        """Gain and lag (6, 6): over a ramp u the states follow as p u + a^-1 p du/dt."""
-        if not self.a.size:
-            return self.d, np.zeros((6, 6))
-        p = _over(self.a, -self.b)
-        return self.d + self.c @ p, -self.c @ _over(self.a, p)
-
-
 def _turned(values: Array, matrix: NDArray[Any]) -> Array:
     if np.abs(matrix - np.eye(3)).max() < SAME:
         return values
     return np.asarray(values @ matrix.T)
 
 
-def _over(matrix: Array, values: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(matrix, values, rcond=None)[0])
-
-
 @lru_cache(maxsize=256)
-def _near_rest(one: Acting, craft: Craft) -> Linear:
+def _near_rest(one: Acting, craft: Craft) -> NearRest:
     states = len(one.effect.states)
 
     def shown(x: Array) -> Array:
@@ -284,12 +266,12 @@ def _near_rest(one: Acting, craft: Craft) -> Linear:
     still = shown(np.zeros(6 + states))
     a, c, offset = slopes[6:, 6:], slopes[:6, 6:], still[:6]
     if states:
-        offset = offset - c @ _over(a, still[6:])
-    return Linear(a, slopes[6:, :6], c, slopes[:6, :6], offset)
+        offset = offset - c @ solved(a, still[6:])
+    return NearRest(a, slopes[6:, :6], c, slopes[:6, :6], offset)
 
 
 @lru_cache(maxsize=256)
-def _estimator_near_rest(one: Acting, craft: Craft) -> Linear:
+def _estimator_near_rest(one: Acting, craft: Craft) -> NearRest:
     """An effect that turns reported angles, which are what it shows of forces."""
     near = _near_rest(one, craft)
     shown = np.zeros((6, len(one.effect.states)))
@@ -306,7 +288,7 @@ def passed(one: Acting | None, craft: Craft, given: Passing, moving: Moving) -> 
     return _passed(one, _near_rest(one, craft), craft, given, moving)
 
 
-def _passed(one: Acting, near: Linear, craft: Craft, given: Passing, moving: Moving) -> Passing:
+def _passed(one: Acting, near: NearRest, craft: Craft, given: Passing, moving: Moving) -> Passing:
     if one.effect.states:
         return _remembered(near, given, moving)
     half = 0.5 * moving.period_s
@@ -322,7 +304,7 @@ def _passed(one: Acting, near: Linear, craft: Craft, given: Passing, moving: Mov
     return Passing(rate, angular, shown.accelerometer)
 
 
-def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
+def _remembered(near: NearRest, given: Passing, moving: Moving) -> Passing:
     """A sensor with states, as the linear filter that it is near rest."""
     (gain, lag), count = near.steady, len(moving)
     angular, force = stacked(given.angular, count), stacked(given.force, count)
@@ -330,89 +312,17 @@ def _remembered(near: Linear, given: Passing, moving: Moving) -> Passing:
     if near.c[RATES].any():
         angular = _filtered_rates(near, angular, moving)
     if near.c[FORCES].any():
-        force = _filtered(near, FORCES, force, moving.first, moving.period_s)
+        force = behind_sensor(near, FORCES, force, moving.first, moving.period_s)
     rows = (np.ascontiguousarray(part.T) for part in (rate, angular, force))
     return Passing(*(tuple(part) for part in rows))
 
 
-def _filtered_rates(near: Linear, angular: Array, moving: Moving) -> Array:
+def _filtered_rates(near: NearRest, angular: Array, moving: Moving) -> Array:
     """Slopes of rates (n, 3) behind a sensor, which sees those within a row as well."""
     if moving.within is None:
-        return _filtered(near, RATES, angular, moving.first, moving.period_s)
+        return behind_sensor(near, RATES, angular, moving.first, moving.period_s)
     halves = np.stack([angular - 0.5 * moving.within, angular + 0.5 * moving.within], axis=1)
-    finer = _filtered(near, RATES, halves.reshape(-1, 3), 2 * moving.first, 0.5 * moving.period_s)
+    finer = behind_sensor(
+        near, RATES, halves.reshape(-1, 3), 2 * moving.first, 0.5 * moving.period_s
+    )
     return finer.reshape(-1, 2, 3).mean(axis=1)
-
-
-def _filtered(near: Linear, part: slice, values: Array, first: int, period_s: float) -> Array:
-    """Rows (n, 3) behind a sensor, exactly, from a start that has settled at row ``first``."""
-    from groundstation.identification.likelihood.kernels import linear_filter
-
-    matrix = _discrete(near, part == RATES, period_s)
-    to, of = np.nonzero(np.abs(matrix) > SAME * np.abs(matrix).max())
-    start = _over(near.a, -near.b[:, part] @ values[first])
-    found = np.empty_like(values)
-    rows = np.ascontiguousarray(values)
-    linear_filter(to, of, matrix[to, of], start, first, rows, found)
-    return found
-
-
-@lru_cache(maxsize=256)
-def _discrete(near: Linear, rates: bool, h: float) -> Array:
-    """M of [s_k, y_k] = M [s_(k-1), u_k, u_(k-1)] over a period h.
-
-    Rates change straight from row to row: their slopes are held over each period, and what comes
-    out are means over it. Forces are values at the rows with straight lines between them.
-    """
-    from scipy.linalg import expm
-
-    part = RATES if rates else FORCES
-    a, b, c, d = near.a, near.b[:, part], near.c[part], near.d[part, part]
-    n, m = b.shape
-    # exp of [[A h, B h, 0], [0, 0, I], [0, 0, 0]]: the states' answers to a held input and a ramp.
-    block = np.zeros((n + 2 * m, n + 2 * m))
-    block[:n, :n], block[:n, n : n + m] = a * h, b * h
-    block[n : n + m, n + m :] = np.eye(m)
-    whole = expm(block)
-    keep, held, ramp = whole[:n, :n], whole[:n, n : n + m], whole[:n, n + m :]
-    none = np.zeros((m, m))
-    if rates:
-        # A period changes s by h (A mean(s) + B u).
-        mean = _over(a * h, np.hstack([keep - np.eye(n), held - b * h]))
-        return np.block(
-            [[keep, held, np.zeros((n, m))], [c @ mean[:, :n], c @ mean[:, n:] + d, none]]
-        )
-    return np.block([[keep, ramp, held - ramp], [c @ keep, c @ ramp + d, c @ (held - ramp)]])
-
-
-def _filtered_on_board(
-    values: Array, corner_hz: float, period_s: float, mean: bool, within: Array | None = None
-) -> Array:
-    """Rows (n, m) behind the firmware's Butterworth filter, which runs at 1 kHz: means over the
-    periods before them (mean), or values at the rows with straight lines between.
-
-    within: (n, m), how much more than the first half of a period the second has."""
-    from scipy.signal import lfilter
-
-    steps = max(round(FIRMWARE_HZ * period_s), 1)
-    b, a, still = _butterworth(corner_hz, steps / period_s)
-    start = still[:, None] * values[:1]
-    given = np.repeat(values, steps, axis=0)
-    if within is not None:
-        later = np.sign(np.arange(steps) - 0.5 * (steps - 1))
-        given += 0.5 * np.tile(later, len(values))[:, None] * np.repeat(within, steps, axis=0)
-    if not mean:
-        back = np.tile(np.arange(steps - 1, -1, -1) / steps, len(values))[:, None]
-        given -= back * np.repeat(np.diff(values, axis=0, prepend=values[:1]), steps, axis=0)
-    out, _ = lfilter(b, a, given, axis=0, zi=start)
-    rows = out.reshape(len(values), steps, -1)
-    return np.asarray(rows.mean(axis=1) if mean else rows[:, -1])
-
-
-@lru_cache(maxsize=16)
-def _butterworth(corner_hz: float, sampled_hz: float) -> tuple[Array, Array, Array]:
-    """Coefficients b, a of second order, and the filter's state after inputs of 1."""
-    from scipy.signal import butter, lfilter_zi
-
-    b, a = butter(2, corner_hz, fs=sampled_hz)
-    return b, a, lfilter_zi(b, a)
