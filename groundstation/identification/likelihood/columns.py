@@ -6,7 +6,7 @@ The result of every column is d model / d key, on the channels that it reaches.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -64,20 +64,21 @@ def column(at: Evaluation, key: str) -> Columns:
                 "sensor": _sensor_column,
                 "attitude": _attitude_column,
             }
-            columns[str(stage)](at, out, *both_sides(at, one))
+            columns[str(stage)](at, out, *both_sides(at, one, above=stage == "sensor"))
     return out
 
 
-def both_sides(at: Evaluation, one: Key) -> tuple[Moved, Moved, float]:
+def both_sides(at: Evaluation, one: Key, above: bool = False) -> tuple[Moved, Moved, float]:
     """Effects on both sides of an unknown's value, or on that which its bounds allow, and
-    how far they are apart."""
+    how far they are apart. above: at the value itself and above it, where that is evaluated and
+    a law is as good as straight."""
     now, variant = value(at.point, one.key), at.frame.variants[one.key]
-    low = now - one.step if now - one.step >= one.bounds[0] else now
+    low = now if above or now - one.step < one.bounds[0] else now - one.step
     high = now + one.step
-    above, below = (
+    ends = (
         {variant.label: acting(variant.unknowns, {**at.point, one.key: end})} for end in (high, low)
     )
-    return above, below, high - low
+    return next(ends), next(ends), high - low
 
 
 def _put_change(at: Evaluation, out: Columns, high: Bodies, low: Bodies, step: float) -> None:
@@ -154,23 +155,23 @@ def _body_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: fl
 
 
 def _sensor_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
-    """What a sensor shows otherwise, and what it then says of the craft's motion and attitude."""
+    """What a sensor shows otherwise, and what it then says of the craft's motion and attitude.
+    low: the effects as they are."""
     if all(one is None for one in (*high.values(), *low.values())):
         return  # the shape of an absent one
-    ends = [at.sensors_with(moved) for moved in (high, low)]
-    felt = [at.felt, at.felt]
-    if not ends[0].feel_alike(ends[1]):
-        felt = [at.feel(sensors) for sensors in ends]
-    moved_bodies = _moved_by(at, ends, felt)
+    sensors, felt = at.sensors_with(high), at.felt
+    if not sensors.feel_alike(at.sensors):
+        felt = at.feel(sensors)
+    moved_bodies = _moved_by(at, sensors, felt)
     for part, found in zip(at.parts, _shown_otherwise(at, high, low, step), strict=True):
         if moved_bodies is not None:
             more = _change(at, part, *moved_bodies, step)
             found = more if found is None or more is None else found + more
         if found is not None:
             at.put(part, out, at.as_read(part, found), step)
-    if felt[0] is not felt[1] or not ends[0].alike(ends[1]):
-        turning = ((sensors, at.lean, one.off) for sensors, one in zip(ends, felt, strict=True))
-        _put_turning(at, out, turning, step)
+    if felt is not at.felt or not sensors.alike(at.sensors):
+        ends = ((sensors, felt), (at.sensors, at.felt))
+        _put_turning(at, out, ((one, at.lean, by.off) for one, by in ends), step)
 
 
 def _shown_otherwise(at: Evaluation, high: Moved, low: Moved, step: float) -> list[Array | None]:
@@ -195,16 +196,13 @@ def _shown_otherwise(at: Evaluation, high: Moved, low: Moved, step: float) -> li
     return found
 
 
-def _moved_by(
-    at: Evaluation, ends: Sequence[Sensors], felt: Sequence[Felt]
-) -> tuple[Bodies, Bodies] | None:
-    """The model where sensors, another at each end, tell the velocity and the attitude that it
-    answers to; None where it does not, or they tell the same."""
-    if felt[0] is felt[1] or not (at.effects("rotor") or at.effects("body")):
+def _moved_by(at: Evaluation, sensors: Sensors, felt: Felt) -> tuple[Bodies, Bodies] | None:
+    """The model where these sensors tell the velocity and the attitude that it answers to, and as
+    it is; None where it does not, or they tell the same."""
+    if felt is at.felt or not (at.effects("rotor") or at.effects("body")):
         return None
-    motions = [at.moves(*one) for one in zip(ends, felt, strict=True)]
-    above, below = (at.bodies(motion=motion.with_rates_of(at.motion)) for motion in motions)
-    return above, below
+    motion = at.moves(sensors, felt).with_rates_of(at.motion)
+    return at.bodies(motion=motion), (at.middle, at.row)
 
 
 def _attitude_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:

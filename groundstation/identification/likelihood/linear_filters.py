@@ -38,8 +38,12 @@ class NearRest:
         """Gain and lag (6, 6): over a ramp u the states follow as p u + a^-1 p du/dt."""
         if not self.a.size:
             return self.d, np.zeros((6, 6))
-        p = solved(self.a, -self.b)
-        return self.d + self.c @ p, -self.c @ solved(self.a, p)
+        return self.d + self.c @ self.still, -self.c @ solved(self.a, self.still)
+
+    @cached_property
+    def still(self) -> Array:
+        """The states (s, 6) that steady inputs of 1 settle at."""
+        return solved(self.a, -self.b)
 
 
 def solved(matrix: Array, values: Array) -> Array:
@@ -52,7 +56,7 @@ def behind_sensor(near: NearRest, part: slice, values: Array, first: int, period
     from groundstation.identification.likelihood.kernels import linear_filter
 
     matrix = _discrete(near, part == RATES, period_s)
-    start = solved(near.a, -near.b[:, part] @ values[first])
+    start = near.still[:, part] @ values[first]
     alike = _alike_on_axes(near, part == RATES, period_s)
     if alike is not None:
         return _on_axes(alike, start.reshape(-1, AXES), first, values)
