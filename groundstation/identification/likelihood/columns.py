@@ -64,16 +64,17 @@ def column(at: Evaluation, key: str) -> Columns:
                 "sensor": _sensor_column,
                 "attitude": _attitude_column,
             }
-            columns[str(stage)](at, out, *both_sides(at, one, above=stage == "sensor"))
+            columns[str(stage)](at, out, *both_sides(at, one))
     return out
 
 
-def both_sides(at: Evaluation, one: Key, above: bool = False) -> tuple[Moved, Moved, float]:
+def both_sides(at: Evaluation, one: Key) -> tuple[Moved, Moved, float]:
     """Effects on both sides of an unknown's value, or on that which its bounds allow, and
-    how far they are apart. above: at the value itself and above it, where that is evaluated and
-    a law is as good as straight."""
+    how far they are apart. Of a sensor, whose law is as good as straight, above the value and at
+    it, where it is evaluated."""
     now, variant = value(at.point, one.key), at.frame.variants[one.key]
-    low = now if above or now - one.step < one.bounds[0] else now - one.step
+    here = at.stage(one.key) == "sensor" or now - one.step < one.bounds[0]
+    low = now if here else now - one.step
     high = now + one.step
     ends = (
         {variant.label: acting(variant.unknowns, {**at.point, one.key: end})} for end in (high, low)

@@ -69,23 +69,19 @@ def behind_sensor(near: NearRest, part: slice, values: Array, first: int, period
 
 def _on_axes(step: Array, start: Array, first: int, values: Array) -> Array:
     """Rows (n, 3) behind one filter on each axis: [s_k, y_k] = step [s_(k-1), u_k, u_(k-1)] with
-    step (3, 4), of second order, or (2, 3); start: (states, 3)."""
+    step (3, 4); start: (1 or 2, 3), what there is of its two states."""
     from groundstation.identification.likelihood.kernels import axes_filter
 
-    whole, begin = np.zeros((3, 4)), np.zeros((2, AXES))
-    states = len(start)
-    rows, columns = [*range(states), 2], [*range(states), 2, 3]
-    whole[np.ix_(rows, columns)] = step
-    begin[:states] = start
-    found = np.empty((len(values), AXES))
-    axes_filter(whole, begin, first, np.ascontiguousarray(values), found)
+    begin, found = np.zeros((2, AXES)), np.empty((len(values), AXES))
+    begin[: len(start)] = start
+    axes_filter(step, begin, first, np.ascontiguousarray(values), found)
     return found
 
 
 @lru_cache(maxsize=256)
 def _alike_on_axes(near: NearRest, rates: bool, h: float) -> Array | None:
     """Of a filter whose states are those of three axes, one behind the other, and which is the same
-    on each: its step of one axis; None of any other."""
+    on each: its step of one axis (3, 4), the second state 0 where it has one; None of others."""
     matrix = _discrete(near, rates, h)
     states, more = divmod(len(near.a), AXES)
     if more or not 0 < states <= 2:
@@ -98,7 +94,11 @@ def _alike_on_axes(near: NearRest, rates: bool, h: float) -> Array | None:
         apart[np.ix_(to, of)] = 0.0
     rounding = SAME * np.abs(matrix).max()
     other = max(float(np.abs(one - parts[0]).max()) for one in parts)
-    return parts[0] if max(other, float(np.abs(apart).max())) <= rounding else None
+    if max(other, float(np.abs(apart).max())) > rounding:
+        return None
+    step = np.zeros((3, 4))
+    step[np.ix_([*range(states), 2], [*range(states), 2, 3])] = parts[0]
+    return step
 
 
 @lru_cache(maxsize=256)

@@ -104,8 +104,8 @@ def _vertical(at: Evaluation, keys: Sequence[str]) -> tuple[float, dict[str, flo
     slopes: dict[str, float] = {}
     for key in keys:
         if at.stage(key) == "sensor":
-            high, low, step = both_sides(at, at.frame.unknowns[key])
-            change = at.sensors_with(high).offset - at.sensors_with(low).offset
+            high, _, step = both_sides(at, at.frame.unknowns[key])
+            change = at.sensors_with(high).offset - at.sensors.offset
             slope = float(up @ change[FORCES]) / step
             slopes |= {key: slope} if slope else {}
     return mean - float(up @ at.sensors.offset[FORCES]) - STANDARD_GRAVITY, slopes
