@@ -3,13 +3,15 @@
 No column shows it, for it has no law but its spread and its pace. What is left of predictions is
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
 The likelihood of these means gives the spread, and how well fitted rows are predicted the pace.
+Two flights in which nothing of it shows do not say that the third has none: batteries are pushed
+in anew. So moments are never held to be smaller than the trims of flights in general (``trim_of``).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +20,11 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
 from groundstation.discrepancy.acceptance import Lasting, Stage, lasting_refusal
 from groundstation.discrepancy.drift import drift_of, spread_of
-from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
+from groundstation.discrepancy.findings import Candidate, Findings, Predicted, Refusal, with_last
 from groundstation.discrepancy.proof import HeldOut, Predictions
-from groundstation.dynamics.model import EffectTerm, Estimate, Model
+from groundstation.dynamics.model import EffectTerm, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
+from groundstation.identification.likelihood.prior import trim_of
 
 Array = NDArray[np.float64]
 
@@ -42,7 +45,8 @@ class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
     where nothing lasts. time_s: the pace of all. t: of the surest, the root of its drop; drop: of
     -2 log L where each has its likeliest pace. seconds: so much was flown. variances (paces, 6):
-    of the means of half seconds, by ``PACES_S``."""
+    of the means of half seconds, by ``PACES_S``. usual: (6,) spreads of flights in general, below
+    which these flights, or others, did not tell one."""
 
     spread: Array
     time_s: float
@@ -50,20 +54,29 @@ class Slow:
     drop: float
     seconds: float
     variances: Array
+    usual: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(6, np.bool_))
 
     def at(self, time_s: float) -> Slow:
         """The spreads with which a first-order process of this pace has such means."""
         variance = self.variances[PACES_S.index(time_s)]
         return replace(self, time_s=time_s, spread=spread_of(variance, BLOCK_S, time_s))
 
+    def with_trims(self, trims: tuple[float, float, float]) -> Slow:
+        """Moments at least as large as these, rad/s^2."""
+        least = np.concatenate([trims, np.zeros(3)])
+        return replace(self, spread=np.maximum(self.spread, least), usual=self.spread < least)
+
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """With the standard errors of a first-order process that was watched for so long; the pace
-        is known to a step of ``PACES_S``."""
+        """With the standard errors of a first-order process that was watched for so long, none
+        where no flight told the spread; the pace is known to a step of ``PACES_S``."""
         error = math.sqrt(self.time_s / max(2.0 * self.seconds, self.time_s))
+        told = (self.spread > 0.0) & ~self.usual
         found = {
-            one.name: Estimate(spread, error * spread if spread else None, one.unit)
-            for one, spread in zip(WIND.sizes, self.spread.tolist(), strict=True)
+            one.name: Estimate(spread, error * spread if known else None, one.unit)
+            for one, spread, known in zip(
+                WIND.sizes, self.spread.tolist(), told.tolist(), strict=True
+            )
         }
         (pace,) = (one for one in WIND.parameters if one.kind == "shape")
         return {
@@ -87,14 +100,38 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     now = held.judge(base)
     if now.gap < EXCESS:
         return findings
+    refused: tuple[Slow, Refusal] | None = None
+    for slow, settled in _options(base, train, held):
+        why = lasting_refusal(Stage.WEIGHED, slow.asked())
+        if why is None:
+            slow, found = _where_better(settled(), base, held)
+            predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
+            why = lasting_refusal(Stage.FOLLOWED, slow.asked(predicted))
+            if why is None:
+                after = slow_part(held.of(base).errors)
+                return _joined(findings, slow, after, (now.gap, found.gap))
+        refused = refused or (slow, why)
+    return findings if refused is None else _asked(findings, refused[0], 0.0, refused[1])
+
+
+def _options(
+    base: Model, train: Predictions, held: HeldOut
+) -> Iterator[tuple[Slow, Callable[[], Slow]]]:
+    """What lasts in rows, and what to follow where it does: on fitted ones, as these tell; and
+    where that does not do on held-out ones, trims alone, for each flight's is its own."""
+    trims = trim_of(model_vehicle(base))
     fitted = train.of(base)
-    slow = slow_part(fitted.errors)
-    if why := lasting_refusal(Stage.WEIGHED, slow.asked()):
-        return _asked(findings, slow, 0.0, why)
-    slow = best_followed(slow, fitted)
+    learnt = slow_part(fitted.errors)
+    yield learnt, lambda: best_followed(learnt, fitted).with_trims(trims)
+    judged = slow_part(held.of(base).errors)
+    alone = replace(judged, spread=np.zeros(6), time_s=PACES_S[-1])
+    yield judged, lambda: alone.with_trims(trims)
+
+
+def _where_better(slow: Slow, base: Model, held: HeldOut) -> tuple[Slow, Predicted]:
+    """Followed only where that does not predict a channel worse than the given model does."""
     found = held.judge(with_term(base, slow))
     while found.worse and slow.spread.any():
-        # Where following makes it worse it is not followed.
         away = [channel % 3 + (3 if 3 <= channel < 6 else 0) for channel in found.worse]
         rest = slow.spread.copy()
         rest[away] = 0.0
@@ -102,10 +139,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
             rest[:] = 0.0
         slow = replace(slow, spread=rest)
         found = held.judge(with_term(base, slow))
-    predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
-    if why := lasting_refusal(Stage.FOLLOWED, slow.asked(predicted)):
-        return _asked(findings, slow, 0.0, why)
-    return _joined(findings, slow, slow_part(held.of(base).errors), (now.gap, found.gap))
+    return slow, found
 
 
 def has_wind(model: Model) -> bool:

@@ -11,7 +11,7 @@ from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import HeldOut, Predictions
-from groundstation.discrepancy.slow_disturbance import slow_part, with_wind
+from groundstation.discrepancy.slow_disturbance import PACES_S, slow_part, with_wind
 
 PERIOD_S, AHEAD = 0.002, 25
 BLOWN = {
@@ -96,6 +96,40 @@ def test_wind_is_named_with_its_spread_and_held_out_rows_are_predicted_better(se
 def test_in_still_air_there_is_none(searched):
     before, after, _ = searched["still"]
     assert after is before
+
+
+def test_moments_are_held_to_be_no_smaller_than_the_trims_of_flights_in_general():
+    generator = np.random.default_rng(3)
+    missing = generator.normal(0.0, 1.0, (100_000, 6))
+    missing[:, 1] += drifting(200.0, 3.0, 8.0, generator)
+    slow = slow_part([errors(missing)]).at(3.0)
+    least = slow.with_trims((5.0, 4.0, 0.5))
+    assert least.spread.tolist() == [5.0, slow.spread[1], 0.5, 0.0, 0.0, 0.0]
+    told = {name: one.stderr is not None for name, one in least.parameters.items()}
+    assert [name for name, known in told.items() if known] == ["moment_y", "time_s"]
+
+
+@pytest.fixture(scope="module")
+def battery_moved():
+    """Two flights, and one to validate on in which the battery lies 1.5 mm elsewhere: what is
+    found, and the predictions of held-out rows."""
+    runs, _ = flights(9)
+    _, held = flights(9, {"centre_of_gravity_offset": {"x_m": 0.0015, "y_m": 0.0}})
+    train = Predictions(compare(runs, base_model()))
+    judged = HeldOut(compare(held, base_model(), train.before.black_box))
+    return find_effects(runs, base_model(), held, judged=judged), train, judged
+
+
+def test_a_battery_that_only_the_held_out_flight_has_elsewhere_is_followed(battery_moved):
+    before, train, judged = battery_moved
+    after = with_wind(before, train, judged)
+    (found,) = after.effects
+    assert found.name == "wind"
+    assert found.parameters["moment_y"].stderr is None, "no fitted flight tells it"
+    assert found.parameters["time_s"].value == PACES_S[-1]
+    given, improved = judged.judge(before.model), judged.judge(after.model)
+    assert not improved.worse
+    assert improved.gap**2 - 1.0 < 0.2 * (given.gap**2 - 1.0)
 
 
 def test_a_model_that_has_it_already_keeps_it(searched):
