@@ -16,6 +16,7 @@ from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, 
 from groundstation.comparison.refusals import (
     require_channels,
     require_flight,
+    require_predictions,
 )
 from groundstation.comparison.regimes import motion_of
 from groundstation.dynamics.arx import Turning
@@ -69,11 +70,17 @@ class Comparison:
         error = pooled_rms([one.horizons[number] for one in self.errors])
         return error, pooled_rms([one.horizons[number] for one in self.floors])
 
-    def with_model(self, model: Model) -> Comparison:
-        """Another model on the same runs, beside the same floor."""
+    def with_model(self, model: Model, every_s: float = 0.0) -> Comparison:
+        """Another model on the same runs, beside the same floor. every_s: predictions start no more
+        often than that."""
         errors = tuple(
             ahead_errors(
-                one.recorded, model, motion=one.motion, walk=one.walk, turning=self.turning
+                one.recorded,
+                model,
+                motion=one.motion,
+                walk=one.walk,
+                turning=self.turning,
+                every_s=every_s,
             )
             for one in self.errors
         )
@@ -113,6 +120,7 @@ def compare(
         for part, motion in zip(parts, motions, strict=True)
     )
     require_flight(errors)
+    require_predictions(errors)
     configuration = model_vehicle(model).configuration
     prepared = [prepare(one, configuration) for one in errors]
     learnt = black_box if black_box is not None else learn(prepared)

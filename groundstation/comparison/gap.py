@@ -72,12 +72,14 @@ def ahead_errors(
     motion: Motion | None = None,
     walk: Walk | None = None,
     turning: Turning = "body",
+    every_s: float = 0.0,
 ) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
     rows_judged: only these; the rows before tell the state. motion: that of another model on the
     same run, so that the same rows are judged; None: of this one. walk: of the run's angles
-    (``attitude_walk``); None: read off it. turning: what of the model turns the craft.
+    (``attitude_walk``); None: read off it. turning: what of the model turns the craft. every_s:
+    predictions start no more often than that, where rows are faster.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
@@ -88,12 +90,12 @@ def ahead_errors(
         inside = np.zeros(len(run), bool)
         inside[rows_judged] = True
         moved = replace(moved, flown=moved.flown & inside)
-    every, fresh = fresh_rhythm(whole.attitude).stride, fresh_rows(whole.attitude)
+    rhythm, fresh = fresh_rhythm(whole.attitude).stride, fresh_rows(whole.attitude)
     known = np.isfinite(_measured(run)) & moved.flown[:, None]
     known[:, ATTITUDE] &= fresh[:, None]
-    step_rows = np.array([1] * 6 + [every] * 3)
-    horizons = [max(round(horizon / run.period_s), every) for horizon in HORIZONS_S]
-    rows = tuple(np.array([count] * 6 + [count - count % every] * 3) for count in horizons)
+    step_rows = np.array([1] * 6 + [rhythm] * 3)
+    horizons = [max(round(horizon / run.period_s), rhythm) for horizon in HORIZONS_S]
+    rows = tuple(np.array([count] * 6 + [count - count % rhythm] * 3) for count in horizons)
     # The model flies on every input; what was not measured afresh must not look measured.
     shown = np.where(fresh[:, None], run.attitude, np.nan)
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
@@ -101,7 +103,8 @@ def ahead_errors(
     counts = np.unique(np.concatenate([step_rows, *rows]))
     if walk is None:
         walk = walk_of_angles(driven, flown)
-    ahead = predict_observed(driven, observe_walking(model, driven, walk), counts)
+    seen = observe_walking(model, driven, walk)
+    ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
     made = ahead.errors(driven)
@@ -125,6 +128,12 @@ def ahead_errors(
         tuple(errors(one) for one in rows),
         rows,
     )
+
+
+def _stride(every_s: float, period_s: float) -> int:
+    """Odd, so that angles that are new in every second or fourth row are met all the same."""
+    rows = max(int(every_s / period_s), 1)
+    return rows - (rows % 2 == 0)
 
 
 def pooled_rms(errors: Sequence[Array]) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation.comparison.gap import AheadErrors
+from groundstation.comparison.gap import GYRO, AheadErrors
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 
@@ -37,4 +37,15 @@ def require_flight(errors: Sequence[AheadErrors]) -> None:
         raise BadInputError(
             f"{names}: {flown:.1f} s in the air, at least {LEAST_FLIGHT_S:.0f} s are needed;"
             " record a flight"
+        )
+
+
+def require_predictions(errors: Sequence[AheadErrors]) -> None:
+    """Raises BadInputError where a model predicts no number of a rate in any row."""
+    known = sum(np.isfinite(one.step[:, GYRO]).sum(axis=0) for one in errors)
+    if not np.all(known):
+        names = ", ".join(sorted({one.run.name for one in errors}))
+        raise BadInputError(
+            f"{names}: the model predicts no number there: something in it grows without end;"
+            " look at its motor constants and at effects of your own first"
         )

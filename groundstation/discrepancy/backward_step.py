@@ -39,8 +39,10 @@ def drop_needless(search: SearchState) -> bool:
 def drop_disputed(search: SearchState) -> bool:
     """Drop, for good, the effect on whose size channels or recordings disagree most."""
     worst: tuple[float, Accepted, Refusal] | None = None
+    problem, now = search.problem, search.now
+    linear = problem.linear(now.point, now.keys, problem.flights)
     for one in search.accepted:
-        t, parts = by_parts(search.problem, separated(search.problem, search.now, one.variant))
+        t, parts = by_parts(problem, separated(problem, linear, one.variant))
         one.evidence = replace(one.evidence, t=t, parts=parts)
         why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
         errors = max(one.evidence.apart(0), one.evidence.apart(1))

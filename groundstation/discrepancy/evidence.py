@@ -92,8 +92,9 @@ def gather(
     problem: Problem, validation: Sequence[Flight], before: Fit, after: Fit, variant: Variant
 ) -> Evidence:
     """What speaks for a variant: ``before`` and ``after`` it joined."""
-    held, expected, gap, channels = 0.0, 0.0, (1.0, 1.0), touched(problem, after, variant)
-    drop = before.cost - after.cost
+    held, expected, gap, drop = 0.0, 0.0, (1.0, 1.0), before.cost - after.cost
+    linear = problem.linear(after.point, after.keys, problem.flights)
+    channels = touched(problem, linear, variant)
     if validation:
         away, near = (problem.linear(fit.point, (), validation) for fit in (before, after))
         one, own, freedom = problem.cost_of(away)
@@ -104,25 +105,21 @@ def gather(
             float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
             float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
         )
-    effect = separated(problem, after, variant)
+    effect = separated(problem, linear, variant)
     t, parts = by_parts(problem, effect)
     names = tuple(flight.run.name for flight in problem.flights)
     beyond = beyond_unseen(problem, effect)
     return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
 
 
-def touched(problem: Problem, fit: Fit, variant: Variant) -> tuple[int, ...]:
-    """Channels that a variant touches."""
-    linear = problem.linear(fit.point, variant.keys, problem.flights[:1])
-    power = {
-        s.channel: float(
-            (
-                s.weight * (np.abs(s.columns) ** 2).sum(axis=0) / problem.noise[s.channel].at(s.hz)
-            ).sum()
-        )
-        for s in linear.spectra
-        if len(s.columns)
-    }
+def touched(problem: Problem, linear: Linear, variant: Variant) -> tuple[int, ...]:
+    """Channels that a variant touches in the first flight of a joint fit."""
+    places, power = linear.place(variant.keys), {}
+    for s in linear.spectra:
+        own = s.columns[np.isin(s.place, places)]
+        if s.flight == 0 and len(own):
+            scale = s.weight / problem.noise[s.channel].at(s.hz)
+            power[s.channel] = float((scale * np.square(own).sum(axis=0)).sum())
     most = max(power.values(), default=0.0)
     return tuple(sorted(c for c, p in power.items() if p > TOUCHED * most))
 
@@ -141,9 +138,8 @@ class Separated:
     weights: Array
 
 
-def separated(problem: Problem, fit: Fit, variant: Variant) -> Separated:
-    """An effect of the joint fit, apart from the rest of it."""
-    linear = problem.linear(fit.point, fit.keys, problem.flights)
+def separated(problem: Problem, linear: Linear, variant: Variant) -> Separated:
+    """An effect of a joint fit, apart from the rest of it."""
     return Separated(linear, linear.place(variant.sizes), _alone(problem, linear, variant))
 
 

@@ -221,8 +221,8 @@ def _require_usable(model: Model, where: str) -> None:
         if not (math.isfinite(value) and value > 0):
             raise BadInputError(f"{where}: {key} is {value}, must be positive and finite")
     for name, one in motors.items():
-        if not math.isfinite(one.a2):
-            raise BadInputError(f"{where}: {name}.a2 is {one.a2}, must be finite")
+        if not (math.isfinite(one.a2) and one.a2 >= 0.0):
+            raise BadInputError(f"{where}: {name}.a2 is {one.a2}, must be finite, 0 or more")
     if model.motors is not None:
         mean = mean_motor(model.motors)
         for key in ("a0", "a1", "a2"):

@@ -63,8 +63,7 @@ class Flight:
 
     def __post_init__(self) -> None:
         angles = np.zeros_like(self.run.gyro) if self.attitude is None else self.run.attitude
-        turned = np.ascontiguousarray(quaternion_of_attitude(angles).T)
-        object.__setattr__(self, "orientation", turned)
+        object.__setattr__(self, "orientation", quaternion_rows(angles))
         object.__setattr__(self, "upward", rotation_matrix(angles[self.rows])[:, 2])
 
     @property
@@ -74,6 +73,11 @@ class Flight:
     @property
     def rows(self) -> slice:
         return slice(self.first, self.last)
+
+
+def quaternion_rows(attitude: Array) -> Array:
+    """Quaternions (4, n) of angles (n, 3) in rad."""
+    return np.ascontiguousarray(quaternion_of_attitude(attitude).T)
 
 
 def prepare(runs: Sequence[Run], least_s: float = LEAST_AIR_S) -> list[Flight]:

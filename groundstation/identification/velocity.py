@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.airborne import flights_in
-from groundstation.identification.flight import Flight
+from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.runs import Run
 from groundstation.prediction.start_velocity import start_velocity
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -18,11 +18,14 @@ LEAK_S, LEANING_LEAK_S = 16.0, 4.0
 leans towards the accelerometer, as on-board estimates do, or is carried by the gyro instead."""
 
 
-def velocity_in(flight: Flight, attitude: Array, force: Array, leak_s: float) -> Array:
+def velocity_in(
+    flight: Flight, attitude: Array, orientation: Array, force: Array, leak_s: float
+) -> Array:
     """Velocity (n, 3) m/s in a flight: from rest where it began on the ground, or else with what
-    its first seconds tell."""
+    its first seconds tell. orientation: (4, n), the quaternions of ``attitude`` (n, 3)."""
     moving = slice(0) if flight.rests[0] else flight.rows
-    return _velocity(attitude, force, flight.period_s, leak_s, flight.whole.start, moving)
+    start = start_velocity(attitude[moving], force[moving], flight.period_s)
+    return _velocity(orientation, force, flight.period_s, leak_s, flight.whole.start, start)
 
 
 def velocity_of(run: Run, leak_s: float = LEANING_LEAK_S) -> Array:
@@ -32,23 +35,22 @@ def velocity_of(run: Run, leak_s: float = LEANING_LEAK_S) -> Array:
         return np.zeros((len(run), 3))
     flights = flights_in(run)
     moving = slice(flights[0].stop if flights and flights[0].start == 0 else 0)
-    return _velocity(attitude, force, run.period_s, leak_s, 0, moving)
+    start = start_velocity(attitude[moving], force[moving], run.period_s)
+    return _velocity(quaternion_rows(attitude), force, run.period_s, leak_s, 0, start)
 
 
 def _velocity(
-    attitude: Array, force: Array, period_s: float, leak_s: float, first: int, moving: slice
+    orientation: Array, force: Array, period_s: float, leak_s: float, first: int, start: Array
 ) -> Array:
-    """Velocity (n, 3) in m/s, forward, left, up, from attitude (n, 3) and specific force (n, 3).
+    """Velocity (n, 3) in m/s, forward, left, up, from quaternions (4, n) and specific force (n, 3).
 
-    At each row what the rows before tell, from row ``first`` on. moving: the rows of the flight
-    where it is in motion there (``prediction/start_velocity.py``), none: it is at rest. Steady
-    speed, and what an offset of the sensors would add, are forgotten (two leaks of time constant
-    ``leak_s``).
+    At each row what the rows before tell, from row ``first`` on. start: inertial velocity (3,)
+    there (``prediction/start_velocity.py``). Steady speed, and what an offset of the sensors would
+    add, are forgotten (two leaks of time constant ``leak_s``).
     """
     from groundstation.identification.likelihood.kernels import body_velocity
 
-    start = start_velocity(attitude[moving], force[moving], period_s)
-    attitude, force = (np.ascontiguousarray(one, np.float64) for one in (attitude, force))
-    velocity = np.zeros_like(attitude)
-    body_velocity(attitude, force, STANDARD_GRAVITY, period_s, leak_s, first, start, velocity)
+    force = np.ascontiguousarray(force, np.float64)
+    velocity = np.zeros_like(force)
+    body_velocity(orientation, force, STANDARD_GRAVITY, period_s, leak_s, first, start, velocity)
     return velocity

@@ -109,19 +109,18 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
             np.full(3, noise.speed**2),
         ]
     )
-    p = np.eye(len(a)) * 1e-4
+    p, driven_by = np.eye(len(a)) * 1e-4, np.diag(process)
     stale = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
-    gains = {}
+    measured = [(rows, c[rows], np.diag(sensors[rows])) for rows in (stale, np.arange(ERRORS))]
+    gains = [np.zeros((len(a), ERRORS)) for _ in measured]
     for k in range(ROUNDS):
-        rows = np.arange(ERRORS) if k % 2 else stale
-        p = observed @ p @ observed.T + np.diag(process)
-        seen = c[rows]
-        gain = np.linalg.solve(seen @ p @ seen.T + np.diag(sensors[rows]), seen @ p).T
-        p = p - gain @ seen @ p
+        rows, seen, noisy = measured[k % 2]
+        p = observed @ p @ observed.T + driven_by
+        cross = seen @ p
+        gain = np.linalg.solve(cross @ seen.T + noisy, cross).T
+        p = p - gain @ cross
         p = 0.5 * (p + p.T)
-        full = np.zeros((len(a), ERRORS))
-        full[:, rows] = gain
-        gains[k % 2] = full
+        gains[k % 2][:, rows] = gain
     shown = sensors.copy()
     shown[6:9] = noise.attitude**2
     process[9:ERRORS] = (period_s * noise.force) ** 2

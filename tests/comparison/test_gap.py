@@ -24,6 +24,16 @@ def test_attitude_that_is_sent_twice_is_judged_in_every_second_row():
         assert not np.isfinite(horizon[~fresh, ATTITUDE]).any()
 
 
+def test_predictions_that_start_less_often_are_the_same_and_meet_fresh_angles():
+    (run,) = flights(1)
+    every, some = ahead_errors(run, BASE), ahead_errors(run, BASE, every_s=0.006)
+    for one, other in zip(every.horizons, some.horizons, strict=True):
+        judged = np.isfinite(other)
+        share = judged.sum(axis=0) / np.isfinite(one).sum(axis=0)
+        assert share == pytest.approx(np.full(9, 1 / 3), rel=0.01)
+        np.testing.assert_array_equal(other[judged], one[judged])
+
+
 def test_a_row_that_was_lost_is_neither_judged_nor_a_start():
     (run,) = flights(1, loss=0.02)
     lost = np.flatnonzero(~np.isfinite(run.gyro[:, 0]))

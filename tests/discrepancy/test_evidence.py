@@ -81,10 +81,14 @@ def every_fifth(run):
     return replace(run, period_s=0.01, **{name: getattr(run, name)[::5] for name in columns})
 
 
+def joint(problem, fit):
+    return problem.linear(fit.point, fit.keys, problem.flights)
+
+
 def test_rows_that_show_one_setting_of_five_leave_a_delay_open_and_tell_a_damping(problem):
     keys = ("c0", "c1", "c2", "thrust_per_mass", *DAMPING.keys)
     after = problem.fit(problem.start, keys)
-    shown = separated(problem, after, DAMPING)
+    shown = separated(problem, joint(problem, after), DAMPING)
     assert beyond_unseen(problem, shown) == np.inf  # they are all there
     slow = Problem(
         prepare([every_fifth(flown(20.0, seed, "rate_damping")[0]) for seed in (1, 2)]),
@@ -98,4 +102,4 @@ def test_rows_that_show_one_setting_of_five_leave_a_delay_open_and_tell_a_dampin
     assert found.beyond > 0.5 * found.drop
     late = {**slow.start, **dict.fromkeys(DELAY.keys, 0.004)}
     delayed = slow.fit(late, (*keys[:4], *DELAY.keys), steps=0)
-    assert beyond_unseen(slow, separated(slow, delayed, DELAY)) < 20.0
+    assert beyond_unseen(slow, separated(slow, joint(slow, delayed), DELAY)) < 20.0

@@ -77,6 +77,7 @@ WEIGHTLESS = {**msgspec.to_builtins(load_vehicle("crazyflie1")), "mass_kg": 0.0}
         ({"schema_version": 7}, "schema_version 7"),
         ({"motor": {"a0": 1.0, "a1": 2.0}}, r"a2.*\$\.motor"),
         ({"motor": {"a0": -1.0, "a1": 2.0, "a2": 0.0}}, "motor.a0 is -1.0"),
+        ({"motor": {"a0": 1.0, "a1": 2.0, "a2": -1e-4}}, "motor.a2 is -0.0001"),
         ({"wind": 3}, "wind"),
         ({"vehicle_profile": WEIGHTLESS}, "vehicle_profile: mass_kg is 0.0, must be positive"),
         ({"body": None, "arx": None}, "nothing to simulate"),

@@ -122,11 +122,11 @@ def test_a_payload_is_named_with_its_mass_and_no_other_name_is_new(carrying, mod
 
 
 @pytest.mark.parametrize("model", ["body", "named"])
-def test_what_swings_below_the_craft_is_left_below_two_hertz(carrying, model):
+def test_what_swings_below_the_craft_is_named_or_left_below_two_hertz(carrying, model):
     report = carrying[f"load_{model}"]
     assert report["residual"] == "structured"
     worst = [one for one in report["left"] if one["channel"] in ("gyro_x", "gyro_y")]
-    assert worst
-    assert all(one["band_hz"][1] <= 2.0 for one in worst)
+    named = any(one["name"] == "slung_load" for one in report["effects"])
+    assert named or (worst and all(one["band_hz"][1] <= 2.0 for one in worst))
     for channel in report["gap"]["channels"].values():
         assert channel["after"] < 1.02 * channel["before"]

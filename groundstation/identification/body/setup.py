@@ -301,7 +301,7 @@ def _slow_moments(flights: Sequence[Flight]) -> dict[str, list[Columns]]:
             level = np.cos(run.attitude[:, 0]) * np.cos(run.attitude[:, 1])
             force = np.zeros_like(run.gyro)
             force[:, 2] = STANDARD_GRAVITY / np.maximum(level, 0.1)
-        velocity = velocity_in(flight, run.attitude, force, LEAK_S)
+        velocity = velocity_in(flight, run.attitude, flight.orientation, force, LEAK_S)
         columns = velocity[flight.rows, :2] * [-1.0, 1.0]
         for axis, key in enumerate(SLOW_MOMENTS):
             column = flight.gaps.spread(columns[:, 1 - axis : 2 - axis])[:, 0]

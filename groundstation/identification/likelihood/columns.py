@@ -6,7 +6,6 @@ The result of every column is d model / d key, on the channels that it reaches.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -170,9 +169,9 @@ def _sensor_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: 
             found = more if found is None or more is None else found + more
         if found is not None:
             at.put(part, out, at.as_read(part, found), step)
-    if felt is not at.felt or not sensors.alike(at.sensors):
-        ends = ((sensors, felt), (at.sensors, at.felt))
-        _put_turning(at, out, ((one, at.lean, by.off) for one, by in ends), step)
+    if at.rows_of_attitude is not None and (felt is not at.felt or not sensors.alike(at.sensors)):
+        turned = at.turning(sensors, at.lean, felt.off)
+        at.put_attitude(out, (turned - at.turned) / step, step)
 
 
 def _shown_otherwise(at: Evaluation, high: Moved, low: Moved, step: float) -> list[Array | None]:
@@ -207,14 +206,7 @@ def _moved_by(at: Evaluation, sensors: Sensors, felt: Felt) -> tuple[Bodies, Bod
 
 
 def _attitude_column(at: Evaluation, out: Columns, high: Moved, low: Moved, step: float) -> None:
-    gains = (attitude_gain(at.effects("attitude", moved)) for moved in (high, low))
-    _put_turning(at, out, ((at.sensors, gain, at.felt.off) for gain in gains), step)
-
-
-def _put_turning(
-    at: Evaluation, out: Columns, ends: Iterable[tuple[Sensors, float, Array | None]], step: float
-) -> None:
-    """Store how differently the reported angles turn at two ends (``Evaluation.turning``)."""
     if at.rows_of_attitude is not None:
-        above, below = (at.turning(*end) for end in ends)
+        gains = (attitude_gain(at.effects("attitude", moved)) for moved in (high, low))
+        above, below = (at.turning(at.sensors, gain, at.felt.off) for gain in gains)
         at.put_attitude(out, (above - below) / step, step)

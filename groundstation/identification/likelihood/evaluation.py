@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -195,6 +196,11 @@ class Evaluation:
         moving = Moving(self.motion.at_rows(row), self.period, first, self.within)
         given = Passing(row.rate, middle.angular, row.force)
         return moving, self.sensors.shown(given, moving)
+
+    @cached_property
+    def turned(self) -> Array:
+        """``turning`` as the point has it."""
+        return self.turning(self.sensors, self.lean, self.felt.off)
 
     def turning(self, sensors: Sensors, lean: float, off: Array | None) -> Array:
         """Euler rates (m, 3) with which the reported angles should turn, on their fresh rows.

@@ -16,7 +16,7 @@ from groundstation.dynamics.chains import call_law
 from groundstation.dynamics.compiled import kernel, spliced
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.law import STATE_SLOTS
-from groundstation.dynamics.quaternion import of_angles, to_body, to_inertial
+from groundstation.dynamics.quaternion import to_body, to_inertial
 
 
 @spliced
@@ -113,7 +113,7 @@ def predict_rates(
 
 @kernel
 def body_velocity(
-    attitude: Any,
+    orientation: Any,
     force: Any,
     gravity: float,
     period: float,
@@ -122,7 +122,7 @@ def body_velocity(
     start: Any,
     out: Any,
 ) -> None:
-    """Body velocity (n, 3) at each row from attitude (n, 3) and specific force (n, 3) before it.
+    """Body velocity (n, 3) at each row from quaternions (4, n) and specific force (n, 3) before it.
 
     start: (3,) inertial velocity up to row ``first``.
 
@@ -134,8 +134,8 @@ def body_velocity(
     mx, my, mz = 0.0, 0.0, 0.0
     keep = math.exp(-period / leak_s)
     ax, ay, az = 0.0, 0.0, 0.0
-    for k in range(attitude.shape[0]):
-        q = of_angles((attitude[k, 0], attitude[k, 1], attitude[k, 2]))
+    for k in range(force.shape[0]):
+        q = (orientation[0, k], orientation[1, k], orientation[2, k], orientation[3, k])
         if k > first:
             # The acceleration of the row before acted up to this row.
             vx = keep * (vx + period * ax)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
-from groundstation.dynamics.rotations import quaternion_of_attitude
-from groundstation.identification.flight import Flight
+from groundstation.identification.flight import Flight, quaternion_rows
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.rotors import Rotors
 from groundstation.identification.velocity import LEAK_S, LEANING_LEAK_S, velocity_in
@@ -81,26 +80,29 @@ class Motion:
         self.flight, self.period = flight, run.period_s
         self._rates, self.news = np.zeros((count, 3)), np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))
-        attitude = run.attitude if true is None else true
+        attitude, orientation = run.attitude, flight.orientation
+        if true is not None:
+            attitude, orientation = true, quaternion_rows(true)
         if flight.up is not None:
-            self.velocity = self._velocity(force @ turn, attitude, leaning) @ turn.T
+            sensed = self._velocity(force @ turn, attitude, orientation, leaning)
+            self.velocity = sensed @ turn.T
         height = np.where(np.isfinite(flight.height_m), flight.height_m, FAR_M)
         rows: Any = (
             np.minimum(height, FAR_M),
-            tuple(flight.orientation) if true is None else _rows(quaternion_of_attitude(true)),
+            tuple(orientation),
             _rows(self.velocity),
             *(STILL, _FOUR, _FOUR, 0.0, STILL, STILL),
         )
         self._still: BodyRows = Body(*rows)
 
-    def _velocity(self, sensed: Array, attitude: Array, leaning: bool) -> Array:
+    def _velocity(self, sensed: Array, attitude: Array, orientation: Array, leaning: bool) -> Array:
         # A lean turns the attitude until no acceleration is felt, and a filter that takes every
         # second row of the gyro folds vibration into it: over seconds the gyro knows better.
         flight = self.flight
         if leaning and flight.carried is not None:
-            attitude = flight.carried
+            attitude, orientation = flight.carried, quaternion_rows(flight.carried)
         leak = LEANING_LEAK_S if leaning else LEAK_S
-        return velocity_in(flight, attitude, sensed, leak)
+        return velocity_in(flight, attitude, orientation, sensed, leak)
 
     def follow(self, gyro: Array) -> None:
         """Take the last row's rate for the next one's."""

@@ -19,6 +19,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.estimate import Estimates, fit_percent, inverse, rms, sandwich
 from groundstation.identification.motor.problem import EFFECTS, SHARED, MotorProblem, MotorRun
 from groundstation.identification.motor.rotor_problem import (
+    MOST_S,
     OWN,
     PRIOR_S,
     SETTLE_S,
@@ -137,7 +138,7 @@ def _outcome(problem: RotorProblem, theta: Array, normal: Array) -> RotorFit:
     alone[:, 0], own[:, 0, 0] = held.rotors, share_of_one * held.noise**2
     for i, place in enumerate(places):
         alone[i, 1:], own[i, 1:, 1:] = theta[place], covariance[np.ix_(place, place)]
-    drawn, drawn_covariance, spread = _towards_mean(alone, own)
+    drawn, drawn_covariance, spread = towards_mean(alone, own)
     shared = theta.copy()
     for row, place in zip(drawn, places, strict=True):
         shared[place] = row[1:]
@@ -179,10 +180,13 @@ def _covariance(problem: RotorProblem, theta: Array, normal: Array) -> Array:
     return formal
 
 
-def _towards_mean(values: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Estimates (r, 3) drawn towards their mean by what is known of each, (r, 3, 3).
+def towards_mean(values: Array, covariance: Array) -> tuple[Array, Array, Array]:
+    """Estimates (r, 3) of ln U, ln T, s drawn towards their mean by what is known of each,
+    (r, 3, 3).
 
-    Returns them, their covariance, and the spread (3,) between rotors (method of moments).
+    Returns them, their covariance, and the spread (3,) between rotors (method of moments). s stays
+    within its bounds, which a mean weighted by matrices may leave: the others then are what is
+    expected of them beside it.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     weight = 1.0 / variance
@@ -199,6 +203,8 @@ def _towards_mean(values: Array, covariance: Array) -> tuple[Array, Array, Array
         drawn[i] = mean + between @ p @ (values[i] - mean)
         away = own @ p
         left[i] = between @ p @ own + away @ of_mean @ away.T
+        beyond = np.clip(drawn[i, 2], 0.0, MOST_S) - drawn[i, 2]
+        drawn[i] += left[i, :, 2] / left[i, 2, 2] * beyond
     return drawn, left, np.sqrt(np.diag(between))
 
 

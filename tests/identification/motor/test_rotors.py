@@ -16,7 +16,7 @@ from groundstation.dynamics.vehicle import BUILT_IN, MotorConstants, mean_motor
 from groundstation.errors import BadInputError
 from groundstation.identification.motor.flown import rotor_runs
 from groundstation.identification.motor.rotor_problem import constants_of, shape_of
-from groundstation.identification.motor.rotors import fit_rotors
+from groundstation.identification.motor.rotors import fit_rotors, towards_mean
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import Run
 
@@ -95,6 +95,19 @@ def test_what_does_not_differ_is_shared(flights):
     same = fit_rotors(rotor_runs(alike)[0], VEHICLE.motor)
     assert np.ptp(same.shape[:, 0]) < 3 * same.stderr[:, 0].max()
     assert np.ptp(same.shape[:, 0]) < 0.01
+
+
+def test_a_mean_of_rotors_has_no_negative_share_of_quadratic_load():
+    """Where T and s go together and one rotor knows them far better, the mean lies beyond both."""
+    values = np.array([[7.8, -2.39, 0.01], [7.8, -2.4, 0.0], [7.8, -2.39, 0.0], [7.8, -2.4, 0.0]])
+    tied = np.diag([1e-4, 1e-4, 1e-3])
+    tied[1, 2] = tied[2, 1] = 0.99 * np.sqrt(tied[1, 1] * tied[2, 2])
+    loose = np.diag([1e-4, 1e-5, 1e-3])
+    drawn, left, _ = towards_mean(values, np.array([tied, loose, tied, loose]))
+    assert drawn[:, 2] == pytest.approx(0.0, abs=1e-12)
+    assert (drawn[:, 2] >= 0.0).all()
+    assert all(constants_of(row, SPEED).a2 >= 0.0 for row in drawn)
+    assert (np.linalg.eigvalsh(left) > 0.0).all()
 
 
 def test_the_model_file_has_four_motors_and_the_account_their_spread(flights, tmp_path):
