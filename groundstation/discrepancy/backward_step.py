@@ -38,6 +38,16 @@ def drop_needless(search: SearchState) -> bool:
 
 def drop_disputed(search: SearchState) -> bool:
     """Drop, for good, the effect on whose size channels or recordings disagree most."""
+    if (found := _disputed(search)) is None:
+        return False
+    one, why = found
+    search.banned.add(one.variant.label)
+    search.drop(one, why)
+    return True
+
+
+def _disputed(search: SearchState) -> tuple[Accepted, Refusal] | None:
+    """The effect on whose size parts disagree most, where that is too much, and why."""
     worst: tuple[float, Accepted, Refusal] | None = None
     problem, now = search.problem, search.now
     linear = problem.linear(now.point, now.keys, problem.flights)
@@ -48,12 +58,7 @@ def drop_disputed(search: SearchState) -> bool:
         errors = max(one.evidence.apart(0), one.evidence.apart(1))
         if why is not None and (worst is None or errors > worst[0]):
             worst = errors, one, why
-    if worst is None:
-        return False
-    _, one, why = worst
-    search.banned.add(one.variant.label)
-    search.drop(one, why)
-    return True
+    return None if worst is None else worst[1:]
 
 
 def drop_drowned(search: SearchState) -> Leftover:
