@@ -16,7 +16,7 @@ from typing import Any
 
 from bench.real import acceptance, lean, nanobench, program, shaking, slow, swing
 from bench.real.reference import Flight, explained, read_flight, reference_gain
-from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split
+from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split, drawn
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
@@ -35,6 +35,14 @@ def main() -> int:
     )
     parser.add_argument("--only", help="one set: brushless, brushed, nanobench or payload")
     parser.add_argument("--results", type=Path, default=Path("build/bench-real"))
+    parser.add_argument(
+        "--draw",
+        type=int,
+        default=0,
+        metavar="N",
+        help="N splits of each set, drawn from all of its flights, instead of the bench's own",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of what is drawn")
     chosen = parser.parse_args()
     parts = chosen.parts or list(PARTS)
     known = (*PARTS, ACCEPT)
@@ -42,6 +50,8 @@ def main() -> int:
         parser.error(f"{', '.join(wrong)} not known; there are {', '.join(known)}")
     chosen.results.mkdir(parents=True, exist_ok=True)
     bench = Bench(chosen.data.absolute(), chosen.results, chosen.only)
+    if chosen.draw:
+        bench.sets = [drawn(one, bench.data, chosen.seed, chosen.draw) for one in bench.sets]
     for part in parts:
         for line in getattr(bench, part)():
             print(line, flush=True)
@@ -119,9 +129,8 @@ class Bench:
         yield "|---|---|---|---|---|---|---|"
         for flights, split in self._splits():
             case = self.fitted(flights, split)
-            if "refused" in case:
-                continue
-            yield _finding(f"{flights.name} {split.name}", self.searched(flights, split))
+            found = case if "refused" in case else self.searched(flights, split)
+            yield _finding(f"{flights.name} {split.name}", found)
         yield from self._payload()
 
     def tasks(self) -> Iterator[str]:

@@ -1,8 +1,10 @@
-"""Which flights are fitted and which are held out; no two splits of a set share a fitted flight."""
+"""Which flights are fitted and which are held out; no two splits of a set share a fitted flight,
+unless they are drawn."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import random
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -24,6 +26,24 @@ class FlightSet:
     vehicle: str
     measured: bool
     splits: tuple[Split, ...]
+
+
+def drawn(flights: FlightSet, data: Path, seed: int, count: int) -> FlightSet:
+    """The set with ``count`` splits drawn from all flights in its folder: one to three to fit, one
+    or two to hold out."""
+    names = sorted(
+        path.name
+        for path in (data / flights.folder).iterdir()
+        if path.suffix in ("", ".csv") and path.name != "LICENSE"
+    )
+    generator, splits = random.Random(f"{flights.name} {seed}"), []
+    for _ in range(count):
+        generator.shuffle(names)
+        fit, held = generator.choice((1, 2, 2, 3)), generator.choice((1, 1, 2))
+        fitted, rest = sorted(names[:fit]), sorted(names[fit : fit + held])
+        label = " to ".join("+".join(Path(one).stem for one in part) for part in (fitted, rest))
+        splits.append(Split(label, tuple(fitted), tuple(rest)))
+    return replace(flights, splits=tuple(splits))
 
 
 SETS = (
