@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from groundstation.comparison.channels import CHANNELS
-from groundstation.discrepancy.evidence import Evidence
+from groundstation.discrepancy.evidence import HELD_OUT_SHARE, Evidence
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
 from groundstation.dynamics.effect import Effect
@@ -35,10 +35,9 @@ LEAST_T = 4.5
 """Standard errors, from scores by blocks: about one false alarm in 100 000 trials."""
 LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
 """The same as a drop of -2 log L for one parameter, and the quantile's growth with each more."""
-LEAST_HELD_OUT, HELD_OUT_SHARE = 3.0, 0.2
+LEAST_HELD_OUT = 3.0
 """Drop of -2 log L on held-out rows: more than chance gives (95 % of chi-squared with one degree
-of freedom is 3.8, for a size that is not fitted to them half of it), and a fifth of the promise,
-for a held-out flight may excite less."""
+of freedom is 3.8, for a size that is not fitted to them half of it)."""
 BEYOND_SHARE = 0.5
 """Where rows do not show every setting of the motors: most of what an effect explains has to be
 more than the others can do."""

@@ -1,18 +1,22 @@
 """What speaks for an effect."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
 from groundstation.discrepancy.evidence import (
+    HELD_OUT_SHARE,
+    beside_own_constants,
     beyond_unseen,
     gather,
     power_beyond,
     separated,
 )
 from groundstation.identification.flight import prepare
+from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.spectra import Noise, Spectrum
@@ -53,6 +57,29 @@ def spectrum():
     return Spectrum(
         0, 0, hz, np.full(1000, 2.0), np.zeros(1000), generator.normal(size=(1, 1000)), np.zeros(1)
     )
+
+
+def test_an_effect_foretells_rows_of_a_flight_whose_own_constants_are_others(spectrum):
+    """What is left of them is mostly a constant that is off, and the effect's column goes with the
+    constant's: alone it explains nothing, beside the flight's own constant all that it promises."""
+    generator = np.random.default_rng(4)
+    noise, torque, other = (generator.normal(size=1000) for _ in range(3))
+    effect = 0.6 * torque + 0.8 * other
+    left = noise - 0.9 * torque
+    after, before = (
+        replace(spectrum, residual=rows, columns=torque[None], place=np.zeros(1, np.int64))
+        for rows in (left, left + effect)
+    )
+    asked = SimpleNamespace(noise={0: Noise(np.array([1.0]), np.array([1.0]))})
+    weight = spectrum.weight
+    alone = float(weight @ before.residual**2 - weight @ after.residual**2)
+    assert alone < HELD_OUT_SHARE * float(weight @ effect**2)
+    away, near = (Linear({}, ("c2",), [one], []) for one in (before, after))
+    held, expected = beside_own_constants(asked, away, near)
+    assert expected == pytest.approx(0.64 * float(weight.sum()), rel=0.1)
+    assert held == pytest.approx(expected, rel=0.1)
+    no_effect = Linear({}, ("c2",), [replace(after, residual=left - effect)], [])
+    assert beside_own_constants(asked, near, no_effect)[0] < 0.0
 
 
 def test_a_late_answer_to_the_motors_is_not_beyond_what_settings_between_rows_can_do(spectrum):
