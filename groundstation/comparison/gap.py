@@ -131,8 +131,9 @@ def ahead_errors(
 
 
 def _stride(every_s: float, period_s: float) -> int:
-    """Odd, so that angles that are new in every second or fourth row are met all the same."""
-    rows = max(int(every_s / period_s), 1)
+    """Odd, so that angles that are new in every second or fourth row are met all the same; as
+    many at 499.9 rows a second as at 500."""
+    rows = max(round(every_s / period_s), 1)
     return rows - (rows % 2 == 0)
 
 

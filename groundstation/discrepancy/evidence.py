@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,7 +105,7 @@ def gather(
         held, expected = one - other, problem.apart(away, near)
         if held < HELD_OUT_SHARE * expected:
             free = problem.linear(after.point, BODY_KEYS, validation)
-            held, expected = beside_own_constants(problem, away, free)
+            held, expected = beside_own_constants(away, free, problem.noise)
         count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
         gap = (
             float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
@@ -118,7 +118,9 @@ def gather(
     return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
 
 
-def beside_own_constants(problem: Problem, away: Linear, near: Linear) -> tuple[float, float]:
+def beside_own_constants(
+    away: Linear, near: Linear, noises: Mapping[int, Noise]
+) -> tuple[float, float]:
     """What -2 log L of the same flights falls by from one point to another, and by how much it
     would where the other is the truth, whatever these flights' own c0..c2 and thrust are.
 
@@ -129,7 +131,7 @@ def beside_own_constants(problem: Problem, away: Linear, near: Linear) -> tuple[
 
     def least(residuals: Iterable[Array]) -> float:
         spectra = [replace(s, residual=one) for s, one in zip(near.spectra, residuals, strict=True)]
-        found = quadratic(spectra, problem.noise, (), len(near.keys))
+        found = quadratic(spectra, noises, (), len(near.keys))
         return found.value - float(found.gradient @ inverse(found.normal) @ found.gradient)
 
     before, after = ([s.residual for s in one.spectra] for one in (away, near))

@@ -1,7 +1,6 @@
 """What speaks for an effect."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,16 +69,16 @@ def test_an_effect_foretells_rows_of_a_flight_whose_own_constants_are_others(spe
         replace(spectrum, residual=rows, columns=torque[None], place=np.zeros(1, np.int64))
         for rows in (left, left + effect)
     )
-    asked = SimpleNamespace(noise={0: Noise(np.array([1.0]), np.array([1.0]))})
+    noises = {0: Noise(np.array([1.0]), np.array([1.0]))}
     weight = spectrum.weight
     alone = float(weight @ before.residual**2 - weight @ after.residual**2)
     assert alone < HELD_OUT_SHARE * float(weight @ effect**2)
     away, near = (Linear({}, ("c2",), [one], []) for one in (before, after))
-    held, expected = beside_own_constants(asked, away, near)
+    held, expected = beside_own_constants(away, near, noises)
     assert expected == pytest.approx(0.64 * float(weight.sum()), rel=0.1)
     assert held == pytest.approx(expected, rel=0.1)
     no_effect = Linear({}, ("c2",), [replace(after, residual=left - effect)], [])
-    assert beside_own_constants(asked, near, no_effect)[0] < 0.0
+    assert beside_own_constants(near, no_effect, noises)[0] < 0.0
 
 
 def test_a_late_answer_to_the_motors_is_not_beyond_what_settings_between_rows_can_do(spectrum):
