@@ -138,10 +138,12 @@ def _stride(every_s: float, period_s: float) -> int:
 
 
 def pooled_rms(errors: Sequence[Array]) -> Array:
-    """RMS (9,) over runs and horizons (n, 9); NaN for a channel without a value."""
+    """RMS (9,) over runs and horizons (n, 9); NaN for a channel without a value, infinite for one
+    of which predictions grow without end."""
     squares, counts = np.zeros(9), np.zeros(9)
     for error in errors:
-        squares += np.nansum(np.square(error), axis=0)
+        with np.errstate(over="ignore"):
+            squares += np.nansum(np.square(error), axis=0)
         counts += np.isfinite(error).sum(axis=0)
     return np.sqrt(np.divide(squares, counts, out=np.full(9, np.nan), where=counts > 0))
 
@@ -149,7 +151,7 @@ def pooled_rms(errors: Sequence[Array]) -> Array:
 def overall(rms: Array, floor: Array) -> float:
     """One number for all channels: root mean square of error over noise floor, (channels,)."""
     ratio = np.divide(rms, floor, out=np.full(len(rms), np.nan), where=floor > 0)
-    known = np.isfinite(ratio)
+    known = ~np.isnan(ratio)
     return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any() else float("nan")
 
 

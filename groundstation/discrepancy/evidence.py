@@ -92,14 +92,22 @@ class Evidence:
 
 
 def gather(
-    problem: Problem, validation: Sequence[Flight], before: Fit, after: Fit, variant: Variant
+    problem: Problem,
+    validation: Sequence[Flight],
+    before: Fit,
+    after: Fit,
+    variant: Variant,
+    away: Linear | None = None,
 ) -> Evidence:
-    """What speaks for a variant: ``before`` and ``after`` it joined."""
+    """What speaks for a variant: ``before`` and ``after`` it joined. away: held-out rows as the fit
+    before leaves them, where they have been evaluated."""
     held, expected, gap, drop = 0.0, 0.0, (1.0, 1.0), before.cost - after.cost
     linear = problem.linear(after.point, after.keys, problem.flights)
     channels = touched(problem, linear, variant)
     if validation:
-        away, near = (problem.linear(fit.point, (), validation) for fit in (before, after))
+        if away is None:
+            away = problem.linear(before.point, (), validation)
+        near = problem.linear(after.point, (), validation)
         one, own, freedom = problem.cost_of(away)
         other, better, _ = problem.cost_of(near)
         held, expected = one - other, problem.apart(away, near)

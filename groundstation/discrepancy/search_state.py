@@ -11,6 +11,7 @@ from groundstation.discrepancy.evidence import Evidence, gather
 from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.identification.flight import Flight
+from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
 
@@ -71,6 +72,8 @@ class SearchState:
         """Fitted along, not named: too small to be believed, but left out they bend the others."""
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
+        self._away: tuple[Fit, Linear] | None = None
+        """Held-out rows as a fit leaves them beside which several candidates are weighed."""
         self.first: Screening
         self.scores: list[Scored]
         self.last: Screening
@@ -130,7 +133,9 @@ class SearchState:
 
     def weighed(self, before: Fit, after: Fit, variant: Variant) -> Evidence:
         """What speaks for a variant: ``before`` and ``after`` it joined."""
-        return gather(self.problem, self.validation, before, after, variant)
+        if self._away is None or self._away[0] is not before:
+            self._away = before, self.problem.linear(before.point, (), self.validation)
+        return gather(self.problem, self.validation, before, after, variant, self._away[1])
 
     def point_with(self, accepted: Sequence[Accepted]) -> Point:
         """The final constants, with only some of the effects."""

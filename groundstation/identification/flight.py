@@ -40,8 +40,9 @@ class Flight:
     mean over ``whole`` of the vertical in sensor axes (3,) and of the specific force along it,
     None without accelerometer or attitude. carried: (n, 3) attitude that owes little to the
     accelerometer, None without attitude. force_between: rows of the accelerometer are means of
-    readings half a row before and half a row after. orientation: (4, n) quaternions of the reported
-    attitude, and upward: (last - first, 3) the vertical in sensor axes; level without attitude.
+    readings half a row before and half a row after. orientation, carried_orientation: (4, n)
+    quaternions of the reported attitude and of ``carried`` (or else of the reported one), and
+    upward: (last - first, 3) the vertical in sensor axes; level without attitude.
     """
 
     run: Run
@@ -59,11 +60,15 @@ class Flight:
     carried: Array | None
     force_between: bool
     orientation: Array = field(init=False)
+    carried_orientation: Array = field(init=False)
     upward: Array = field(init=False)
 
     def __post_init__(self) -> None:
         angles = np.zeros_like(self.run.gyro) if self.attitude is None else self.run.attitude
-        object.__setattr__(self, "orientation", quaternion_rows(angles))
+        reported = quaternion_rows(angles)
+        carried = reported if self.carried is None else quaternion_rows(self.carried)
+        object.__setattr__(self, "orientation", reported)
+        object.__setattr__(self, "carried_orientation", carried)
         object.__setattr__(self, "upward", rotation_matrix(angles[self.rows])[:, 2])
 
     @property

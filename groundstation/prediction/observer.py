@@ -1,9 +1,9 @@
 """The gains with which the observer corrects a model by measurements.
 
-A Kalman filter whose covariance has settled: the model, with its effects, is linearised about
-hover by differences, and the Riccati equation iterated to its end. Errors are those of attitude
-(rotation in the body), rates, what the gyro's last filter makes of them and velocity in the body:
-12 numbers; behind them those of states that noise drives, and of filters before the last.
+A Kalman filter whose covariance has settled (``riccati.py``), with a new attitude in every second
+row: the model, with its effects, is linearised about hover by differences. Errors are those of
+attitude (rotation in the body), rates, what the gyro's last filter makes of them and velocity in
+the body: 12 numbers; behind them those of states that noise drives, and of filters before the last.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from groundstation.dynamics.sensors import resting_sensors, sensors_of_model
 from groundstation.dynamics.simulation import with_states
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, STATES
 from groundstation.errors import BadInputError
+from groundstation.prediction.riccati import Row, settled
 
 Array = NDArray[np.float64]
 
 ERRORS = 12
-ROUNDS = 1500
-"""Rows over which the covariance settles: 3 s at 500 Hz."""
 NUDGE = 1e-4
 LEAST = 1e-13
 """Variance per row of what nothing but the model moves; without any its covariance is singular."""
@@ -78,7 +77,7 @@ class Gains:
 
 
 @lru_cache(maxsize=64)
-def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
+def _gains(key: bytes, period_s: float, noise: Noise) -> Gains:
     from groundstation.dynamics.craft import CRAFT
     from groundstation.dynamics.sensors import SENSORS
 
@@ -109,22 +108,16 @@ def _settled(key: bytes, period_s: float, noise: Noise) -> Gains:
             np.full(3, noise.speed**2),
         ]
     )
-    p, driven_by = np.eye(len(a)) * 1e-4, np.diag(process)
-    stale = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
-    measured = [(rows, c[rows], np.diag(sensors[rows])) for rows in (stale, np.arange(ERRORS))]
-    gains = [np.zeros((len(a), ERRORS)) for _ in measured]
-    for k in range(ROUNDS):
-        rows, seen, noisy = measured[k % 2]
-        p = observed @ p @ observed.T + driven_by
-        cross = seen @ p
-        gain = np.linalg.solve(cross @ seen.T + noisy, cross).T
-        p = p - gain @ cross
-        p = 0.5 * (p + p.T)
-        gains[k % 2][:, rows] = gain
+    rows = np.array([0, 1, 2, 3, 4, 5, 9, 10, 11])
+    without = Row(observed, process, c[rows], sensors[rows])
+    fresh = Row(observed, process, c, sensors)
+    stale = np.zeros((len(a), ERRORS))
+    stale[:, rows], p = without.corrected(settled([without, fresh], np.eye(len(a)) * 1e-4))
+    gain, p = fresh.corrected(p)
     shown = sensors.copy()
     shown[6:9] = noise.attitude**2
     process[9:ERRORS] = (period_s * noise.force) ** 2
-    return Gains(gains[1], gains[0], p, a, c, process, shown)
+    return Gains(gain, stale, p, a, c, process, shown)
 
 
 def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains:
@@ -134,7 +127,7 @@ def gains_of(model: Model, period_s: float, noise: Noise | None = None) -> Gains
     """
     craft, sensor = craft_of_model(model), sensors_of_model(model)
     period_s = float(f"{period_s:.4g}")  # flights differ by what clocks drift, gains do not
-    return _settled(craft.tobytes() + sensor.tobytes(), period_s, noise or Noise())
+    return _gains(craft.tobytes() + sensor.tobytes(), period_s, noise or Noise())
 
 
 def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tuple[Array, Array]:

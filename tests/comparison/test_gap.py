@@ -65,6 +65,15 @@ def test_all_channels_in_one_number_leave_out_what_is_not_there():
     assert np.isnan(overall(np.full(3, np.nan), floor))
 
 
+def test_predictions_that_grow_without_end_are_no_small_gap():
+    errors = np.full((10, 9), 1.0)
+    errors[:, 0] = 1e200
+    rms = pooled_rms([errors])
+    assert np.isinf(rms[0])
+    assert rms[1:] == pytest.approx(1.0)
+    assert np.isinf(overall(rms, np.ones(9)))
+
+
 def test_rms_is_pooled_over_rows_not_over_runs():
     long, short = np.full((30, 9), 1.0), np.full((10, 9), 3.0)
     assert pooled_rms([long, short])[0] == pytest.approx(np.sqrt((30 + 90) / 40))

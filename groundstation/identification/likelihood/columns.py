@@ -99,13 +99,13 @@ def _change(at: Evaluation, part: slice, high: Bodies, low: Bodies, step: float)
 
 
 def _craft_column(at: Evaluation, key: str, out: Columns) -> None:
+    """Above the value and at it: forces and torques are straight in these."""
     step = BASE_STEPS[key] * at.point[key]
-    crafts = [at.frame.craft({**at.point, key: at.point[key] + change}) for change in (step, -step)]
-    high, low = (at.model_rows(True, craft=craft) for craft in crafts)
-    above, below = at.row, at.row
-    if FORCES in at.parts and crafts[0].thrust != crafts[1].thrust:
-        above, below = (at.model_rows(False, craft=craft) for craft in crafts)
-    _put_change(at, out, (high, above), (low, below), 2.0 * step)
+    craft = at.frame.craft({**at.point, key: at.point[key] + step})
+    middle, row = at.model_rows(True, craft=craft), at.row
+    if FORCES in at.parts and craft.thrust != at.craft.thrust:
+        row = at.model_rows(False, craft=craft)
+    _put_change(at, out, (middle, row), (at.middle, at.row), step)
 
 
 def _rotors_column(at: Evaluation, key: str, step: float, out: Columns) -> None:

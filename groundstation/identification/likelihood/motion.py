@@ -100,7 +100,7 @@ class Motion:
         # second row of the gyro folds vibration into it: over seconds the gyro knows better.
         flight = self.flight
         if leaning and flight.carried is not None:
-            attitude, orientation = flight.carried, quaternion_rows(flight.carried)
+            attitude, orientation = flight.carried, flight.carried_orientation
         leak = LEANING_LEAK_S if leaning else LEAK_S
         return velocity_in(flight, attitude, orientation, sensed, leak)
 

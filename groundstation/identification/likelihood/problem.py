@@ -281,6 +281,13 @@ class Problem:
                 better = self._whole(moved, keys)
                 if better.value < now.value:
                     break
+                # At best a parabola through both values gains this by another share of the step;
+                # where it rises steeply it is none, and says nothing of a short one.
+                slope = float(2.0 * now.gradient @ step)
+                rise = min(better.value - now.value, slope)
+                expected = slope**2 / (4.0 * (rise + slope))
+                if expected < settled:
+                    break
                 share *= 0.3
             if expected < settled or better.value >= now.value:
                 break
