@@ -93,10 +93,7 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
         shortlist = _shortlist(search, scores)
         if not shortlist:
             return False
-        if before is None:  # settled: or each trial is credited with what the others still gain
-            keys = search.now.keys
-            start = search.last.settled(search.now.point, keys)
-            before = search.problem.fit(start, keys, settled=ROUGHLY)
+        before = before or search.problem.fit(search.now.point, search.now.keys, steps=1)
         trials = _fitted(search, shortlist, before)
         for trial in trials:
             label = trial.variant.label
@@ -181,9 +178,7 @@ def _fitted(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> li
     for one in shortlist:
         search.progress(f"fitting {one.variant.effect}", -1.0)
         keys = (*search.now.keys, *one.variant.keys)
-        start = started(before.point, one, search.shapes)
-        if not one.variant.start:
-            start = search.last.with_answer(start, before.keys, one.variant)
+        start = started(search.now.point, one, search.shapes)
         fit = search.problem.fit(start, keys, settled=ROUGHLY)
         fit = search.nested(fit, before, one.variant)
         gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)

@@ -115,23 +115,6 @@ class Screening:
             scored.append(Scored(variant, drop, values, errors))
         return sorted(scored, key=lambda one: one.penalised, reverse=True)
 
-    def settled(self, point: Point, keys: Sequence[str]) -> Point:
-        """The point of the columns where a fit of ``keys`` ends, to first order."""
-        at = self.linear.place(keys)
-        normal = self.total.normal[np.ix_(at, at)]
-        return bounded(point, keys, inverse(normal) @ self.total.gradient[at])
-
-    def with_answer(self, point: Point, keys: Sequence[str], variant: Variant) -> Point:
-        """A point with what a fit of ``keys`` answers to a variant's sizes there, to first order.
-
-        A joint fit that begins there begins next to its end: the thrust alone, as it was, beside a
-        rotor that now differs is further from it than where the rotor did not.
-        """
-        at, own = self.linear.place(keys), self.linear.place(variant.sizes)
-        normal = self.total.normal
-        pull = normal[np.ix_(at, own)] @ sizes_at(variant, point)
-        return bounded(point, keys, -inverse(normal[np.ix_(at, at)]) @ pull)
-
     def _seen(self, variants: Sequence[Variant]) -> list[Variant]:
         """Those whose columns are here."""
         return [one for one in variants if set(one.sizes) <= set(self.linear.keys)]
