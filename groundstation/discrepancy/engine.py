@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +31,7 @@ from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.second_way import or_with_given_constants
 from groundstation.discrepancy.slow_disturbance import Slow, with_wind
 from groundstation.discrepancy.usable import still_there, usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
@@ -163,6 +164,24 @@ def find_effects(
     fit_on, held = prepare(flights), prepare(validation)
     if judged is None:  # or else the comparison has asked
         require_consistent([*flights, *validation], model)
+
+    def found(steady: Collection[str]) -> Findings:
+        return _searched(fit_on, held, model, judged, train, own, report, steady)
+
+    return or_with_given_constants(found, judged, report)
+
+
+def _searched(
+    fit_on: Sequence[Flight],
+    held: Sequence[Flight],
+    model: Model,
+    judged: HeldOut | None,
+    train: Predictions | None,
+    own: Sequence[Variant],
+    report: Progress,
+    steady: Collection[str],
+) -> Findings:
+    """``find_effects`` with the constants ``steady`` as given."""
     start = point_of(model)
     theirs = own_of(model)
     every_own = joined(theirs, own)
@@ -177,7 +196,7 @@ def find_effects(
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
-    search = SearchState(problem, held, known, candidates, report)
+    search = SearchState(problem, held, known, candidates, report, steady)
     given = tuple(key for variant in known for key in variant.keys)
     tried = [*candidates, *(one for one in RENAMES if one not in known)]
 

@@ -43,7 +43,7 @@ def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
     now, changed = judge(search.now.point), False
     while trials := _trials(search, judge, now):
         left, option, fit = min(trials, key=lambda trial: trial[0].badness)
-        if not now.worse and (left.worse or not _lower(left, now)):
+        if not now.worse and (left.worse or not lower(left, now)):
             break
         if isinstance(option, tuple):
             search.held.update(option)
@@ -120,7 +120,7 @@ def _share(gap: float, without: float) -> float:
     return 1.0 - (gap**2 - 1.0) / max(without**2 - 1.0, 1e-9)
 
 
-def _lower(left: Predicted, now: Predicted) -> bool:
+def lower(left: Predicted, now: Predicted) -> bool:
     """Whether a gap is clearly below another."""
     if left.gap > (1.0 - LOWERS) * now.gap:
         return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -43,9 +43,11 @@ class SearchState:
         known: Sequence[Variant],
         candidates: Sequence[Variant],
         progress: Progress,
+        steady: Collection[str] = (),
     ) -> None:
         """known: effects of the model, fitted along and never dropped. What the firmware does on
-        board is not fitted: its numbers are known, and beside what is missing they would bend."""
+        board is not fitted: its numbers are known, and beside what is missing they would bend.
+        steady: constants that stay as they were given."""
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
         self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
@@ -54,9 +56,11 @@ class SearchState:
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]
         held = (key for one in fixed for key in one.keys if key not in problem.base_keys)
-        self.fixed = {key: problem.start[key] for key in held}
-        self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
-        self.groups = groups(problem.start, [variant.keys for variant in free])
+        self.fixed = {key: problem.start[key] for key in (*held, *steady)}
+        every = (*problem.base_keys, *(key for variant in free for key in variant.keys))
+        self.base_keys = tuple(key for key in every if key not in steady)
+        every_group = groups(problem.start, [variant.keys for variant in free])
+        self.groups = [group for group in every_group if not set(group).intersection(steady)]
         self.renames = [variant for variant in RENAMES if variant not in known]
         self.trim = problem.trim
         self.trims: dict[frozenset[str], tuple[float, float, float]] = {}
