@@ -4,7 +4,8 @@ No column shows it, for it has no law but its spread and its pace. What is left 
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
 The likelihood of these means gives the spread, and how well fitted rows are predicted the pace.
 Two flights in which nothing of it shows do not say that the third has none: batteries are pushed
-in anew. So moments are never held to be smaller than the trims of flights in general (``trim_of``).
+in anew, and one pushes more than another. So moments are never held to be smaller than the trims of
+flights in general (``trim_of``), nor the force along z than what batteries differ by.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.likelihood.prior import trim_of
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -36,6 +38,9 @@ PACES_S = (0.3, 1.0, 3.0, 10.0, 30.0)
 LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
 """Means that tell anything, and the drop of -2 log L from which a channel has what lasts (three
 standard errors); all six are asked at once, and the surest needs more."""
+LIFT_SHARE = 0.03
+"""Of its weight, what a craft's thrust differs by from flight to flight at one PWM and voltage:
+flights of one craft tell thrusts per mass up to 5 % apart (docs/real_flights.md)."""
 EVERY_S = 0.006
 """Paces are compared by predictions that start no more often: of rows that are faster neighbours
 say the same."""
@@ -64,9 +69,8 @@ class Slow:
         variance = self.variances[PACES_S.index(time_s)]
         return replace(self, time_s=time_s, spread=spread_of(variance, BLOCK_S, time_s))
 
-    def with_trims(self, trims: tuple[float, float, float]) -> Slow:
-        """Moments at least as large as these, rad/s^2."""
-        least = np.concatenate([trims, np.zeros(3)])
+    def with_trims(self, least: Array) -> Slow:
+        """Spreads at least as large as these (6,)."""
         return replace(self, spread=np.maximum(self.spread, least), usual=self.spread < least)
 
     @property
@@ -122,7 +126,7 @@ def _options(
 ) -> Iterator[tuple[Slow, Callable[[], Slow]]]:
     """What lasts in rows, and what to follow where it does: in fitted ones, as these tell; and
     where that does not do, trims alone, if it lasts in these or those: each flight's is its own."""
-    trims = trim_of(model_vehicle(base))
+    trims = np.array([*trim_of(model_vehicle(base)), 0.0, 0.0, LIFT_SHARE * STANDARD_GRAVITY])
     fitted = train.of(base)
     learnt = slow_part(fitted.errors)
     yield learnt, lambda: best_followed(learnt, fitted).with_trims(trims)

@@ -11,7 +11,8 @@ from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import HeldOut, Predictions
-from groundstation.discrepancy.slow_disturbance import PACES_S, slow_part, with_wind
+from groundstation.discrepancy.slow_disturbance import LIFT_SHARE, PACES_S, slow_part, with_wind
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 PERIOD_S, AHEAD = 0.002, 25
 BLOWN = {
@@ -98,13 +99,13 @@ def test_in_still_air_there_is_none(searched):
     assert after is before
 
 
-def test_moments_are_held_to_be_no_smaller_than_the_trims_of_flights_in_general():
+def test_spreads_are_held_to_be_no_smaller_than_those_of_flights_in_general():
     generator = np.random.default_rng(3)
     missing = generator.normal(0.0, 1.0, (100_000, 6))
     missing[:, 1] += drifting(200.0, 3.0, 8.0, generator)
     slow = slow_part([errors(missing)]).at(3.0)
-    least = slow.with_trims((5.0, 4.0, 0.5))
-    assert least.spread.tolist() == [5.0, slow.spread[1], 0.5, 0.0, 0.0, 0.0]
+    least = slow.with_trims(np.array([5.0, 4.0, 0.5, 0.0, 0.0, 0.3]))
+    assert least.spread.tolist() == [5.0, slow.spread[1], 0.5, 0.0, 0.0, 0.3]
     told = {name: one.stderr is not None for name, one in least.parameters.items()}
     assert [name for name, known in told.items() if known] == ["moment_y", "time_s"]
 
@@ -126,6 +127,9 @@ def test_a_battery_that_only_the_held_out_flight_has_elsewhere_is_followed(batte
     (found,) = after.effects
     assert found.name == "wind"
     assert found.parameters["moment_y"].stderr is None, "no fitted flight tells it"
+    lift = found.parameters["force_z"]
+    assert lift.value == pytest.approx(LIFT_SHARE * STANDARD_GRAVITY)
+    assert lift.stderr is None
     assert found.parameters["time_s"].value == PACES_S[-1]
     given, improved = judged.judge(before.model), judged.judge(after.model)
     assert not improved.worse
