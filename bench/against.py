@@ -74,6 +74,7 @@ def progress(what, share):
 
 
 find_effects(flights, load_model(folder / "model.json"), held, progress=progress)
+print(time.process_time() - marks["screening"])  # nothing was worth a fit
 """
 
 
