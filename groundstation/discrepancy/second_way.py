@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 
-from groundstation.discrepancy.findings import BaseChange, Findings
+from groundstation.discrepancy.findings import Findings
 from groundstation.discrepancy.prediction_gate import lower
 from groundstation.discrepancy.proof import HeldOut
 from groundstation.identification.likelihood.parameters import BODY_KEYS
@@ -34,7 +34,10 @@ def or_with_given_constants(
     not asked, and everything is free.
     """
     free = found(())
-    if held is None or not any(went_far(change.given, change.value) for change in _turning(free)):
+    if held is None or not any(
+        one.name in ROTATION and abs(math.log(one.value / one.given)) > FAR
+        for one in free.base_changes
+    ):
         return free
     progress("searching once more with c0, c1 and c2 as given", -1.0)
     return better(free, found(ROTATION), held)
@@ -44,12 +47,3 @@ def better(free: Findings, steady: Findings, held: HeldOut) -> Findings:
     """``steady`` where it predicts held-out rows clearly better, no channel worse; or ``free``."""
     one, other = (held.judge(each.model) for each in (free, steady))
     return steady if other.badness[0] <= one.badness[0] and lower(other, one) else free
-
-
-def went_far(given: float, now: float) -> bool:
-    """Whether a constant changed by so much that another best fit may have it."""
-    return abs(math.log(now / given)) > FAR
-
-
-def _turning(findings: Findings) -> list[BaseChange]:
-    return [change for change in findings.base_changes if change.name in ROTATION]

@@ -69,7 +69,7 @@ def test_what_is_only_as_good_does_not_take_the_place_of_what_was_free(nothing_m
 
 
 def test_a_whole_search_beside_half_of_a_gain_ends_with_the_true_one(nothing_missing):
-    """Both ways are gone; what stays is in no fit."""
+    """It is searched both ways, and in the second what stays is in no fit."""
     right = judged().model
     body = msgspec.structs.replace(right.body, c0=0.5 * right.body.c0)
     wrong = msgspec.structs.replace(right, body=body)

@@ -285,8 +285,7 @@ class Problem:
                 # where it rises steeply it is none, and says nothing of a short one.
                 slope = float(2.0 * now.gradient @ step)
                 rise = min(better.value - now.value, slope)
-                expected = slope**2 / (4.0 * (rise + slope))
-                if expected < settled:
+                if slope**2 < settled * 4.0 * (rise + slope):
                     break
                 share *= 0.3
             if expected < settled or better.value >= now.value:
