@@ -70,7 +70,7 @@ def compare(
     loaded = model_for(model, vehicle)
     turning = told_turning(loaded, attitude)
     with shown("reading") as progress:
-        read = read_flights(recordings, loaded, vehicle)
+        read, left_out = read_flights(recordings, loaded, vehicle)
         asked = marked_in(read, stretch or [], marked)
         flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
@@ -86,6 +86,8 @@ def compare(
 
             progress(0.8, "drawing the report")
             compare_page(found, report).write(html)
+    for line in left_out:
+        show(line, error=True)
     if as_json:
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return

@@ -97,13 +97,14 @@ def discrepancy(
     loaded = model_for(model, vehicle)
     own = _own(effects)
     with shown("reading") as progress:
-        fitted = read_flights(recordings, loaded, vehicle)
-        held = read_flights(validate or [], loaded, vehicle)
+        fitted, short = read_flights(recordings, loaded, vehicle)
+        held, held_short = read_flights(validate or [], loaded, vehicle)
         found = find_discrepancy(
             [one.runs for one in fitted],
             loaded,
             [one.runs for one in held],
             own=own,
+            left_out=[*short, *held_short],
             asked=marked_in([*fitted, *held], stretch or [], marked),
             progress=lambda what, share: progress(share, what),
         )

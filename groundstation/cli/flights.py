@@ -57,23 +57,26 @@ class Flights:
     events: Sequence[Mapping[str, Any]]
 
 
-def read_flights(paths: Sequence[Path], model: Model, vehicle: str | None) -> list[Flights]:
-    """Each recording, opened once.
+def read_flights(
+    paths: Sequence[Path], model: Model, vehicle: str | None
+) -> tuple[list[Flights], list[str]]:
+    """Each recording, opened once; those in which nothing lasts 5 s have no runs, and are told in
+    words.
 
     Raises BadInputError where a recording says that it is of another vehicle than the model's,
-    unless ``vehicle`` says the contrary, and where nothing lasts 5 s.
+    unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
     """
-    from groundstation.identification.recordings import flights_of
+    from groundstation.identification.recordings import flights_of_each
     from groundstation.recording.craft_family import require_craft_of
 
-    found = []
-    for path in paths:
-        recording = open_one(path)
-        if vehicle is None:
-            require_craft_of(recording, model)
-        runs = flights_of(recording.samples, path.name)
-        found.append(Flights(path.name, runs, recording.events))
-    return found
+    recordings = [open_one(path) for path in paths]
+    if vehicle is None:
+        for one in recordings:
+            require_craft_of(one, model)
+    runs, left_out = flights_of_each((one.samples, one.path.name) for one in recordings)
+    return [
+        Flights(one.path.name, its, one.events) for one, its in zip(recordings, runs, strict=True)
+    ], left_out
 
 
 def marked_in(flights: Sequence[Flights], spans: Sequence[str], by_twin: bool) -> list[Marked]:
@@ -110,6 +113,8 @@ def marked_in(flights: Sequence[Flights], spans: Sequence[str], by_twin: bool) -
     if by_twin:
         marks: list[Marked] = []
         for one in flights:
+            if not one.runs:
+                continue
             first, last = one.runs[0].recording_start_s, float(one.runs[-1].time_s[-1])
             marks += stretches.by_twin(one.events, one.name, first, last)
         if not marks:

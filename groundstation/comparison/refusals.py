@@ -13,20 +13,27 @@ from groundstation.identification.runs import Run
 LEAST_FLIGHT_S = 3.0
 
 
+NEEDED = {"gyro": "the gyro", "duty": "the motors' PWM", "supply_v": "the battery voltage"}
+"""Channels that nothing works without."""
+
+
+def missing_channel(run: Run) -> str | None:
+    """In words, the first of ``NEEDED`` that is missing throughout."""
+    for name, what in NEEDED.items():
+        if not np.isfinite(getattr(run, name)).any(axis=0).all():
+            return what
+    return None
+
+
 def require_channels(runs: Sequence[Run]) -> None:
     """Raises BadInputError where a channel that nothing works without is missing throughout."""
-    needed = {
-        "gyro": "the gyro",
-        "duty": "the motors' PWM",
-        "supply_v": "the battery voltage",
-    }
     for run in runs:
-        for name, what in needed.items():
-            if not np.isfinite(getattr(run, name)).any(axis=0).all():
-                raise BadInputError(
-                    f"{run.name}: {what} is not in the recording; where a model and a flight"
-                    " disagree cannot be told without it: record it"
-                )
+        what = missing_channel(run)
+        if what is not None:
+            raise BadInputError(
+                f"{run.name}: {what} is not in the recording; where a model and a flight"
+                " disagree cannot be told without it: record it"
+            )
 
 
 def require_flight(errors: Sequence[AheadErrors]) -> None:

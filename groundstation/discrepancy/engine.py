@@ -10,7 +10,6 @@ import numpy as np
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison, compare
 from groundstation.comparison.consistency import require_consistent
-from groundstation.comparison.refusals import require_channels
 from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import base_changes
@@ -90,21 +89,22 @@ def find_discrepancy(
     *,
     own: Sequence[Variant] = (),
     asked: Sequence[Marked] = (),
+    left_out: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Discrepancy:
     """Find, name and add what ``model`` is missing, and prove it on rows that no fit saw.
 
     recordings: the runs of each (``recordings.flights_of``). validation: recordings that no fit
     sees; none: parts of the others (``division``). own: effects of the user's own as further
-    candidates. asked: stretches to look at.
+    candidates. asked: stretches to look at. left_out: what of the recordings has no runs, in words
+    (``recordings.flights_of_each``).
 
-    Raises BadInputError where there is no gyro, PWM or battery voltage, no flight, no motion, or
-    where the model is of another craft.
+    Raises BadInputError where no recording has gyro, PWM and battery voltage, no flight, no motion,
+    or where the model is of another craft.
     """
     report: Progress = progress or (lambda what, share: None)
     report("comparing", 0.05)
-    require_channels([run for part in (*recordings, *validation) for run in part])
-    (recordings, validation), left_out = usable((recordings, validation), model)
+    (recordings, validation), unused = usable((recordings, validation), model)
     asked, not_shown = still_there(asked, (recordings, validation))
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
@@ -127,7 +127,7 @@ def find_discrepancy(
         progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
     )
     report("proving it on held-out rows", 0.8)
-    findings = replace(findings, warnings=(*left_out, *not_shown, *findings.warnings))
+    findings = replace(findings, warnings=(*left_out, *unused, *not_shown, *findings.warnings))
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     if given is not None:

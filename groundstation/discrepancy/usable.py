@@ -1,4 +1,5 @@
-"""What of recordings a search can use: flights that PWM steers, rotor sensors that follow."""
+"""What of recordings a search can use: flights with every channel that is needed, that PWM steers,
+and rotor sensors that follow it."""
 
 from __future__ import annotations
 
@@ -8,20 +9,25 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.comparison.consistency import broken_rotor_sensors
+from groundstation.comparison.refusals import missing_channel, require_channels
 from groundstation.comparison.stretches import Marked
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
-from groundstation.identification.torque import by_saturation
+from groundstation.identification.torque import mostly_saturated
 
 Groups = Sequence[Sequence[Sequence[Run]]]
 """To be fitted and held out, of recordings, of runs."""
 
 
 def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
-    """The groups without what a search cannot use, and what was left out, in words."""
-    steered, saturated = _without_saturated(groups)
-    mended, broken = _without_broken_sensors(steered, model)
-    return mended, [*saturated, *broken]
+    """The groups without what a search cannot use, and what was left out, in words.
+
+    Raises BadInputError where no recording of a group has a channel that nothing works without.
+    """
+    useful, useless = _without_useless(groups)
+    require_channels([run for group in useful for part in group for run in part])
+    mended, broken = _without_broken_sensors(useful, model)
+    return mended, [*useless, *broken]
 
 
 def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:
@@ -35,22 +41,31 @@ def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], 
     ]
 
 
-def _without_saturated(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:
-    """Runs without those in which PWM steers nothing, where others of their group are left, and
-    what was left out."""
-    kept, warnings = [], []
+def _without_useless(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:
+    """Runs without those that tell nothing, where others of their group are left, and what was left
+    out."""
+    kept: list[list[list[Run]]] = []
+    warnings: list[str] = []
     for group in groups:
-        parts = [by_saturation(part) for part in group]
-        if not any(steered for steered, _ in parts):
-            kept.append([list(part) for part in group])
+        parts = [[(run, _useless(run)) for run in part] for part in group if part]
+        if not any(why is None for part in parts for _, why in part):
+            kept.append([[run for run, _ in part] for part in parts])
             continue
-        kept.append([steered for steered, _ in parts if steered])
-        warnings += [
-            f"{_called(run, alone=not steered)}: left out, a motor is saturated in most rows"
-            for steered, saturated in parts
-            for run in (saturated if steered else saturated[:1])
-        ]
+        rest = [[run for run, why in part if why is None] for part in parts]
+        kept.append([part for part in rest if part])
+        for part in parts:
+            alone = all(why is not None for _, why in part)
+            lines = [f"{_called(run, alone)}: left out, {why}" for run, why in part if why]
+            warnings += lines[:1] if alone else lines
     return kept, warnings
+
+
+def _useless(run: Run) -> str | None:
+    """Why a search has nothing of a run."""
+    missing = missing_channel(run)
+    if missing is not None:
+        return f"{missing} is not in the recording"
+    return "a motor is saturated in most rows" if mostly_saturated(run) else None
 
 
 def _called(run: Run, alone: bool) -> str:

@@ -7,6 +7,7 @@ a run.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from groundstation.gaps import filled
 from groundstation.identification.runs import (
     CHANNELS,
     Run,
+    TooShortError,
     run_of,
     uninterrupted,
     with_possible_duty,
@@ -33,8 +35,8 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
 
     A row whose gyro does not read counts as lost, and so does one with an impossible duty.
 
-    Raises BadInputError where no run is long enough or the rate is not one of inertial
-    telemetry.
+    Raises TooShortError where no run is long enough, BadInputError where the rate is not one of
+    inertial telemetry.
     """
     label = name or "recording"
     whole = with_possible_duty(samples, label)
@@ -45,6 +47,26 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
         _on_grid(whole[rows], label, float(samples.time_s[0]))
         for rows in uninterrupted(whole, label, least_s, _silent)
     ]
+
+
+def flights_of_each(
+    recordings: Iterable[tuple[SampleBatch, str]],
+) -> tuple[list[list[Run]], list[str]]:
+    """The runs of recordings, each with its name: none where nothing lasts, which is told in words.
+
+    Raises TooShortError where nothing lasts in any, and BadInputError as ``flights_of`` does.
+    """
+    found: list[list[Run]] = []
+    short: list[TooShortError] = []
+    for samples, name in recordings:
+        try:
+            found.append(flights_of(samples, name))
+        except TooShortError as error:
+            found.append([])
+            short.append(error)
+    if short and not any(found):
+        raise short[0]
+    return found, [f"left out: {error}" for error in short]
 
 
 def _silent(steps: NDArray[np.float64], usual_s: float) -> NDArray[np.bool_]:

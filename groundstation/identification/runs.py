@@ -141,6 +141,10 @@ def run_of(
     return Run(name, start, period_s, **parts, recording_start_s=recording_start_s)
 
 
+class TooShortError(BadInputError):
+    """A recording of which no uninterrupted stretch is long enough; others may be."""
+
+
 def with_possible_duty(samples: SampleBatch, label: str) -> SampleBatch:
     """The rows whose duties can be.
 
@@ -165,11 +169,11 @@ def uninterrupted(
     A restart ends a stretch, and so does what ``breaks`` says of (steps (n - 1,) s, the usual
     one).
 
-    Raises BadInputError where no stretch is long enough, or where the rate is not one of inertial
-    telemetry.
+    Raises TooShortError where no stretch is long enough, BadInputError where the rate is not one of
+    inertial telemetry.
     """
     if len(samples) < 3:
-        raise BadInputError(f"{label}: {len(samples)} samples are too few; record a flight")
+        raise TooShortError(f"{label}: {len(samples)} samples are too few; record a flight")
     time = samples.time_s
     steps = np.diff(time)
     usual = float(np.median(steps))
@@ -183,7 +187,7 @@ def uninterrupted(
     # By count as well: rounding must not shorten a stretch of exactly so long.
     seconds = np.maximum(time[edges[1:] - 1] - time[edges[:-1]] + usual, np.diff(edges) * usual)
     if seconds.max() < least_s:
-        raise BadInputError(
+        raise TooShortError(
             f"{label}: the longest uninterrupted stretch lasts {seconds.max():.2f} s, at least"
             f" {least_s:g} s are needed; record longer or improve the link"
         )

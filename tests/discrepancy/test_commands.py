@@ -229,6 +229,15 @@ def test_a_refusal_is_one_line_and_exit_status_one(folder):
         assert "at least 5 s are needed" in require_failure(done)
 
 
+def test_a_recording_too_short_to_use_is_left_out_by_name_where_another_is_not(folder):
+    write(folder / "beside.mcap", flight(12.0))
+    write(folder / "brief.mcap", flight(12.0)[2000:4000])
+    done = groundstation("compare", "brief.mcap", "beside.mcap", "--model", "base.json", cwd=folder)
+    assert done.returncode == 0
+    assert "left out: brief.mcap: the longest uninterrupted stretch lasts" in done.stderr
+    assert "gap over all channels" in done.stdout
+
+
 def test_less_than_five_seconds_are_refused(refused):
     samples = flight(12.0)
     assert isinstance(samples, SampleBatch)

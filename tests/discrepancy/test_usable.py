@@ -8,6 +8,7 @@ from affected_flights import BASE, flown
 
 from groundstation.comparison.stretches import Marked
 from groundstation.discrepancy.usable import still_there, usable
+from groundstation.errors import BadInputError
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +40,19 @@ def test_where_none_else_is_left_it_stays_to_be_refused(flight):
     (fitted, _), warnings = usable(([[at_full_duty(flight, 0.6)]], [[flight]]), BASE)
     assert len(fitted) == 1
     assert not warnings
+
+
+def test_a_flight_without_a_channel_that_is_needed_is_left_out_where_another_has_it(flight):
+    silent = replace(flight, name="silent", duty=np.full_like(flight.duty, np.nan))
+    (fitted, held), warnings = usable(([[silent], [flight]], [[flight]]), BASE)
+    assert fitted == held == [[flight]]
+    assert warnings == ["silent: left out, the motors' PWM is not in the recording"]
+
+
+def test_where_no_flight_has_it_that_is_refused(flight):
+    silent = replace(flight, name="silent", gyro=np.full_like(flight.gyro, np.nan))
+    with pytest.raises(BadInputError, match="silent: the gyro is not in the recording"):
+        usable(([[flight]], [[silent]]), BASE)
 
 
 def test_a_dead_rotor_sensor_is_left_out_by_name(flight):

@@ -7,8 +7,8 @@ import pytest
 from stand_in_flights import recorded
 
 from groundstation.errors import BadInputError
-from groundstation.identification.recordings import flights_of, without_gaps
-from groundstation.identification.runs import runs_of
+from groundstation.identification.recordings import flights_of, flights_of_each, without_gaps
+from groundstation.identification.runs import TooShortError, runs_of
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +27,16 @@ def test_a_whole_flight_is_one_run_as_it_was_recorded(samples):
     assert len(run) == len(samples)
     np.testing.assert_array_equal(run.gyro, samples.gyro)
     assert run.recording_start_s == run.start_s == samples.time_s[0]
+
+
+def test_a_recording_in_which_nothing_lasts_is_left_out_where_another_does(samples):
+    (found, none), left_out = flights_of_each([(samples, "long"), (samples[:1000], "short")])
+    assert [len(run) for run in found] == [len(samples)]
+    assert none == []
+    (why,) = left_out
+    assert why.startswith("left out: short: the longest uninterrupted stretch lasts")
+    with pytest.raises(TooShortError, match="short"):
+        flights_of_each([(samples[:1000], "short")])
 
 
 def test_a_row_whose_gyro_does_not_read_is_lost_and_bridged(samples):
