@@ -54,6 +54,9 @@ SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
 each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
+TRUSTED = (0.3, 10.0)
+"""Share of Gauss-Newton's curvature that the slopes at the ends of a step may make of it: what
+noise and bounds do to them is not to send the next step out of sight."""
 TIMING_BOUNDS = (-8.0, 2.0)
 """Angles of an estimator elsewhere (motion capture) come some periods late."""
 SHARED = 1e-3
@@ -257,8 +260,9 @@ class Problem:
     def fit(
         self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
     ) -> Fit:
-        """Gauss-Newton over ``keys`` with the noise as it is, shortening steps that do not help;
-        never worse than where it starts, which is within the bounds.
+        """Gauss-Newton over ``keys`` with the noise as it is, each step with the curvature that the
+        last one met, shortening those that do not help; never worse than where it starts, which is
+        within the bounds.
 
         settled: drop of -2 log L that is not worth another step.
         """
@@ -266,16 +270,17 @@ class Problem:
         unknowns, free = self.frame.unknowns, np.ones(len(keys), np.bool_)
         point = bounded(point, keys, np.zeros(len(keys)), unknowns)
         now = self._whole(point, keys)
+        normal = now.normal
         for _ in range(steps):
             at = np.array([value(point, key) for key in keys])
             low, high = (ends - at for ends in _ends(point, keys, unknowns))
-            change = bounded_step(now.normal, now.gradient, free, low, high)
+            change = bounded_step(normal, now.gradient, free, low, high)
             share, moved, better = 1.0, point, now
-            expected = 0.0
+            expected, step = 0.0, change
             for _ in range(4):
                 moved = bounded(point, keys, share * change, unknowns)
                 step = np.array([moved[key] for key in keys]) - at
-                expected = float(2.0 * now.gradient @ step - step @ now.normal @ step)
+                expected = float(2.0 * now.gradient @ step - step @ normal @ step)
                 if expected < settled:
                     break
                 better = self._whole(moved, keys)
@@ -291,6 +296,7 @@ class Problem:
             if expected < settled or better.value >= now.value:
                 break
             gained = now.value - better.value
+            normal = as_met(better.normal, step, now.gradient - better.gradient)
             point, now = moved, better
             if gained < settled:
                 break
@@ -358,6 +364,21 @@ class Problem:
         pairs = zip(one.spectra, other.spectra, strict=True)
         changes = [replace(s, residual=s.residual - t.residual) for s, t in pairs]
         return quadratic(changes, self.noise, (), 0).value
+
+
+def as_met(normal: Array, step: Array, fall: Array) -> Array:
+    """A normal matrix (p, p) with the curvature along the last step (p,) that its ends tell.
+
+    fall: (p,) by how much the gradient fell over the step. Where residuals are large and bent,
+    Gauss-Newton's steps are too long, and go to and fro, or too short (a secant condition, as in
+    Dennis, Gay and Welsch 1981, along one direction).
+    """
+    along = normal @ step
+    expected = float(step @ along)
+    if expected <= 0.0:
+        return normal
+    ratio = float(np.clip(fall @ step / expected, *TRUSTED))
+    return np.asarray(normal + (ratio - 1.0) / expected * np.outer(along, along))
 
 
 def bounded(
