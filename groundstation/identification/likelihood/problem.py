@@ -293,7 +293,7 @@ class Problem:
                 if slope**2 < settled * 4.0 * (rise + slope):
                     break
                 share *= 0.3
-            if expected < settled or better.value >= now.value:
+            if expected < settled or not better.value < now.value:
                 break
             gained = now.value - better.value
             normal = as_met(better.normal, step, now.gradient - better.gradient)
