@@ -78,7 +78,7 @@ class Comparison:
                 one.recorded,
                 model,
                 motion=one.motion,
-                walk=one.walk,
+                noise=one.noise,
                 turning=self.turning,
                 every_s=every_s,
             )

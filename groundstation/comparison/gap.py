@@ -22,11 +22,11 @@ from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
-from groundstation.prediction.attitude_walk import Walk
+from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (
-    observe_walking,
+    observe_as_it_is,
+    own_noise,
     predict_observed,
-    walk_of_angles,
 )
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
@@ -48,7 +48,7 @@ class AheadErrors:
     """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
     order of ``CHANNELS`` and in the row they are judged at.
 
-    recorded: the run as it is, run: lost rows filled in. walk: of its angles. step: at the shortest
+    recorded: the run as it is, run: lost rows filled in. noise: its own. step: at the shortest
     horizon, ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows.
     horizons: one for each of ``HORIZONS_S``, which are ``rows`` (9,) each. NaN where the first or
     last row is outside flight or was not measured afresh.
@@ -57,7 +57,7 @@ class AheadErrors:
     recorded: Run
     run: Run
     motion: Motion
-    walk: Walk
+    noise: Noise
     step_rows: NDArray[np.int64]
     step: Array
     horizons: tuple[Array, ...]
@@ -70,15 +70,15 @@ def ahead_errors(
     rows_judged: slice | None = None,
     *,
     motion: Motion | None = None,
-    walk: Walk | None = None,
+    noise: Noise | None = None,
     turning: Turning = "body",
     every_s: float = 0.0,
 ) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
 
     rows_judged: only these; the rows before tell the state. motion: that of another model on the
-    same run, so that the same rows are judged; None: of this one. walk: of the run's angles
-    (``attitude_walk``); None: read off it. turning: what of the model turns the craft. every_s:
+    same run, so that the same rows are judged; None: of this one. noise: of the run's sensors
+    (``own_noise``); None: read off it. turning: what of the model turns the craft. every_s:
     predictions start no more often than that, where rows are faster.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
@@ -101,9 +101,9 @@ def ahead_errors(
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
     driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
-    if walk is None:
-        walk = walk_of_angles(driven, flown)
-    seen = observe_walking(model, driven, walk)
+    if noise is None:
+        noise = own_noise(driven, flown)
+    seen = observe_as_it_is(model, driven, noise)
     ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
@@ -122,7 +122,7 @@ def ahead_errors(
         run,
         whole,
         moved,
-        walk,
+        noise,
         step_rows,
         errors(step_rows),
         tuple(errors(one) for one in rows),

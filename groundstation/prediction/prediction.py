@@ -20,7 +20,7 @@ from groundstation.dynamics.sensors import FILTER
 from groundstation.dynamics.state import QUATERNION, STATES
 from groundstation.errors import BadInputError
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from groundstation.prediction.attitude_walk import AHEAD_S, Walk, walk_of
+from groundstation.prediction.attitude_walk import AHEAD_S, walk_of
 from groundstation.prediction.drive import (
     Drive,
     Flown,
@@ -29,6 +29,7 @@ from groundstation.prediction.drive import (
     height_of,
     reckoned_height,
 )
+from groundstation.prediction.gyro_vibration import vibration_of
 from groundstation.prediction.observer import Gains, Noise, gains_of
 from groundstation.prediction.start_velocity import start_velocity
 
@@ -38,6 +39,8 @@ Mask = NDArray[np.bool_]
 
 JUDGED = 4
 """Every so manyth row tells which of two observers suits a run."""
+RATES, ANGLES = slice(0, 3), slice(6, 9)
+"""Of the nine channels."""
 SETTLE_S, LIFT_OFF_S = 0.5, 0.1
 """From a take-off on the state is known; where a run begins in the air it takes the first."""
 
@@ -160,37 +163,48 @@ def noise_of(model: Model, run: Flown) -> Noise:
     )
 
 
-def walk_of_angles(run: Flown, flying: Mask) -> Walk:
-    """How far a run's reported angles, NaN where they are not new, wander off its gyro's integral
-    (``attitude_walk``), rad in a second about the body's axes. flying: (n,) rows in the air.
+def own_noise(run: Flown, flying: Mask) -> Noise:
+    """The usual noise with what a run tells of its own without a model: how its gyro is shaken
+    (``gyro_vibration``), and how far its reported angles, NaN where they are not new, wander off
+    the gyro's integral (``attitude_walk``). flying: (n,) rows in the air.
 
     The whole run is used: for a live stream, take an earlier flight's.
     """
     usual = Noise()
     noises = {"angle": usual.attitude, "rate": max(usual.gyro)}
-    return walk_of(run.attitude, run.gyro, flying, run.period_s, **noises)
+    walk = walk_of(run.attitude, run.gyro, flying, run.period_s, **noises)
+    shaken = vibration_of(run.gyro, flying, run.period_s)
+    x, y, z = map(max, usual.gyro, shaken)
+    return replace(usual, gyro=(x, y, z), walk=walk)
 
 
-def observe_walking(model: Model, run: Flown, walk: Walk) -> Observed:
-    """As ``observe_run``, with angles that wander so (``walk_of_angles``), unless what the model
-    says of the sensors foretells them better as it is."""
-    still = observe_run(model, run)
-    if still.leans or not any(walk):  # a filter of its own says how far they are off
-        return still
-    other = observe_run(model, run, noise=replace(Noise(), walk=walk))
-    return other if _attitude_error(run, other) < _attitude_error(run, still) else still
+def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
+    """As ``observe_run``, with what of a run's ``own_noise`` foretells it better: a gyro that is
+    shaken, for a torque that is rough looks alike to it, and angles that wander, for what the model
+    says of the sensors may explain them."""
+    steady, chosen = observe_run(model, run), Noise()
+    if noise.gyro != chosen.gyro:
+        other = replace(chosen, gyro=noise.gyro)
+        shaken = observe_run(model, run, noise=other)
+        if _error(run, shaken, RATES) < _error(run, steady, RATES):
+            steady, chosen = shaken, other
+    if steady.leans or not any(noise.walk):  # a filter of its own says how far they are off
+        return steady
+    walking = observe_run(model, run, noise=replace(chosen, walk=noise.walk))
+    return walking if _error(run, walking, ANGLES) < _error(run, steady, ANGLES) else steady
 
 
-def _attitude_error(run: Flown, seen: Observed) -> float:
-    """Mean squared error of the angles ``AHEAD_S`` ahead, rad^2."""
+def _error(run: Flown, seen: Observed, channels: slice) -> float:
+    """Mean squared error of rates or angles ``AHEAD_S`` ahead."""
     new = np.flatnonzero(seen.fresh)
     every = int(np.median(np.diff(new))) if len(new) > 1 else 1
     steps = every * max(round(AHEAD_S / (every * run.period_s)), 1)
     rows = airborne(seen, steps)
     rows = rows[seen.fresh[rows] & seen.fresh[rows + steps]][::JUDGED]
-    turn = fly_ahead(run, seen, rows, [steps]).errors(run)[:, 0, 6:]
-    known = np.isfinite(turn).all(axis=1)
-    return float(np.square(turn[known]).mean()) if known.any() else 0.0
+    made = fly_ahead(run, seen, rows, [steps]).errors(run)[:, 0, channels]
+    known = made[np.isfinite(made).all(axis=1)]
+    with np.errstate(over="ignore"):  # of a model that grows without end
+        return float(np.square(known).mean()) if len(known) else 0.0
 
 
 def observe_run(

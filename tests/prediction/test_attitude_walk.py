@@ -7,10 +7,10 @@ import pytest
 from affected_flights import BASE, affected, flown
 
 from groundstation.prediction.prediction import (
+    observe_as_it_is,
     observe_run,
-    observe_walking,
+    own_noise,
     predict_observed,
-    walk_of_angles,
 )
 
 HORIZONS = (10, 25)
@@ -31,10 +31,14 @@ def wandering(run, size, seed=5):
     return replace(run, attitude=attitude)
 
 
-def walk(run, model=BASE):
+def noise(run, model=BASE):
     seen = observe_run(model, run)
     shown = np.where(seen.fresh[:, None], run.attitude, np.nan)
-    return walk_of_angles(replace(run, attitude=shown), seen.flying)
+    return own_noise(replace(run, attitude=shown), seen.flying)
+
+
+def walk(run, model=BASE):
+    return noise(run, model).walk
 
 
 def test_a_clean_flight_has_none(clean):
@@ -67,14 +71,14 @@ def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean
         return predict_observed(run, seen, HORIZONS).errors(run)[..., 8].std()
 
     still = observe_run(BASE, run)
-    walking = observe_walking(BASE, run, walk(run))
+    walking = observe_as_it_is(BASE, run, noise(run))
     assert yaw_error(walking) < 0.7 * yaw_error(still)
 
 
 def follows(model, run):
     """Whether a model's observer expects the angles to wander."""
     still = observe_run(model, run)
-    seen = observe_walking(model, run, walk(run, model))
+    seen = observe_as_it_is(model, run, noise(run, model))
     return not np.array_equal(seen.gains.fresh, still.gains.fresh)
 
 
