@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from affected_flights import BASE, affected, flown
 
+from groundstation.prediction.attitude_walk import NONE
 from groundstation.prediction.prediction import (
     observe_as_it_is,
     observe_run,
@@ -77,8 +78,9 @@ def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean
 
 def follows(model, run):
     """Whether a model's observer expects the angles to wander."""
-    still = observe_run(model, run)
-    seen = observe_as_it_is(model, run, noise(run, model))
+    own = noise(run, model)
+    still = observe_as_it_is(model, run, replace(own, walk=NONE))
+    seen = observe_as_it_is(model, run, own)
     return not np.array_equal(seen.gains.fresh, still.gains.fresh)
 
 
