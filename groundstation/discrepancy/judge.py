@@ -13,7 +13,7 @@ from dataclasses import replace
 from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
 from groundstation.discrepancy.findings import Findings, Predicted
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import WORSE_ANYWHERE, HeldOut
 from groundstation.discrepancy.slow_disturbance import (
     Slow,
     best_followed,
@@ -43,9 +43,16 @@ class Judge:
         found = self._held.judge(with_term(model, self._slow))
         if not found.worse:
             return found
-        # A channel that is predicted better where nothing is followed is no witness.
+        # A channel that is predicted better where nothing is followed is no witness, nor is one
+        # within noise that hardly changes.
         better = self._given.of(model).rms < self._given.before.rms
-        worse = {c: t for c, t in found.worse.items() if not better[c]}
+        before = self._held.before
+        hardly = (1.0 + WORSE_ANYWHERE) * before.rms / before.noise_floor
+        worse = {
+            channel: t
+            for channel, t in found.worse.items()
+            if not better[channel] and found.gaps[channel] > min(1.0, hardly[channel])
+        }
         return replace(found, worse=worse)
 
     def raises_plainly(self, before: Point, after: Point) -> bool:

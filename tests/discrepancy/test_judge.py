@@ -55,6 +55,13 @@ def test_a_wrong_constant_is_worse_beside_it_too(following):
     assert following({"c2": 1.5}).gap > following({"c2": 1.0}).gap
 
 
+def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
+    # a follower makes up for some of a wrong gain, and leaves less than what noise is taken to be
+    assert following({"c2": 1.05}).gaps[2] < 1.0
+    assert not following({"c2": 1.05}).worse
+    assert 2 in following({"c2": 1.1}).worse
+
+
 def test_in_still_air_nothing_is():
     slow, _ = looked_at(9, {})
     assert slow is None
