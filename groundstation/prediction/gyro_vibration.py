@@ -1,8 +1,9 @@
 """How much the rotors shake the gyro, which is noise to any model of rigid flight.
 
 Motors settle within 30 to 90 ms, so torque does next to nothing above 50 Hz, and what a gyro shows
-there is vibration: 0.3 to 1 deg/s on real crafts, where the sensor's own noise is 0.1. An observer
-that takes it for motion spoils every prediction from there. Read off a flight without a model.
+there is vibration: 0.2 to 1.3 deg/s on real crafts, where the sensor's own noise is 0.1. An
+observer that takes it for motion spoils every prediction from there. Read off a flight without a
+model.
 """
 
 from __future__ import annotations
