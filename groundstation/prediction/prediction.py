@@ -8,6 +8,7 @@ never see those of the future, so a live stream can be fed in pieces.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -195,16 +196,18 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
 
 
 def _error(run: Flown, seen: Observed, channels: slice) -> float:
-    """Mean squared error of rates or angles ``AHEAD_S`` ahead."""
+    """Mean squared error of rates or angles ``AHEAD_S`` ahead, without end where none is known."""
     new = np.flatnonzero(seen.fresh)
     every = int(np.median(np.diff(new))) if len(new) > 1 else 1
     steps = every * max(round(AHEAD_S / (every * run.period_s)), 1)
     rows = airborne(seen, steps)
-    rows = rows[seen.fresh[rows] & seen.fresh[rows + steps]][::JUDGED]
+    if channels == ANGLES:
+        rows = rows[seen.fresh[rows] & seen.fresh[rows + steps]]
+    rows = rows[::JUDGED]
     made = fly_ahead(run, seen, rows, [steps]).errors(run)[:, 0, channels]
     known = made[np.isfinite(made).all(axis=1)]
     with np.errstate(over="ignore"):  # of a model that grows without end
-        return float(np.square(known).mean()) if len(known) else 0.0
+        return float(np.square(known).mean()) if len(known) else math.inf
 
 
 def observe_run(

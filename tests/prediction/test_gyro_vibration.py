@@ -88,6 +88,12 @@ def test_an_observer_that_knows_it_foretells_rates_better(clean):
     )  # 0.64 of it is the shaking itself
 
 
+def test_so_does_one_without_angles(clean):
+    run = shaken(replace(clean, attitude=np.full_like(clean.attitude, np.nan)))
+    still, known = observe_run(BASE, run), observe_as_it_is(BASE, run, noise(run))
+    assert rate_error(run, known) < 0.9 * rate_error(run, still)
+
+
 def test_rough_air_that_looks_alike_is_observed_as_before():
     run, _ = flown(40.0, 2, torque_noise=6.0)
     assert noise(run).gyro > Noise().gyro
