@@ -71,11 +71,13 @@ def compare(
     turning = told_turning(loaded, attitude)
     with shown("reading") as progress:
         read, left_out = read_flights(recordings, loaded, vehicle)
+        for line in left_out:
+            show(line, error=True)
         asked = marked_in(read, stretch or [], marked)
         flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
         found = judge(flights, loaded, turning=turning)
-        names = [path.name for path in recordings]
+        names = [one.name for one in read if one.runs]
         report = CompareReport(
             *(found.places, gap_of(found), names, model),
             [stretch_report(one, found) for one in asked],
@@ -86,8 +88,6 @@ def compare(
 
             progress(0.8, "drawing the report")
             compare_page(found, report).write(html)
-    for line in left_out:
-        show(line, error=True)
     if as_json:
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return

@@ -118,8 +118,9 @@ def marked_in(flights: Sequence[Flights], spans: Sequence[str], by_twin: bool) -
             first, last = one.runs[0].recording_start_s, float(one.runs[-1].time_s[-1])
             marks += stretches.by_twin(one.events, one.name, first, last)
         if not marks:
+            flown = [one.name for one in flights if one.runs]
             raise BadInputError(
-                f"{', '.join(names)}: the live twin marked nothing; record with 'groundstation run"
+                f"{', '.join(flown)}: the live twin marked nothing; record with 'groundstation run"
                 " --twin MODEL', or give --stretch FROM:TO"
             )
         found += marks

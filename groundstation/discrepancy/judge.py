@@ -51,7 +51,7 @@ class Judge:
         worse = {
             channel: t
             for channel, t in found.worse.items()
-            if not better[channel] and found.gaps[channel] > min(1.0, hardly[channel])
+            if not better[channel] and not found.gaps[channel] <= min(1.0, hardly[channel])
         }
         return replace(found, worse=worse)
 
@@ -77,6 +77,7 @@ def beside_what_is_slow(
     worse than the given model, it was right only beside what has no name, and counts is what is
     found without."""
     findings = found(slow)
+    # Here nothing is excused: what was followed only to weigh effects is not in every model.
     if slow is not None and held.judge(findings.model).worse:
         return found(None)
     return findings

@@ -22,7 +22,7 @@ Groups = Sequence[Sequence[Sequence[Run]]]
 def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
     """The groups without what a search cannot use, and what was left out, in words.
 
-    Raises BadInputError where no recording of a group has a channel that nothing works without.
+    Raises BadInputError where all of a group are of no use, and one for want of a channel.
     """
     useful, useless = _without_useless(groups)
     require_channels([run for group in useful for part in group for run in part])

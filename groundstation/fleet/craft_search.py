@@ -90,15 +90,14 @@ def _searched(
     fit_on: Sequence[Path], held: Sequence[Path], model: Model | None, vehicle: str | None
 ) -> Discrepancy:
     from groundstation.discrepancy.engine import find_discrepancy
-    from groundstation.identification.recordings import flights_of_each, without_gaps
+    from groundstation.identification.recordings import flights_of, without_gaps
     from groundstation.recording.craft_family import require_craft_of, vehicle_of
     from groundstation.recording.open_recording import open_recording
 
     opened = [[open_recording(path) for path in paths] for paths in (fit_on, held)]
-    runs, left_out = zip(
-        *(flights_of_each((one.samples, one.path.name) for one in part) for part in opened),
-        strict=True,
-    )
+    runs: list[list[list[Run]]] = [
+        [flights_of(one.samples, one.path.name) for one in recordings] for recordings in opened
+    ]
     if model is None:
         name = vehicle_of([*opened[0], *opened[1]], vehicle) or "crazyflie1"
         bridged, rest = (
@@ -108,7 +107,7 @@ def _searched(
     elif vehicle is None:
         for one in (*opened[0], *opened[1]):
             require_craft_of(one, model)
-    return find_discrepancy(runs[0], model, runs[1], left_out=[*left_out[0], *left_out[1]])
+    return find_discrepancy(runs[0], model, runs[1])
 
 
 def _own_fit(fit_on: Sequence[Run], held: Sequence[Run], vehicle: str) -> Model:

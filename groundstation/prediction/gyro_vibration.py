@@ -27,7 +27,8 @@ def vibration_of(gyro: Array, used: Mask, period_s: float) -> tuple[float, float
     """RMS about the body's axes above ``FROM_HZ``, rad/s.
 
     gyro: (n, 3) rad/s, rows that were lost NaN. used: (n,) rows in the air. 0 where rows are too
-    slow to show it, or fewer than three blocks are in the air.
+    slow to show it, or fewer than three blocks are in the air; little where they are hardly faster
+    than 100 a second, for what they fold below ``FROM_HZ`` is not told from motion.
     """
     from scipy.signal import butter, sosfilt
 

@@ -197,8 +197,9 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
 
 def _error(run: Flown, seen: Observed, channels: slice) -> float:
     """Mean squared error of rates or angles ``AHEAD_S`` ahead, without end where none is known."""
-    new = np.flatnonzero(seen.fresh)
-    every = int(np.median(np.diff(new))) if len(new) > 1 else 1
+    new, every = np.flatnonzero(seen.fresh), 1
+    if channels == ANGLES and len(new) > 1:
+        every = int(np.median(np.diff(new)))
     steps = every * max(round(AHEAD_S / (every * run.period_s)), 1)
     rows = airborne(seen, steps)
     if channels == ANGLES:

@@ -62,6 +62,10 @@ def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
     assert 2 in following({"c2": 1.1}).worse
 
 
+def test_a_channel_without_any_prediction_is_worse(following):
+    assert following({"c2": 1e200}).worse
+
+
 def test_in_still_air_nothing_is():
     slow, _ = looked_at(9, {})
     assert slow is None
