@@ -24,6 +24,11 @@ from groundstation.discrepancy.slow_disturbance import (
 from groundstation.dynamics.model import Model
 from groundstation.identification.likelihood.parameters import Point
 
+CLEARLY_T = 2.0
+"""Standard errors by which a channel is worse beside what is followed. There one is no reason: how
+much of a channel the follower takes depends on the model a little, and that the given model as it
+is predicts nothing better is asked of the final one."""
+
 
 class Judge:
     """Held-out rows as the model at a point predicts them, beside what the given model says; the
@@ -51,7 +56,9 @@ class Judge:
         worse = {
             channel: t
             for channel, t in found.worse.items()
-            if not better[channel] and not found.gaps[channel] <= min(1.0, hardly[channel])
+            if t >= CLEARLY_T
+            and not better[channel]
+            and not found.gaps[channel] <= min(1.0, hardly[channel])
         }
         return replace(found, worse=worse)
 

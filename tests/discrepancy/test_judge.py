@@ -62,6 +62,12 @@ def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
     assert 2 in following({"c2": 1.1}).worse
 
 
+def test_a_doubt_beside_what_is_followed_is_none(following):
+    found = [following({"c2": c2}).worse for c2 in (0.8, 0.9, 0.95, 1.05, 1.1, 1.2)]
+    assert any(found)
+    assert all(t >= 2.0 for worse in found for t in worse.values())
+
+
 def test_a_channel_without_any_prediction_is_worse(following):
     assert following({"c2": 1e200}).worse
 
