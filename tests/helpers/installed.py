@@ -135,6 +135,19 @@ class Daemon:
     def children(self):
         return psutil.Process(self.process.pid).children(recursive=True)
 
+    def child(self, marker):
+        """The running child with this word on its command line, once there is one."""
+
+        def look():
+            for process in self.children():
+                with contextlib.suppress(psutil.Error):  # it may have ended since
+                    words = process.cmdline()
+                    if marker in words and "groundstation.viewer.leash" not in words:
+                        return process
+            return None
+
+        return until(look, f"a child {marker}")
+
     def stop(self, number=signal.SIGINT):
         """Send a signal and wait; the exit status."""
         self.process.send_signal(number)

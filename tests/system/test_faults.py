@@ -239,10 +239,7 @@ def test_a_view_that_is_killed_is_back_soon_and_costs_nothing(tmp_path, victim):
     with Daemon(tmp_path, "--viewer", "serve", *ports) as daemon:
         daemon.recording(samples=100)  # or there is nothing that could be lost
         daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view")
-        for child in daemon.children():
-            words = child.cmdline()
-            if victim in words and "groundstation.viewer.leash" not in words:
-                child.kill()
+        daemon.child(victim).kill()
         killed_s = time.monotonic()
         daemon.status_when(lambda s: s["viewer"]["restarts"], "noticed")
         daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view again")

@@ -1,11 +1,10 @@
 """The live view may die, stall or be killed: the recording does not notice."""
 
-import contextlib
 import signal
 
 import psutil
 import pytest
-from installed import PATIENCE_S, RECORDINGS, Daemon, free_port, until
+from installed import PATIENCE_S, RECORDINGS, Daemon, free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
@@ -18,20 +17,6 @@ MEMORY_MOST = 30e6
 def serving_daemon(folder, *arguments):
     ports = ("--viewer-port", free_port(), "--web-port", free_port())
     return Daemon(folder, "--viewer", "serve", *ports, *arguments)
-
-
-def child(daemon, marker):
-    """The daemon's running child with this word on its command line, once there is one."""
-
-    def look():
-        for process in daemon.children():
-            with contextlib.suppress(psutil.Error):
-                words = process.cmdline()
-                if marker in words and "groundstation.viewer.leash" not in words:
-                    return process
-        return None
-
-    return until(look, f"a child {marker}")
 
 
 def is_serving(status):
@@ -47,7 +32,7 @@ def test_a_view_that_dies_or_stalls_costs_the_recording_nothing(tmp_path, victim
         memory = process.memory_info().rss
         for number in (signal.SIGKILL, signal.SIGSTOP):
             before = daemon.status()["viewer"]
-            child(daemon, victim).send_signal(number)
+            daemon.child(victim).send_signal(number)
             daemon.status_when(
                 lambda status, restarts=before["restarts"]: (
                     status["viewer"]["restarts"] > restarts and is_serving(status)
@@ -74,7 +59,7 @@ def test_nothing_outlives_a_daemon_that_is_killed(tmp_path):
         daemon.status_when(is_serving, "serving")
         children = daemon.children()
         assert len(children) >= 2
-        child(daemon, FEEDER).send_signal(signal.SIGSTOP)
+        daemon.child(FEEDER).send_signal(signal.SIGSTOP)
         daemon.stop(signal.SIGKILL)
         _, alive = psutil.wait_procs(children, timeout=PATIENCE_S)
         assert not alive
