@@ -11,8 +11,6 @@ from groundstation.errors import BadInputError
 from groundstation.identification.runs import Run
 
 LEAST_FLIGHT_S = 3.0
-
-
 NEEDED = {"gyro": "the gyro", "duty": "the motors' PWM", "supply_v": "the battery voltage"}
 """Channels that nothing works without."""
 

@@ -197,14 +197,12 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
 
 def _error(run: Flown, seen: Observed, channels: slice) -> float:
     """Mean squared error of rates or angles ``AHEAD_S`` ahead, without end where none is known."""
-    new, every = np.flatnonzero(seen.fresh), 1
-    if channels == ANGLES and len(new) > 1:
-        every = int(np.median(np.diff(new)))
+    told = seen.fresh if channels == ANGLES else np.ones_like(seen.fresh)
+    new = np.flatnonzero(told)
+    every = int(np.median(np.diff(new))) if len(new) > 1 else 1
     steps = every * max(round(AHEAD_S / (every * run.period_s)), 1)
     rows = airborne(seen, steps)
-    if channels == ANGLES:
-        rows = rows[seen.fresh[rows] & seen.fresh[rows + steps]]
-    rows = rows[::JUDGED]
+    rows = rows[told[rows] & told[rows + steps]][::JUDGED]
     made = fly_ahead(run, seen, rows, [steps]).errors(run)[:, 0, channels]
     known = made[np.isfinite(made).all(axis=1)]
     with np.errstate(over="ignore"):  # of a model that grows without end

@@ -83,9 +83,8 @@ def rate_error(run, seen):
 def test_an_observer_that_knows_it_foretells_rates_better(clean):
     run = shaken(clean)
     still, known = observe_run(BASE, run), observe_as_it_is(BASE, run, noise(run))
-    assert rate_error(run, known) < 0.85 * rate_error(
-        run, still
-    )  # 0.64 of it is the shaking itself
+    # 0.64 of the error is the shaking itself
+    assert rate_error(run, known) < 0.85 * rate_error(run, still)
 
 
 def test_so_does_one_without_angles(clean):
