@@ -63,9 +63,13 @@ class Judge:
         return replace(found, worse=worse)
 
     def raises_plainly(self, before: Point, after: Point) -> bool:
-        """Whether the gap of one point is above another's where nothing is followed."""
+        """Whether the gap of one point is above another's where nothing is followed; and, beside
+        what is followed, not within noise with less than a tenth more."""
         low, high = (self._given.judge(self._model_at(point)).gap for point in (before, after))
-        return high > low
+        if high <= low or self._slow is None:
+            return high > low
+        low, high = (self(point).gap for point in (before, after))
+        return high > min(1.0, (1.0 + WORSE_ANYWHERE) * low)
 
 
 def to_follow(fitted: Comparison) -> Slow | None:

@@ -10,6 +10,7 @@ from groundstation.discrepancy.evidence import (
     HELD_OUT_SHARE,
     beside_own_constants,
     beyond_unseen,
+    by_own_spectra,
     gather,
     power_beyond,
     separated,
@@ -39,14 +40,14 @@ def test_what_was_known_before_promises_nothing_of_held_out_rows(problem):
     after = problem.fit(problem.start, ("c0", "c1", "c2", *DAMPING.keys))
     found = gather(problem, problem.flights, before, after, DAMPING)
     # Of the very rows it was fitted to.
-    assert found.expected == pytest.approx(found.held_out, rel=0.2)
-    assert found.drop > found.expected + 5.0
+    assert found.held_out.expected == pytest.approx(found.held_out.drop, rel=0.2)
+    assert found.drop > found.held_out.expected + 5.0
     problem.prior = [(keys, centre, 100.0 * weight) for keys, centre, weight in problem.prior]
     costs = [problem.fit(one.point, (), steps=0).cost for one in (before, after)]
     surely = [replace(one, cost=cost) for one, cost in zip((before, after), costs, strict=True)]
     again = gather(problem, problem.flights, *surely, DAMPING)
     assert again.drop > found.drop + 500.0
-    assert again.expected == pytest.approx(found.expected)
+    assert again.held_out == found.held_out
 
 
 @pytest.fixture(scope="module")
@@ -69,16 +70,34 @@ def test_an_effect_foretells_rows_of_a_flight_whose_own_constants_are_others(spe
         replace(spectrum, residual=rows, columns=torque[None], place=np.zeros(1, np.int64))
         for rows in (left, left + effect)
     )
-    noises = {0: Noise(np.array([1.0]), np.array([1.0]))}
-    weight = spectrum.weight
-    alone = float(weight @ before.residual**2 - weight @ after.residual**2)
-    assert alone < HELD_OUT_SHARE * float(weight @ effect**2)
     away, near = (Linear({}, ("c2",), [one], []) for one in (before, after))
-    held, expected = beside_own_constants(away, near, noises)
-    assert expected == pytest.approx(0.64 * float(weight.sum()), rel=0.1)
-    assert held == pytest.approx(expected, rel=0.1)
+    alone = by_own_spectra(away, near)
+    assert alone.drop < HELD_OUT_SHARE * alone.expected
+    told = beside_own_constants(away, near)
+    # 0.8 of the effect goes with nothing else, beside noise of twice 1 in each bin.
+    assert told.information == pytest.approx(0.64 * 0.5 * float(spectrum.weight.sum()), rel=0.1)
+    assert told.expected < told.information
+    assert told.drop == pytest.approx(told.expected, rel=0.1)
     no_effect = Linear({}, ("c2",), [replace(after, residual=left - effect)], [])
-    assert beside_own_constants(near, no_effect, noises)[0] < 0.0
+    assert beside_own_constants(near, no_effect).drop < 0.0
+
+
+def test_a_flight_is_judged_by_its_own_noise(spectrum):
+    """Fast, where it is quiet, the effect is right; slowly, where air moves it, the effect adds to
+    the disturbance a little, and by the noise of any other flight that would be all that counts."""
+    generator = np.random.default_rng(5)
+    slow = spectrum.hz < 4.0
+    noise = generator.normal(size=1000) * np.where(slow, 100.0, 1.0)
+    column = generator.normal(size=1000)
+    before = replace(spectrum, residual=noise + np.where(slow, 0.0, column))
+    after = replace(spectrum, residual=noise + np.where(slow, 0.1 * noise, 0.0))
+    by_other = spectrum.weight @ (before.residual**2 - after.residual**2)
+    assert by_other < -10000.0
+    away, near = (Linear({}, (), [one], []) for one in (before, after))
+    told = by_own_spectra(away, near)
+    assert told.drop > 0.7 * told.expected > 300.0
+    # A limit on what counts takes the part away that is above it.
+    assert by_own_spectra(away.below([4.0]), near.below([4.0])).drop < 0.0
 
 
 def test_a_late_answer_to_the_motors_is_not_beyond_what_settings_between_rows_can_do(spectrum):

@@ -62,6 +62,13 @@ def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
     assert 2 in following({"c2": 1.1}).worse
 
 
+def test_a_gap_within_noise_that_hardly_grows_speaks_against_nothing(blown, following):
+    before, after = {"c2": 1.0}, {"c2": 1.1}
+    assert following(before).gap < following(after).gap < 1.0
+    assert not following.raises_plainly(before, after)
+    assert Judge(blown[1], model_at).raises_plainly(before, after)
+
+
 def test_a_doubt_beside_what_is_followed_is_none(following):
     found = [following({"c2": c2}).worse for c2 in (0.8, 0.9, 0.95, 1.05, 1.1, 1.2)]
     assert any(found)

@@ -16,6 +16,7 @@ from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point
 from groundstation.identification.runs import Run
+from groundstation.identification.speed_noise import speed_spectrum
 from groundstation.telemetry.packet import FULL_16_BIT
 
 Array = NDArray[np.float64]
@@ -60,12 +61,10 @@ MOTION_S = 0.05
 """Means over so long are the craft's motion, not its vibration."""
 BY_CHANCE = 2.5
 """Standard deviations by which blocks or bands may disagree before it counts."""
-ABOVE, NOISE_FROM, NOISY = 1.5, 0.6, 30.0
+ABOVE, NOISY = 1.5, 30.0
 """Measured speeds tell too little above ``STEERED_HZ`` where within half as much again there is
-less than so many times the noise, which is what is left near half the rate: noise in what is
-recorded bends a gain by its share, and 3 % is what a minute's flight tells."""
-NO_MOTOR_HZ = 60.0
-"""A motor of 30 ms shows a hundredth of the power that it is given there."""
+less than so many times the noise: noise in what is recorded bends a gain by its share, and 3 % is
+what a minute's flight tells."""
 
 
 def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
@@ -111,26 +110,17 @@ def _steered(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
 def blurred(flights: Sequence[Flight]) -> bool:
     """Whether rotor speeds are measured ones that may not tell what is above ``STEERED_HZ``: more
     than 1 / ``NOISY`` of it is noise, or readings so slow that noise cannot be told from motion.
-
-    The noise is read near half the rate of fresh readings; readings that were joined by straight
-    lines hide it.
     """
     if not all(one.rotor_measured for one in flights):
         return False
     fast, noise = 0.0, 0.0
     for flight in flights:
-        speeds = flight.run.rotor_rev_s[flight.rows]
-        fresh = float(np.mean(np.diff(speeds, axis=0) != 0.0))
-        top = fresh * 0.5 / flight.period_s
-        if NOISE_FROM * top < NO_MOTOR_HZ:
+        seen = speed_spectrum(flight)
+        if seen.noise is None:
             return True
-        hz = np.fft.rfftfreq(len(speeds), flight.period_s)
-        window = np.hanning(len(speeds))[:, None]
-        power = np.abs(np.fft.rfft((speeds - speeds.mean(axis=0)) * window, axis=0)) ** 2
-        above = (hz > STEERED_HZ[1]) & (hz < ABOVE * STEERED_HZ[1])
-        floor = (hz > NOISE_FROM * top) & (hz < top)
-        fast += float(np.mean(power[above], axis=0).sum())
-        noise += float(np.median(power[floor], axis=0).sum() / np.log(2.0))
+        above = (seen.hz > STEERED_HZ[1]) & (seen.hz < ABOVE * STEERED_HZ[1])
+        fast += float(np.mean(seen.power[above]))
+        noise += seen.noise
     return fast < NOISY * noise
 
 

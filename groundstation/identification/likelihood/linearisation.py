@@ -46,6 +46,14 @@ class Linear:
             spectra.append(replace(s, weight=np.where(inside, s.weight, 0.0)))
         return replace(self, spectra=spectra)
 
+    def below(self, most_hz: Sequence[float]) -> Linear:
+        """The same where of each flight only what is slower than its limit counts."""
+        spectra = [
+            replace(s, weight=np.where(s.hz <= most_hz[s.flight], s.weight, 0.0))
+            for s in self.spectra
+        ]
+        return replace(self, spectra=spectra)
+
 
 def linearise(
     flights: Sequence[Flight],

@@ -1,0 +1,69 @@
+"""How far recorded rotor speeds tell motion from the noise of their sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.flight import Flight
+
+Array = NDArray[np.float64]
+
+NOISE_FROM = 0.6
+"""Share of half the rate of fresh readings from which a motor does nothing that is seen: what is
+left there is noise, if that is beyond ``NO_MOTOR_HZ``."""
+NO_MOTOR_HZ = 60.0
+"""A motor of 30 ms shows a hundredth of the power that it is given there."""
+SMOOTHED_HZ, TWICE = 3.0, 2.0
+"""Width of the mean over the power, and what it is of the noise where half of it is motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSpectrum:
+    """Of a flight's recorded speeds, all rotors together.
+
+    hz, power: (m,), the power up to a factor. noise: of the sensor, in each bin, None where its
+    readings are so rare that it cannot be told from motion. top_hz: half the rate of fresh ones.
+    """
+
+    hz: Array
+    power: Array
+    noise: float | None
+    top_hz: float
+
+
+def speed_spectrum(flight: Flight) -> SpeedSpectrum:
+    """The noise is read near half the rate of fresh readings; readings that were joined by straight
+    lines hide it."""
+    speeds = flight.run.rotor_rev_s[flight.rows]
+    fresh = float(np.mean(np.diff(speeds, axis=0) != 0.0))
+    top = fresh * 0.5 / flight.period_s
+    hz = np.asarray(np.fft.rfftfreq(len(speeds), flight.period_s), np.float64)
+    window = np.hanning(len(speeds))[:, None]
+    power = np.abs(np.fft.rfft((speeds - speeds.mean(axis=0)) * window, axis=0)) ** 2
+    noise = None
+    if NOISE_FROM * top >= NO_MOTOR_HZ:
+        floor = (hz > NOISE_FROM * top) & (hz < top)
+        noise = float(np.median(power[floor], axis=0).sum() / np.log(2.0))
+    return SpeedSpectrum(hz, power.sum(axis=1), noise, top)
+
+
+def tells_up_to_hz(flight: Flight) -> float:
+    """Frequency above which recorded speeds are mostly noise; infinite where none were recorded.
+
+    A column that is made from them is mostly noise there, and says so of rows that no fit saw.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    if not flight.rotor_measured:
+        return math.inf
+    seen = speed_spectrum(flight)
+    if seen.noise is None:
+        return seen.top_hz
+    width = max(1, round(SMOOTHED_HZ / seen.hz[1]))
+    quiet = uniform_filter1d(seen.power, width, mode="reflect") < TWICE * seen.noise
+    first = np.flatnonzero(quiet & (seen.hz > SMOOTHED_HZ))
+    return float(seen.hz[first[0]]) if len(first) else math.inf
