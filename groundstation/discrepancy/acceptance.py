@@ -197,8 +197,8 @@ def insignificant(trial: Trial) -> str:
 
 def not_held_out(trial: Trial) -> str:
     """Rows that no fit saw are not predicted better, one row ahead."""
-    told = _evidence(trial).held_out
-    enough = told.drop >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * told.expected)
+    evidence = _evidence(trial)
+    enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)
     return "" if enough else "does not predict held-out rows better"
 
 

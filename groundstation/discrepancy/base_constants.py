@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
-from groundstation.discrepancy.evidence import by_own_spectra
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.identification.body.certainty import DRAG_HZ, STEERED_HZ, YAW_BANDS, blurred
@@ -20,7 +19,6 @@ from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, Point, absent
 from groundstation.identification.likelihood.problem import Fit, Problem, bounded
 from groundstation.identification.likelihood.residuals import evaluate
-from groundstation.identification.speed_noise import tells_up_to_hz
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Group = tuple[str, ...]
@@ -65,12 +63,11 @@ def not_improved(
         held.update(group)
         left.remove(group)
     if validation:
-        most_hz = [tells_up_to_hz(one) for one in validation]
-        changed = problem.linear(rest.point, (), validation).below(most_hz)
+        changed, _, _ = problem.cost(rest.point, validation)
         for group in left:
             back = _gone_back(rest, group, problem.start)
-            given = problem.linear(back.point, (), validation).below(most_hz)
-            if by_own_spectra(given, changed).drop < LEAST_HELD_OUT:
+            given, _, _ = problem.cost(back.point, validation)
+            if given - changed < LEAST_HELD_OUT:
                 rest, changed = back, given
                 held.update(group)
     return held, rest.point

@@ -334,8 +334,8 @@ def _effect(
         evidence={
             "likelihood_ratio": evidence.drop,
             "t": evidence.t,
-            "held_out": evidence.held_out.drop,
-            "held_out_expected": evidence.held_out.expected,
+            "held_out": evidence.held_out,
+            "held_out_expected": evidence.expected,
             "axes": evidence.apart(1),
             "recordings": evidence.apart(0),
             "whitened_before": evidence.gap[0],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from groundstation.identification.likelihood.free_spectra import reweighted, smo
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import BODY_KEYS, Variant, value
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import Noise, Spectrum
+from groundstation.identification.likelihood.spectra import Noise, Spectrum, quadratic
 from groundstation.identification.speed_noise import tells_up_to_hz
 
 Array = NDArray[np.float64]
@@ -27,8 +27,6 @@ BLOCK_S = 1.0
 HELD_OUT_SHARE = 0.2
 """Of what an effect promises on held-out rows, the least that they have to gain: it may be of
 another size there, and then gains nothing at half of it."""
-SEEN = ("sensor", "attitude")
-"""Stages whose effects do not go with what recorded speeds say of the rotors."""
 INFORMED = 0.05
 """Least share of Fisher information for the homogeneity test: where an effect hardly shows, a
 small fault of a strong one looks like a disagreement."""
@@ -41,29 +39,20 @@ LEAST_INFORMATION = 9.0
 
 
 @dataclass(frozen=True, slots=True)
-class Foretold:
-    """What an effect does to held-out rows.
-
-    drop: of -2 log L. expected: what it is, on average, for an effect of the fitted size (a flight
-    may hardly do what shows in another, and what was known before the flights promises nothing).
-    information: on the size, relative to the fitted one.
-    """
-
-    drop: float = 0.0
-    expected: float = 0.0
-    information: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
 class Evidence:
-    """drop: of -2 log L in the fit, the prior included; held_out: held-out rows. t: by blocks.
+    """drop: of -2 log L in the fit, the prior included; held_out: of that of held-out rows,
+    expected: what it is there, on average, for an effect of the fitted size (a flight may hardly do
+    what shows in another, and what was known before the flights promises nothing). information: of
+    held-out rows on the size, relative to the fitted one. t: by blocks.
     parts: (flight, channel) -> size relative to the joint fit, and its standard error. gap:
     whitened RMS on held-out rows before and after, over the channels it touches. recordings: names
     by number of the flight. beyond: what it does (drop of -2 log L) more than settings of the
     motors that no row shows can do; infinite where rows show all of them."""
 
     drop: float
-    held_out: Foretold
+    held_out: float
+    expected: float
+    information: float
     t: float
     parts: dict[tuple[int, int], tuple[float, float]]
     gap: tuple[float, float]
@@ -83,7 +72,7 @@ class Evidence:
             found[key] = sum(size * error**-2 for size, error in parts) / weight, weight
         every = sum(weight for _, weight in found.values())
         if by == 0:  # flights that no fit saw may know it by far better
-            every += self.held_out.information
+            every += self.information
         return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
 
     def spread(self, by: int) -> list[tuple[float, float]]:
@@ -116,50 +105,70 @@ def gather(
 ) -> Evidence:
     """What speaks for a variant: ``before`` and ``after`` it joined. away: held-out rows as the fit
     before leaves them, where they have been evaluated."""
-    told, gap, drop = Foretold(), (1.0, 1.0), before.cost - after.cost
+    held, expected, information = 0.0, 0.0, 0.0
+    gap, drop = (1.0, 1.0), before.cost - after.cost
     linear = problem.linear(after.point, after.keys, problem.flights)
     channels = touched(problem, linear, variant)
     if validation:
         if away is None:
             away = problem.linear(before.point, (), validation)
         near = problem.linear(after.point, (), validation)
-        by_speeds = variant.definition.stage not in SEEN
-        most_hz = [tells_up_to_hz(one) if by_speeds else math.inf for one in validation]
-        told = by_own_spectra(away.below(most_hz), near.below(most_hz))
-        if told.drop < HELD_OUT_SHARE * told.expected:
+        one, own, freedom = problem.cost_of(away)
+        other, better, _ = problem.cost_of(near)
+        held, expected = one - other, problem.apart(away, near)
+        information = expected
+        if held < HELD_OUT_SHARE * expected:
             free = problem.linear(after.point, BODY_KEYS, validation)
-            told = beside_own_constants(away.below(most_hz), free.below(most_hz))
-        gap = whitened(problem, away, channels), whitened(problem, near, channels)
+            held, expected = beside_own_constants(away, free, problem.noise)
+            information = expected
+        if held < HELD_OUT_SHARE * expected:
+            held, expected = by_own_noise(away, where_speeds_tell(free, validation))
+        count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
+        gap = (
+            float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
+            float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
+        )
     effect = separated(problem, linear, variant)
     t, parts = by_parts(problem, effect)
     names = tuple(flight.run.name for flight in problem.flights)
     beyond = beyond_unseen(problem, effect)
-    return Evidence(drop, told, t, parts, gap, channels, names, beyond)
+    return Evidence(drop, held, expected, information, t, parts, gap, channels, names, beyond)
 
 
-def by_own_spectra(away: Linear, near: Linear) -> Foretold:
-    """What going from one point to another does to the same flights.
-
-    The spectrum of each flight's noise is its own, free at every frequency, at both points: of
-    flights that are flown otherwise the fitted ones say neither how much slow air they meet nor
-    how they shake (a figure of eight has 6 to 30 times what turns on the spot have from 2 to 4 Hz,
-    and a tenth from 18 to 50).
-    """
-    before, after = ([s.residual for s in one.spectra] for one in (away, near))
-    told = _foretold(near.spectra, before, after)
-    fallen = expected = 0.0
-    for one, other in zip(away.verticals, near.verticals, strict=True):
-        fallen += (one.residual / one.sigma) ** 2 - (other.residual / other.sigma) ** 2
-        expected += ((one.residual - other.residual) / other.sigma) ** 2
-    return Foretold(told.drop + fallen, told.expected + expected, told.information + expected)
-
-
-def beside_own_constants(away: Linear, near: Linear) -> Foretold:
-    """The same whatever these flights' own c0..c2 and thrust are.
+def beside_own_constants(
+    away: Linear, near: Linear, noises: Mapping[int, Noise]
+) -> tuple[float, float]:
+    """What -2 log L of the same flights falls by from one point to another, and by how much it
+    would where the other is the truth, whatever these flights' own c0..c2 and thrust are.
 
     near: with the columns of these constants. Flights of one craft differ in them (a brushed
     craft's c2 by a factor of four with the air, docs/real_flights.md): an effect that foretells the
     rest is not to be refused for that.
+    """
+
+    def least(residuals: Iterable[Array]) -> float:
+        spectra = [replace(s, residual=one) for s, one in zip(near.spectra, residuals, strict=True)]
+        found = quadratic(spectra, noises, (), len(near.keys))
+        return found.value - float(found.gradient @ inverse(found.normal) @ found.gradient)
+
+    before, after = ([s.residual for s in one.spectra] for one in (away, near))
+    moved = (one - other for one, other in zip(before, after, strict=True))
+    return least(before) - least(after), least(moved)
+
+
+def where_speeds_tell(linear: Linear, flights: Sequence[Flight]) -> Linear:
+    """The same of flights, where recorded rotor speeds are not mostly noise: a change of the model
+    makes more or less of their noise, and is not to be judged by that."""
+    return linear.below([tells_up_to_hz(one) for one in flights])
+
+
+def by_own_noise(away: Linear, near: Linear) -> tuple[float, float]:
+    """``beside_own_constants`` with noise of these flights' own, free at every frequency, before
+    and after; weights are those of ``near``.
+
+    Of flights that are flown otherwise the fitted ones say neither how much slow air they meet nor
+    how they shake (a figure of eight beside turns on the spot: docs/real_flights.md). It is the
+    last question, for a spectrum that holds what is still missing hides what is small beside it.
     """
     anywhere = np.full(len(near.keys), np.inf)
 
@@ -170,29 +179,14 @@ def beside_own_constants(away: Linear, near: Linear) -> Foretold:
         return [s.residual - change[s.place] @ s.columns for s in spectra]
 
     before, after = (least(s.residual for s in one.spectra) for one in (away, near))
-    return _foretold(near.spectra, before, after)
-
-
-def _foretold(
-    spectra: Sequence[Spectrum], before: Sequence[Array], after: Sequence[Array]
-) -> Foretold:
-    """``by_own_spectra`` of residuals (2 m,), one for each flight and channel."""
     moved = [one - other for one, other in zip(before, after, strict=True)]
-    powers = (smoothed(spectra, values) for values in (before, after, moved))
-    drop = expected = information = 0.0
-    for s, one, other, apart in zip(spectra, *powers, strict=True):
+    powers = (smoothed(near.spectra, values) for values in (before, after, moved))
+    held = expected = 0.0
+    for s, one, other, apart in zip(near.spectra, *powers, strict=True):
         weight = s.weight[: len(one)]
-        drop += float(weight @ np.log(one / other))
+        held += float(weight @ np.log(one / other))
         expected += float(weight @ np.log1p(apart / other))
-        information += float(weight @ (apart / other))
-    return Foretold(drop, expected, information)
-
-
-def whitened(problem: Problem, linear: Linear, channels: Sequence[int]) -> float:
-    """RMS of what is left in some channels, over the noise of the fitted flights."""
-    _, own, freedom = problem.cost_of(linear)
-    count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
-    return float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count))
+    return held, expected
 
 
 def touched(problem: Problem, linear: Linear, variant: Variant) -> tuple[int, ...]:

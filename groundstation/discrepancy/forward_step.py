@@ -71,7 +71,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
         if why is None:
             search.accepted.insert(0, Accepted(variant, evidence, []))
-            search.held_out[variant.label] = evidence.held_out.drop
+            search.held_out[variant.label] = evidence.held_out
         else:
             search.refused[variant.label] = why
             out.append(variant)
@@ -104,7 +104,7 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
             assert trial.fit is not None
             trial.evidence = search.weighed(before, trial.fit, trial.variant)
             trial.tried = search.names(label) in search.tried
-            search.held_out[label] = trial.evidence.held_out.drop
+            search.held_out[label] = trial.evidence.held_out
             why = refusal(Stage.WEIGHED, trial)
             if why is None:
                 _join(search, trial, trials)

@@ -63,12 +63,13 @@ class Judge:
         return replace(found, worse=worse)
 
     def raises_plainly(self, before: Point, after: Point) -> bool:
-        """Whether the gap of one point is above another's where nothing is followed; and, beside
-        what is followed, not within noise with less than a tenth more."""
-        low, high = (self._given.judge(self._model_at(point)).gap for point in (before, after))
+        """Whether a point's gap is above another's where nothing is followed. Beside what is
+        followed that counts only where the gap is then beyond noise, or a tenth higher."""
+        models = [self._model_at(point) for point in (before, after)]
+        low, high = (self._given.judge(model).gap for model in models)
         if high <= low or self._slow is None:
             return high > low
-        low, high = (self(point).gap for point in (before, after))
+        low, high = (self._held.judge(with_term(model, self._slow)).gap for model in models)
         return high > min(1.0, (1.0 + WORSE_ANYWHERE) * low)
 
 

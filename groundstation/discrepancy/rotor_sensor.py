@@ -37,6 +37,6 @@ def with_sensor_lag(outcome: Outcome, problem: Problem, held: Sequence[Flight]) 
         outcome,
         accepted=[*outcome.accepted, *([] if why else [Accepted(ALONG, evidence, [])])],
         refused={**outcome.refused, **({ALONG.label: why} if why else {})},
-        held_out={**outcome.held_out, ALONG.label: evidence.held_out.drop},
+        held_out={**outcome.held_out, ALONG.label: evidence.held_out},
         scores=[*outcome.scores, scored],
     )

@@ -51,7 +51,8 @@ class SearchState:
         self.problem, self.validation, self.progress = problem, validation, progress
         self.judge: Judge | None = None
         self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
-        """Whether predictions are worse at the second point with nothing followed, too."""
+        """Whether predictions are worse at the second point with nothing followed, too, and beside
+        what is followed by more than noise."""
         self.candidates = list(candidates)
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]

@@ -67,7 +67,7 @@ def name_base_changes(search: SearchState) -> None:
         search.now, search.held = after, held
         search.accepted.insert(0, Accepted(variant, evidence, []))
         search.errors[own] = after.stderr()[own]
-        search.held_out[variant.label] = evidence.held_out.drop
+        search.held_out[variant.label] = evidence.held_out
 
 
 def confirm(search: SearchState) -> bool:

@@ -17,7 +17,7 @@ NOISE_FROM = 0.6
 left there is noise, if that is beyond ``NO_MOTOR_HZ``."""
 NO_MOTOR_HZ = 60.0
 """A motor of 30 ms shows a hundredth of the power that it is given there."""
-SMOOTHED_HZ, TWICE = 3.0, 2.0
+SMOOTHED_HZ, POWER_OVER_NOISE = 3.0, 2.0
 """Width of the mean over the power, and what it is of the noise where half of it is motion."""
 
 
@@ -52,10 +52,8 @@ def speed_spectrum(flight: Flight) -> SpeedSpectrum:
 
 
 def tells_up_to_hz(flight: Flight) -> float:
-    """Frequency above which recorded speeds are mostly noise; infinite where none were recorded.
-
-    A column that is made from them is mostly noise there, and says so of rows that no fit saw.
-    """
+    """The first frequency at which less than half of recorded speeds is motion; infinite where none
+    were recorded, half the rate of fresh readings where noise cannot be told from motion."""
     from scipy.ndimage import uniform_filter1d
 
     if not flight.rotor_measured:
@@ -64,6 +62,6 @@ def tells_up_to_hz(flight: Flight) -> float:
     if seen.noise is None:
         return seen.top_hz
     width = max(1, round(SMOOTHED_HZ / seen.hz[1]))
-    quiet = uniform_filter1d(seen.power, width, mode="reflect") < TWICE * seen.noise
+    quiet = uniform_filter1d(seen.power, width, mode="reflect") < POWER_OVER_NOISE * seen.noise
     first = np.flatnonzero(quiet & (seen.hz > SMOOTHED_HZ))
     return float(seen.hz[first[0]]) if len(first) else math.inf

@@ -21,14 +21,14 @@ def flight_with(noise_rev_s, rows_apart=1, held_rows=1):
     return prepare(flights_of(samples, "flight"))[0]
 
 
-@pytest.mark.parametrize("held_rows", [1, 2])
-def test_the_noise_is_that_of_the_sensor(held_rows):
+# half of a held reading's power is left at half its rate, and it has twice as much at first
+@pytest.mark.parametrize(("held_rows", "share"), [(1, 1.0), (2, 1.3)])
+def test_the_noise_is_that_of_the_sensor(held_rows, share):
     seen = speed_spectrum(flight_with(0.5, held_rows=held_rows))
     rows = 2 * (len(seen.hz) - 1)
     assert seen.top_hz == pytest.approx(250.0 / held_rows, rel=0.02)
-    # held readings have a hole where half their rate is
-    most = 4.0 * 0.5**2 * rows * 0.375
-    assert 0.25 * most < seen.noise < 1.3 * held_rows * most
+    # of four rotors, beside the mean square of a Hann window
+    assert seen.noise == pytest.approx(share * 4.0 * 0.5**2 * rows * 0.375, rel=0.15)
 
 
 def test_the_more_noise_the_less_they_tell():

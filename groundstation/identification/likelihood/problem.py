@@ -358,6 +358,13 @@ class Problem:
             freedom[channel] = freedom.get(channel, 0.0) + count
         return found.value, value_of, freedom
 
+    def apart(self, one: Linear, other: Linear) -> float:
+        """Squared distance of the same flights' residuals at two points, beside noise: what
+        -2 log L falls by from one to the other, on average, where the other is the truth."""
+        pairs = zip(one.spectra, other.spectra, strict=True)
+        changes = [replace(s, residual=s.residual - t.residual) for s, t in pairs]
+        return quadratic(changes, self.noise, (), 0).value
+
 
 def as_met(normal: Array, step: Array, fall: Array) -> Array:
     """A normal matrix (p, p) with the curvature along the last step (p,) that its ends tell.
