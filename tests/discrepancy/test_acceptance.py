@@ -30,7 +30,9 @@ VARIANT = {one.effect: one for one in VARIANTS}
 
 
 def evidence(parts=None, drop=1000.0, held_out=400.0, expected=500.0, t=30.0):
-    return Evidence(drop, held_out, expected, t, parts or {}, (2.0, 1.0), (GYRO_Z, FORCE_Z))
+    return Evidence(
+        drop, held_out, expected, expected, t, parts or {}, (2.0, 1.0), (GYRO_Z, FORCE_Z)
+    )
 
 
 def said(stage, effect="rate_damping", **trial):

@@ -230,7 +230,8 @@ def test_thousands_of_malformed_requests_leave_memory_and_descriptors_flat(serve
         grown = (after[2] - before[2]) / 1e6
         print(f"3000 malformed requests: {grown:+.1f} MB, descriptors {before[0]} -> {after[0]}")
         assert grown < 5
-        assert after[1] <= before[1] + 1
+        # asyncio's pool of threads may still be filling; what leaks grows with the requests
+        assert after[1] <= before[1] + min(32, (os.cpu_count() or 1) + 4)
         time.sleep(0.5)  # the flood has used up the rate of requests
         return ask(path, "GET", "/status")["faults"]
 
