@@ -13,6 +13,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 from programs import run_program, start_guard
 
+from groundstation.allocator import keep_freed
+
+keep_freed()  # as the command itself does
+
 # What tests consent to is not remembered for whoever runs them, and tests run effects of their own.
 os.environ.update(
     XDG_CONFIG_HOME=tempfile.mkdtemp(prefix="groundstation-tests-"), GROUNDSTATION_TRUST_EFFECTS="1"

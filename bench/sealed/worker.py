@@ -20,8 +20,10 @@ from typing import Any
 
 
 def main(search: Callable[[list[str]], Any]) -> None:
+    from groundstation.allocator import keep_freed
     from groundstation.errors import GroundStationError
 
+    keep_freed()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself has it
     answers, sys.stdout = sys.stdout, sys.stderr
     for line in sys.stdin:

@@ -9,6 +9,7 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
+from groundstation.allocator import keep_freed
 from groundstation.errors import GroundStationError
 from groundstation.kernel_cache import provide_cache
 from groundstation.text import printable
@@ -36,6 +37,7 @@ def main() -> NoReturn:
         # Matrices here are small: BLAS's threads only wait for each other. For two searches side by
         # side on two cores that took seven times the processor time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        keep_freed()
         # here, for importing takes long enough to be interrupted
         from groundstation.cli.app import app
 

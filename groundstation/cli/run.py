@@ -103,10 +103,10 @@ def run(
 
 
 async def _serve(config: Config, source: ConfigSource, duration_s: float | None) -> None:
+    from groundstation.allocator import limit_arenas
     from groundstation.service.config import socket_path
     from groundstation.service.control import ControlServer
     from groundstation.service.control_socket import ControlPort, ControlSocket
-    from groundstation.service.health import limit_arenas
     from groundstation.service.station import Station
     from groundstation.service.systemd import notify, pat_watchdog
 

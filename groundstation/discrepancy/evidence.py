@@ -159,7 +159,7 @@ def beside_own_constants(
 def where_speeds_tell(linear: Linear, flights: Sequence[Flight]) -> Linear:
     """The same of flights, where recorded rotor speeds are not mostly noise: a change of the model
     makes more or less of their noise, and is not to be judged by that."""
-    return linear.below([tells_up_to_hz(one) for one in flights])
+    return linear.within(0.0, [tells_up_to_hz(one) for one in flights])
 
 
 def by_own_noise(away: Linear, near: Linear) -> tuple[float, float]:

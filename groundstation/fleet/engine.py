@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from groundstation.allocator import KEPT_BYTES
 from groundstation.errors import BadInputError, GroundStationError
 
 if TYPE_CHECKING:
@@ -250,9 +251,9 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
         "distributed.logging": {"distributed": "critical"},
         # Nobody looks at the samples of the workers' stacks: 4 % of their time.
         "distributed.worker.profile.enabled": False,
-        # Dask has a worker give memory back at once, so that each array of a recording's rows is
-        # mapped and faulted in anew: as much time again as the work.
-        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+        # Dask has a worker give memory back at once; as much time again as the work.
+        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEPT_BYTES,
+        "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": KEPT_BYTES,
     }
     with dask.config.set(settings):
         if scheduler is not None:

@@ -19,6 +19,7 @@ from groundstation.identification.attitude_rows import AttitudeRows, Gaps, attit
 from groundstation.identification.read_between import force_read_between
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
+from groundstation.identification.torque import RotorSquares, measured_squares
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -42,7 +43,10 @@ class Flight:
     accelerometer, None without attitude. force_between: rows of the accelerometer are means of
     readings half a row before and half a row after. orientation, carried_orientation: (4, n)
     quaternions of the reported attitude and of ``carried`` (or else of the reported one), and
-    upward: (last - first, 3) the vertical in sensor axes; level without attitude.
+    upward: (last - first, 3) the vertical in sensor axes; level without attitude. rotors: measured
+    speeds, squared, None where they are not.
+
+    Raises BadInputError where speeds are measured in some rows and not in others.
     """
 
     run: Run
@@ -62,6 +66,7 @@ class Flight:
     orientation: Array = field(init=False)
     carried_orientation: Array = field(init=False)
     upward: Array = field(init=False)
+    rotors: RotorSquares | None = field(init=False)
 
     def __post_init__(self) -> None:
         angles = np.zeros_like(self.run.gyro) if self.attitude is None else self.run.attitude
@@ -70,6 +75,8 @@ class Flight:
         object.__setattr__(self, "orientation", reported)
         object.__setattr__(self, "carried_orientation", carried)
         object.__setattr__(self, "upward", rotation_matrix(angles[self.rows])[:, 2])
+        told = measured_squares(self.run) if self.rotor_measured else None
+        object.__setattr__(self, "rotors", told)
 
     @property
     def period_s(self) -> float:

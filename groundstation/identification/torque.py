@@ -64,12 +64,7 @@ def rotor_squares(
     where the motors are saturated throughout.
     """
     if measured:
-        if not np.isfinite(run.rotor_rev_s).all():
-            raise BadInputError(f"{run.name}: measured rotor speed is not in every row")
-        speed = _smoothed(run)
-        # Mean of a square that moves linearly in speed over the period.
-        before = np.vstack([speed[:1], speed[:-1]])
-        return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
+        return measured_squares(run)
     settings = run.settings
     each = len(settings) // len(run)
     voltage = armature_mv(settings, np.repeat(run.supply_v, each))
@@ -87,6 +82,22 @@ def rotor_squares(
     speed, square = simulate_motor(motor, driving[each:], run.period_s / each, start)
     mean = square.reshape(-1, each, square.shape[1]).mean(axis=1)
     return RotorSquares(np.vstack([start**2, mean]), speed[::each] ** 2)
+
+
+def measured_squares(run: Run) -> RotorSquares:
+    """Squared rotor speeds as recorded.
+
+    Raises BadInputError where some rows have none.
+    """
+    if not np.isfinite(run.rotor_rev_s).all():
+        raise BadInputError(f"{run.name}: measured rotor speed is not in every row")
+    return squares_between(_smoothed(run))
+
+
+def squares_between(speed: Array) -> RotorSquares:
+    """Squares of speeds (n, 4), rev/s, which are straight between rows."""
+    before = np.vstack([speed[:1], speed[:-1]])
+    return RotorSquares((speed**2 + before**2 + before * speed) / 3, speed**2)
 
 
 def _smoothed(run: Run) -> Array:

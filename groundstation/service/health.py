@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import ctypes
 import itertools
 import os
 from collections import deque
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
+
+from groundstation.allocator import give_back
 
 PERIOD_S = 0.5
 WINDOW_S = 60.0
@@ -22,9 +21,6 @@ RELEASE_EVERY = 40
 readers' threads it would otherwise keep 20 MB more after some hours."""
 
 
-_ARENA_MAX = -8  # malloc.h
-
-
 class Health:
     """Watches the event loop; judges the rest when asked."""
 
@@ -34,10 +30,9 @@ class Health:
     async def watch(self) -> None:
         """Measure by how much the event loop is late, for as long as the daemon runs."""
         loop = asyncio.get_running_loop()
-        release = _release()
         for turn in itertools.count(1):
             if turn % RELEASE_EVERY == 0:
-                await asyncio.to_thread(release, 0)
+                await asyncio.to_thread(give_back)
             due_s = loop.time() + PERIOD_S
             await asyncio.sleep(PERIOD_S)
             self._lags_s.append(loop.time() - due_s)
@@ -57,22 +52,6 @@ class Health:
             "loop_lag_ms": round(1e3 * self.lag_s, 1),
             **usage(),
         }
-
-
-def _release() -> Callable[[int], Any]:
-    """glibc's ``malloc_trim``; elsewhere nothing."""
-    try:
-        release = ctypes.CDLL(None).malloc_trim
-    except AttributeError:
-        return lambda pad: None
-    return cast(Callable[[int], Any], release)
-
-
-def limit_arenas() -> None:
-    """Let glibc share two heaps among all threads: by default each of eight may get its own, and
-    what one has freed no other can use."""
-    with contextlib.suppress(AttributeError):
-        ctypes.CDLL(None).mallopt(_ARENA_MAX, 2)
 
 
 def usage() -> dict[str, Any]:

@@ -105,9 +105,9 @@ def test_a_flight_is_asked_beside_noise_of_its_own_too(spectrum):
     # of two flights each has its own limit
     two = replace(near, spectra=[after, replace(after, flight=1)])
     twice = replace(away, spectra=[before, replace(before, flight=1)])
-    slowly, _ = by_own_noise(away, near.below([4.0]))
+    slowly, _ = by_own_noise(away, near.within(0.0, [4.0]))
     assert slowly < 0.0
-    assert by_own_noise(twice, two.below([4.0, np.inf]))[0] == pytest.approx(held + slowly)
+    assert by_own_noise(twice, two.within(0.0, [4.0, np.inf]))[0] == pytest.approx(held + slowly)
 
 
 @pytest.fixture(scope="module")

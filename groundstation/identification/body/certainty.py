@@ -14,7 +14,7 @@ from groundstation.identification.body.setup import CONSTANTS, GAINS, SPIN_UP, S
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.free_spectra import FreeFit, fit_free
-from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point
+from groundstation.identification.likelihood.parameters import SENSOR_LAG, Point, value
 from groundstation.identification.runs import Run
 from groundstation.identification.speed_noise import speed_spectrum
 from groundstation.telemetry.packet import FULL_16_BIT
@@ -128,8 +128,10 @@ def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:
     """The estimates of a band (Hz) and their covariance; all but ``AGAIN`` stays as it is."""
     cut = setup.within(band)
     still = [key for key in setup.keys if not key.startswith(AGAIN)]
-    limits = cut.limits().held(setup.keys, still, free.values)
-    part = fit_free(cut.linearise, free.point, limits, white=False)
+    near = cut.counted(free.linear)
+    values = np.array([value(near.point, key) for key in setup.keys])
+    limits = cut.limits().held(setup.keys, still, values)
+    part = fit_free(cut.linearise, near, limits, white=False)
     return part.point, _by_blocks(setup, part, inverse(part.normal))
 
 

@@ -24,7 +24,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.attitude_rows import Gaps, attitude_rows
 from groundstation.identification.flight import Flight, is_force_between
 from groundstation.identification.likelihood.evaluation import Columns
-from groundstation.identification.likelihood.free_spectra import Limits, joined
+from groundstation.identification.likelihood.free_spectra import HALF_WIDTH_HZ, Limits, joined
 from groundstation.identification.likelihood.linearisation import Linear, linearise
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.problem import Problem
@@ -109,9 +109,15 @@ class Setup:
             linear = joined(linear, "c0", {"c0": 1.0, "c1": 1.0})
         if PACE in self.keys:
             linear = joined(linear, PACE, {key: point[key] for key in MOTOR_KEYS})
+        return self.counted(linear)
+
+    def counted(self, linear: Linear) -> Linear:
+        """What counts of a linearisation: the band, with what smoothing a spectrum takes from
+        beyond it."""
         if self.least_hz == 0.0:
             return linear
-        return linear.within(self.least_hz, self.most_share * 0.5 / problem.flights[0].period_s)
+        most_hz = self.most_share * 0.5 / self.problem.flights[0].period_s
+        return linear.within(self.least_hz, most_hz).up_to(most_hz + 2.0 * HALF_WIDTH_HZ)
 
     def limits(self) -> Limits:
         """Where each key is kept."""

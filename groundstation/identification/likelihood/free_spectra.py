@@ -73,14 +73,18 @@ class Limits:
 
 
 def fit_free(
-    linearise: Callable[[Point], Linear], point: Point, limits: Limits, white: bool = True
+    linearise: Callable[[Point], Linear],
+    start: Point | Linear,
+    limits: Limits,
+    white: bool = True,
 ) -> FreeFit:
     """Gauss-Newton with reweighting.
 
-    linearise: residuals and columns at a point. white: the first weights; otherwise those of the
-    residual at ``point``.
+    linearise: residuals and columns at a point. start: a point, or what is known of one. white: the
+    first weights; otherwise those of the residual at ``start``.
     """
-    linear = linearise(point)
+    linear = start if isinstance(start, Linear) else linearise(start)
+    point = linear.point
     keys = linear.keys
     powers = [np.ones(len(s.hz) // 2) for s in linear.spectra]
     if not white:

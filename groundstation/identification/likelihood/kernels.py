@@ -252,3 +252,44 @@ def first_order(values: Any, keep: float, out: Any) -> None:
         for k in range(values.shape[0]):
             state += (1.0 - keep) * (values[k, j] - state)
             out[k, j] = state
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def late_rotors(
+    end: Any, square: Any, late: float, period: float, mean: Any, last: Any, rotor: Any, slope: Any
+) -> None:
+    """Speeds (n, m), rev/s, and their mean squares over the period before each row, ``late`` rows
+    later, as ``motion.Inputs`` has them: (m, n) each. The first and the last row go on for ever.
+
+    Speeds are cubic through the four nearest rows. Straight between rows, half a row's delay would
+    take noise out of measured speeds that a whole one leaves in, and a fit would take that for
+    the delay. The integral of the squares is cubic with the squares at the rows for its slopes.
+    """
+    count, top = end.shape[0], end.shape[0] - 1
+    whole = math.floor(late)
+    t = 1.0 - (late - whole)
+    s = 1.0 - t
+    near_left, near_right = s * (1.0 + t) * (2.0 - t) / 2.0, t * (1.0 + t) * (2.0 - t) / 2.0
+    far_left, far_right = t * s * (2.0 - t) / 6.0, t * s * (1.0 + t) / 6.0
+    over, rise = t * t * (3.0 - 2.0 * t), t * t * (t - 1.0)
+    start = t * s * s
+    for j in range(end.shape[1]):
+        before = end[0, j]
+        for i in range(count):
+            at = i - whole
+            a, b = min(max(at - 2, 0), top), min(max(at - 1, 0), top)
+            c, d = min(max(at, 0), top), min(max(at + 1, 0), top)
+            now, power = end[i, j], square[i, j]
+            if late != 0.0:
+                now = near_left * end[b, j] + near_right * end[c, j]
+                now -= far_left * end[a, j] + far_right * end[d, j]
+                power = (1.0 - over) * square[b, j] + over * square[c, j]
+                power += start * (end[b, j] ** 2 - end[a, j] ** 2)
+                power += rise * (end[c, j] ** 2 - end[b, j] ** 2)
+            if i == 0:
+                before = now
+            mean[j, i] = math.sqrt(max(power, 0.0))
+            last[j, i] = now
+            rotor[j, i] = 0.5 * (now + before)
+            slope[j, i] = (now - before) / period
+            before = now

@@ -38,20 +38,30 @@ class Linear:
     def place(self, keys: Sequence[str]) -> list[int]:
         return [self.keys.index(key) for key in keys]
 
-    def within(self, least_hz: float, most_hz: float) -> Linear:
-        """The same where only a band counts."""
+    def within(self, least_hz: float, most_hz: float | Sequence[float]) -> Linear:
+        """The same where only a band counts, which may end elsewhere in each flight."""
         spectra = []
         for s in self.spectra:
-            inside = (s.hz >= least_hz) & (s.hz <= most_hz)
+            most = most_hz[s.flight] if isinstance(most_hz, Sequence) else most_hz
+            inside = (s.hz >= least_hz) & (s.hz <= most)
             spectra.append(replace(s, weight=np.where(inside, s.weight, 0.0)))
         return replace(self, spectra=spectra)
 
-    def below(self, most_hz: Sequence[float]) -> Linear:
-        """The same where of each flight only what is slower than its limit counts."""
-        spectra = [
-            replace(s, weight=np.where(s.hz <= most_hz[s.flight], s.weight, 0.0))
-            for s in self.spectra
-        ]
+    def up_to(self, most_hz: float) -> Linear:
+        """The same without the spectra's upper ends, for a fit that counts none of them."""
+        spectra = []
+        for s in self.spectra:
+            kept = s.hz <= most_hz
+            spectra.append(
+                replace(
+                    s,
+                    hz=s.hz[kept],
+                    weight=s.weight[kept],
+                    residual=s.residual[kept],
+                    columns=s.columns[:, kept],
+                    lasting=None if s.lasting is None else s.lasting[:, kept],
+                )
+            )
         return replace(self, spectra=spectra)
 
 

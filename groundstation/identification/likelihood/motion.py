@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,18 +39,12 @@ class Inputs:
 
     @classmethod
     def of(cls, rotors: Rotors, delay_s: float, period_s: float) -> Inputs:
-        """Between rows speeds are straight, and the integrals of their squares cubic."""
-        end, mean = rotors.end, rotors.square
-        if delay_s != 0.0:
-            mean = _means_before(mean, end**2, delay_s / period_s)
-            end = _before(end, delay_s / period_s)
-        before = np.concatenate([end[:1], end[:-1]])
-        return cls(
-            _rows(np.sqrt(np.maximum(mean, 0.0))),
-            _rows(end),
-            _rows(0.5 * (end + before)),
-            _rows((end - before) / period_s),
-        )
+        """Between rows speeds and the integrals of their squares are cubic."""
+        from groundstation.identification.likelihood.kernels import late_rotors
+
+        rows = np.empty((4, *rotors.end.T.shape))
+        late_rotors(rotors.end, rotors.square, delay_s / period_s, period_s, *rows)
+        return cls(*map(tuple, rows))
 
     @classmethod
     def of_halves(cls, halves: Rotors, delay_s: float, period_s: float) -> tuple[Inputs, Inputs]:
@@ -219,45 +212,3 @@ def stacked(rows: Rows, count: int) -> Array:
 
 def _rows(values: Array) -> Rows:
     return tuple(np.ascontiguousarray(values.T))
-
-
-def _before(values: Array, rows: float) -> Array:
-    """Rows (n, m) as they were so many rows before: cubic through the four nearest.
-
-    Straight between rows, half a row's delay would take noise out of measured speeds that a whole
-    one leaves in, and a fit would take that for the delay.
-    """
-    left, right, t = _neighbours(values, rows)
-    further, _, _ = _neighbours(values, rows + 1.0)
-    _, nearer, _ = _neighbours(values, rows - 1.0)
-    return np.asarray(
-        left * ((1.0 - t) * (1.0 + t) * (2.0 - t) / 2.0)
-        + right * (t * (1.0 + t) * (2.0 - t) / 2.0)
-        - further * (t * (1.0 - t) * (2.0 - t) / 6.0)
-        - nearer * (t * (1.0 - t) * (1.0 + t) / 6.0)
-    )
-
-
-def _means_before(means: Array, ends: Array, rows: float) -> Array:
-    """Means (n, m) over the period before each row, as they were so many rows before.
-
-    ends: values at the rows, the slopes of the integral, which is cubic between rows.
-    """
-    one, other, t = _neighbours(np.cumsum(means, axis=0), rows)
-    rise, end, _ = _neighbours(ends, rows)
-    integral = (
-        one * ((1 + 2 * t) * (1 - t) ** 2)
-        + rise * (t * (1 - t) ** 2)
-        + other * (t**2 * (3 - 2 * t))
-        + end * (t**2 * (t - 1))
-    )
-    return np.diff(integral, axis=0, prepend=integral[:1] - means[:1])
-
-
-def _neighbours(values: Array, rows: float) -> tuple[Array, Array, float]:
-    """Rows before and after the places ``rows`` before each row, and the share of the way."""
-    whole = math.floor(rows)
-    count, room = len(values), abs(whole) + 1
-    padded = np.pad(values, ((room, room), (0, 0)), mode="edge")
-    at = room - whole
-    return padded[at - 1 : at - 1 + count], padded[at : at + count], 1.0 - (rows - whole)

@@ -17,7 +17,7 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.laws import Acting, in_order
 from groundstation.identification.likelihood.parameters import SENSOR_LAG, value
 from groundstation.identification.runs import Run
-from groundstation.identification.torque import rotor_squares
+from groundstation.identification.torque import squares_between
 
 Array = NDArray[np.float64]
 
@@ -43,9 +43,8 @@ class Rotors:
 def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rotors:
     """Rotor speeds of a flight at a point."""
     run, record = flight.run, frame.record(point)
-    if flight.rotor_measured:
-        squares = rotor_squares(run, frame.vehicle.motor, measured=True)
-        rotors = Rotors(np.sqrt(squares.end), squares.square)
+    if flight.rotors is not None:
+        rotors = Rotors(np.sqrt(flight.rotors.end), flight.rotors.square)
         lag = value(point, SENSOR_LAG)
         return rotors if lag == 0.0 else _before_sensor(rotors, lag, run.period_s)
     there = list(frame.acting(point).values())
@@ -67,8 +66,7 @@ def spin_rotors(flight: Flight, point: Mapping[str, float], frame: Frame) -> Rot
 def _before_sensor(rotors: Rotors, lag_s: float, period_s: float) -> Rotors:
     """True speeds behind a sensor that lags by the first order."""
     end = np.maximum(rotors.end + lag_s * np.gradient(rotors.end, period_s, axis=0), 0.0)
-    before = np.vstack([end[:1], end[:-1]])
-    return Rotors(end, (end**2 + before**2 + before * end) / 3)
+    return Rotors(end, squares_between(end).square)
 
 
 def _run(run: Run, settings: Array, record: np.void, supply: Array, start: Array) -> Rotors:
