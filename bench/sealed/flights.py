@@ -7,10 +7,11 @@ A case's folder holds what the search may see: ``fit1.mcap``, ``fit2.mcap``, ``v
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,9 @@ class Sealed:
 
     hidden: what was put in on purpose. present: every listed effect in the craft, name ->
     parameter -> value. significance: size of each present effect in standard errors of its
-    Cramer-Rao bound. craft: settings of the stand-in that flew, without seed and condition.
+    Cramer-Rao bound. craft: settings of the stand-in that flew, without seed and condition. also:
+    what may be named besides without being asked for, of the same form: the chip's own filter is
+    a first-order lag of the gyro, which ``present`` counts into the delay.
     """
 
     case: str
@@ -75,6 +78,7 @@ class Sealed:
     significance: dict[str, float]
     condition: str
     craft: dict[str, Any]
+    also: Effects = field(default_factory=dict)
 
 
 class Generator:
@@ -109,9 +113,12 @@ class Generator:
             fits = [folder / "fit1.mcap", folder / "fit2.mcap"]
             fit_body(fits, _motor(family), folder / "model.json", vehicle_of(folder))
         truth_settings = msgspec.convert(affected, StandInSettings)
-        present = present_effects(truth_settings)
+        present, also = present_effects(truth_settings), {}
         if case.plant == "faithful":
-            present["dead_time"] = {"delay_s": _sensor_age(truth_settings, flights)}
+            lag_s = float(parameters(truth_settings)[0]["dlpf_s"][0])
+            present["dead_time"] = {"delay_s": lag_s + _sample_age(flights)}
+            if lag_s:
+                also["gyro_low_pass"] = {"bandwidth_hz": 1.0 / (2.0 * math.pi * lag_s)}
         sizes = significances(truth_settings, flights, _motor_covariance(_motor(family)))
         if is_today(case.craft) and "gyro_bias" in sizes:
             sizes["gyro_bias"] = 0.0  # its firmware takes it off what it logs
@@ -122,6 +129,7 @@ class Generator:
             sizes,
             case.condition,
             affected,
+            also,
         )
 
     def family(self, case: Case) -> Path:
@@ -261,10 +269,9 @@ def vehicle_of(folder: Path) -> str:
     return str(profile) if profile.exists() else "crazyflie1"
 
 
-def _sensor_age(settings: StandInSettings, flights: list[NDArray[np.void]]) -> float:
+def _sample_age(flights: list[NDArray[np.void]]) -> float:
     """How old the faithful sensor's samples really were, s: its clock starts at any phase."""
-    lag_s = float(parameters(settings)[0]["dlpf_s"][0])
-    return lag_s + float(np.mean([truth["sensor_age_s"].mean() for truth in flights]))
+    return float(np.mean([truth["sensor_age_s"].mean() for truth in flights]))
 
 
 def _condition(case: Case) -> dict[str, Any]:

@@ -36,7 +36,7 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
     found = [effect["name"] for effect in report["effects"]]
     asked = _asked(case, sealed)
     wanted = {name for name in asked if sealed.significance[name] >= VISIBLE}
-    false = [name for name in found if name not in sealed.present]
+    false = [name for name in found if name not in {**sealed.present, **sealed.also}]
     missed = sorted(wanted - set(found))
     where = report["where"][0] if report["where"] else {}
     return {
@@ -114,9 +114,9 @@ def _listed(effects: list[dict[str, Any]], false: list[str], missed: list[str]) 
 
 def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Every continuous parameter of a rightly named effect against the truth."""
-    out = []
+    out, truths = [], _truths(sealed, [effect["name"] for effect in effects])
     for effect in effects:
-        truth = sealed.present.get(effect["name"], {})
+        truth = truths.get(effect["name"], {})
         for key, estimate in effect["parameters"].items():
             if key not in truth or key == "rotor" or estimate["stderr"] is None:
                 continue
@@ -132,6 +132,16 @@ def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str,
                 }
             )
     return out
+
+
+def _truths(sealed: Sealed, found: list[str]) -> dict[str, dict[str, float]]:
+    """Parameters as they are where these effects are named: a lag of the gyro that has a name of
+    its own is no part of the delay."""
+    lag = sealed.also.get("gyro_low_pass")
+    if lag is None or "gyro_low_pass" not in found:
+        return sealed.present
+    delay_s = sealed.present["dead_time"]["delay_s"] - 1.0 / (2.0 * math.pi * lag["bandwidth_hz"])
+    return {**sealed.present, **sealed.also, "dead_time": {"delay_s": delay_s}}
 
 
 def _explained(names: set[str], report: dict[str, Any]) -> float | None:

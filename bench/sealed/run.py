@@ -139,7 +139,7 @@ def carried(case: Case, home: str | None, keep: bool) -> Carried:
     with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
         folder = Path(parent) / "case"
         came = _judged(case, results, search, folder)
-        if keep and not came.line["right"]:
+        if keep and folder.exists() and not came.line["right"]:
             kept = results / "wrong" / case.name.replace(":", "-")
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(folder, kept)

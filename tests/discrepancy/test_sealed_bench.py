@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import msgspec
 import numpy as np
@@ -330,6 +330,23 @@ def test_the_right_name_alone_is_right():
     assert line["where_right"]
     assert line["explained"] == pytest.approx((9 - 1.21) / 8)
     assert [p["inside"] for p in line["parameters"]] == [True]
+
+
+def test_the_lag_of_the_chips_own_filter_may_be_named_and_is_then_no_part_of_the_delay():
+    lag_s = 0.85e-3
+    present = {"dead_time": {"delay_s": 3.2e-3}}
+    also = {"gyro_low_pass": {"bandwidth_hz": 1.0 / (2.0 * np.pi * lag_s)}}
+    chip = replace(sealed({"dead_time": 50.0}, **present), also=also)
+    case = Case("faithful", (), 0)
+    whole = judge(case, chip, report(("dead_time", {"delay_s": (3.2e-3, 1e-5)}, [])))
+    split = report(
+        ("dead_time", {"delay_s": (2.35e-3, 1e-5)}, []),
+        ("gyro_low_pass", {"bandwidth_hz": (187.2, 0.2)}, []),
+    )
+    for line in (whole, judge(case, chip, split)):
+        assert line["right"]
+        assert all(p["inside"] for p in line["parameters"])
+    assert not judge(case, sealed({"dead_time": 50.0}, **present), split)["right"]
 
 
 @pytest.mark.parametrize(
