@@ -109,8 +109,8 @@ class Trial:
 class Lasting:
     """An effect that noise drives, on its way through its gates.
 
-    t: standard errors from which the surest channel has it. drop: of -2 log L. predicted: share of
-    the squared excess of held-out predictions over noise that goes with it.
+    t: standard errors of the surest channel, or of all together. drop: of -2 log L. predicted:
+    share of the squared excess of held-out predictions over noise that goes with it.
     """
 
     effect: Effect

@@ -37,10 +37,12 @@ PACES_S = (0.3, 1.0, 3.0, 10.0, 30.0)
 """How fast it may change: more slowly than a craft is steered, and told by a flight of a minute."""
 LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
 """Means that tell anything, and the drop of -2 log L from which a channel has what lasts (three
-standard errors); all six are asked at once, and the surest needs more."""
+standard errors); all six are asked at once, and need more."""
 LIFT_SHARE = 0.03
 """Of its weight, what a craft's thrust differs by from flight to flight at one PWM and voltage:
 flights of one craft tell thrusts per mass up to 5 % apart (docs/real_flights.md)."""
+FAINTEST = 1e-300
+"""A chance that a double still holds; it is one of 37 standard errors."""
 EVERY_S = 0.006
 """Paces are compared by predictions that start no more often: of rows that are faster neighbours
 say the same."""
@@ -51,7 +53,7 @@ EXCESS = 1.2
 @dataclass(frozen=True, slots=True)
 class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
-    where nothing lasts. time_s: the pace of all. t: of the surest, the root of its drop; drop: of
+    where nothing lasts. time_s: the pace of all. t: ``standard_errors`` of the six; drop: of
     -2 log L where each has its likeliest pace. seconds: so much was flown. variances (paces, 6):
     of the means of half seconds, by ``PACES_S``. usual: (6,) spreads of flights in general, below
     which these flights, or others, did not tell one."""
@@ -192,12 +194,23 @@ def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     found = Slow(
         spread=np.zeros(6),
         time_s=PACES_S[0],
-        t=math.sqrt(likeliest.max()),
+        t=standard_errors(likeliest),
         drop=float(likeliest[lasting].sum()),
         seconds=seconds,
         variances=np.where(lasting, variances, 0.0),
     )
     return found.at(PACES_S[int(drops[:, lasting].sum(axis=1).argmax())])
+
+
+def standard_errors(drops: Array) -> float:
+    """Of a normal deviate that chance makes as seldom as the largest drop of -2 log L by one
+    variance, or as all six (6,) together where that is seldomer: what pushes a craft is seldom in
+    one channel alone."""
+    from scipy.special import ndtri
+
+    half = 0.5 * float(drops.sum())
+    chance = math.exp(-half) * (1.0 + half + 0.5 * half**2)  # of chi^2, six degrees of freedom
+    return max(math.sqrt(drops.max()), float(-ndtri(max(0.5 * chance, FAINTEST))))
 
 
 def _means(one: AheadErrors) -> Array:

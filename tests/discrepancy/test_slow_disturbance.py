@@ -5,13 +5,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import chi2, norm
 from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import HeldOut, Predictions
-from groundstation.discrepancy.slow_disturbance import LIFT_SHARE, PACES_S, slow_part, with_wind
+from groundstation.discrepancy.slow_disturbance import (
+    LIFT_SHARE,
+    PACES_S,
+    slow_part,
+    standard_errors,
+    with_wind,
+)
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 PERIOD_S, AHEAD = 0.002, 25
@@ -56,6 +63,31 @@ def test_the_spread_of_what_drifts_is_told_beside_noise():
 def test_noise_alone_does_not_last():
     missing = np.random.default_rng(2).normal(0.0, 5.0, (100_000, 6))
     assert not slow_part([errors(missing)]).spread.any()
+
+
+def test_standard_errors_are_those_of_the_surest_channel_or_of_all_together():
+    alone, shared = np.array([25.0, 0, 0, 0, 0, 0]), np.full(6, 8.0)
+    assert standard_errors(alone) == 5.0
+    assert standard_errors(shared) == pytest.approx(norm.isf(0.5 * chi2.sf(48.0, 6)))
+    assert standard_errors(np.zeros(6)) == 0.0
+    assert standard_errors(np.full(6, 1e4)) == 100.0
+
+
+def test_noise_seldom_seems_to_last():
+    generator, chance = np.random.default_rng(3), []
+    for _ in range(400):
+        missing = generator.normal(0.0, 5.0, (60, 6))  # half seconds, each a row
+        chance.append(slow_part([half_seconds(missing)]).t)
+    assert np.mean(np.array(chance) > 3.0) < 0.03
+    assert max(chance) < 4.5
+
+
+def half_seconds(missing):
+    """``errors`` of rows so slow that each is a block of its own."""
+    one = errors(missing)
+    one.run.period_s = 0.5
+    rows = np.full(9, AHEAD * PERIOD_S / 0.5)
+    return SimpleNamespace(run=one.run, horizons=one.horizons, rows=(rows, rows))
 
 
 def test_a_flight_that_was_hardly_judged_tells_nothing():
