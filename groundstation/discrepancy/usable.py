@@ -1,5 +1,5 @@
 """What of recordings a search can use: flights with every channel that is needed, that PWM steers,
-and rotor sensors that follow it."""
+rotor sensors that follow it, and PWM that tells what rotors did."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from groundstation.comparison.consistency import broken_rotor_sensors
 from groundstation.comparison.refusals import missing_channel, require_channels
 from groundstation.comparison.stretches import Marked
+from groundstation.discrepancy.rotor_drive import driven_by_speeds
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import mostly_saturated
@@ -26,8 +27,11 @@ def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[st
     """
     useful, useless = _without_useless(groups)
     require_channels([run for group in useful for part in group for run in part])
-    mended, broken = _without_broken_sensors(useful, model)
-    return mended, [*useless, *broken]
+    sound, broken = _without_broken_sensors(useful, model)
+    told = [[[driven_by_speeds(run, model) for run in part] for part in group] for group in sound]
+    kept = [[[run for run, _ in part] for part in group] for group in told]
+    words = {why: None for group in told for part in group for _, why in part if why}
+    return kept, [*useless, *broken, *words]
 
 
 def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:

@@ -1,0 +1,80 @@
+"""Flights whose rows do not tell how fast their rotors turned, though speeds were recorded.
+
+A row holds one of the settings that acted in its period. Where a controller swings from one to the
+next, that shows a slow beat which no rotor follows, and predictions, which are driven by PWM and
+battery voltage, take it for torque (docs/real_flights.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.comparison.regimes import motion_of
+from groundstation.dynamics.mixer import MIXERS
+from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
+from groundstation.dynamics.motor import each_motor
+from groundstation.identification.recordings import without_gaps
+from groundstation.identification.runs import Run
+from groundstation.identification.torque import measured_squares
+
+Array = NDArray[np.float64]
+
+BAND_S = (0.05, 1.0)
+"""Means over these are subtracted: what turns a craft, not vibration nor the battery's part."""
+UNRELATED = 2.0
+"""Variance of modelled less measured, over that of the measured: what signals of the same size have
+that are not related to each other."""
+FOLLOWS = 0.3
+"""Correlation of each rotor with its own settings: below it they may be another's."""
+
+
+def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
+    """A run with the settings by which the model's motors turn as measured, and why; the run itself
+    and no words where PWM and battery voltage tell as much."""
+    if not np.isfinite(run.rotor_rev_s).any():
+        return run, ""
+    whole = without_gaps(run)
+    motion = motion_of(whole, model)
+    if not motion.flown.any() or not np.isfinite(whole.rotor_rev_s).all():
+        return run, ""
+    measured = np.sqrt(measured_squares(whole).end)
+    modelled, turned = (
+        _moving(one, run.period_s)[motion.flown] for one in (np.sqrt(motion.squares.end), measured)
+    )
+    mixer = MIXERS[model_vehicle(model).configuration].T
+    errors, sizes = (np.std(one @ mixer, axis=0) for one in (modelled - turned, turned))
+    follows = [
+        np.corrcoef(one, other)[0, 1] for one, other in zip(modelled.T, turned.T, strict=True)
+    ]
+    worst = int(np.argmax(errors / sizes))
+    if errors[worst] ** 2 < UNRELATED * sizes[worst] ** 2 or min(follows) < FOLLOWS:
+        return run, ""
+    duty = np.where(np.isfinite(run.duty), _settings(whole, measured, model), run.duty)
+    axis = ("roll", "pitch", "yaw")[worst]
+    return replace(run, duty=duty, duty_step=np.full_like(run.duty_step, np.nan)), (
+        f"{run.name}: PWM and battery voltage do not tell how its rotors turned: what drives"
+        f" {axis} is off by {errors[worst]:.2g} rev/s where it changes by {sizes[worst]:.2g}"
+        " (settings swing faster than rows show); predictions are driven by the measured speeds"
+    )
+
+
+def _moving(speed: Array, period_s: float) -> Array:
+    from scipy.ndimage import uniform_filter1d
+
+    short, long = (
+        uniform_filter1d(speed, max(round(seconds / period_s), 1), axis=0) for seconds in BAND_S
+    )
+    return np.asarray(short - long)
+
+
+def _settings(run: Run, speed: Array, model: Model) -> Array:
+    """Duty (n, 4) behind speeds (n, 4) in rev/s by the motors' law (thesis eq. 3.82)."""
+    motors = each_motor(rotor_motors(model))
+    a0, a1, a2 = (np.array([getattr(one, name) for one in motors]) for name in ("a0", "a1", "a2"))
+    before = np.vstack([speed[:1], speed[:-1]])
+    mean = 0.5 * (speed + before)
+    armature_mv = ((speed - before) / run.period_s + (a1 + a2 * mean) * mean) / a0
+    return np.asarray(np.clip(armature_mv / (1000.0 * run.supply_v[:, None]), 0.0, 1.0))
