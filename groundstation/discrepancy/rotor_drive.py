@@ -1,8 +1,8 @@
 """Flights whose rows do not tell how fast their rotors turned, though speeds were recorded.
 
-A row holds one of the settings that acted in its period. Where a controller swings from one to the
-next, that shows a slow beat which no rotor follows, and predictions, which are driven by PWM and
-battery voltage, take it for torque (docs/real_flights.md).
+Where a controller swings the settings from row to row, motors coast in between and a row holds one
+of several settings. Predictions, which are driven by PWM and battery voltage, then have torques
+that no rotor made (docs/real_flights.md).
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ BAND_S = (0.05, 1.0)
 UNRELATED = 2.0
 """Variance of modelled less measured, over that of the measured: what signals of the same size have
 that are not related to each other."""
+LEAST_REV_S = 1.0
+"""Of what is off at least: sensors that count revolutions are a third of that off by themselves,
+and sums of four twice as much."""
 FOLLOWS = 0.3
-"""Correlation of each rotor with its own settings: below it they may be another's."""
+"""Correlation of each rotor with its own settings, less what all four do: below it columns may be
+interchanged, or a sensor is dead."""
 
 
 def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
@@ -46,18 +50,19 @@ def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
     )
     mixer = MIXERS[model_vehicle(model).configuration].T
     errors, sizes = (np.std(one @ mixer, axis=0) for one in (modelled - turned, turned))
-    follows = [
-        np.corrcoef(one, other)[0, 1] for one, other in zip(modelled.T, turned.T, strict=True)
-    ]
+    driven, shown = (one - one.mean(axis=1, keepdims=True) for one in (modelled, turned))
+    own = np.diag(np.corrcoef(driven, shown, rowvar=False)[:4, 4:])
     worst = int(np.argmax(errors / sizes))
-    if errors[worst] ** 2 < UNRELATED * sizes[worst] ** 2 or min(follows) < FOLLOWS:
+    least = max(LEAST_REV_S, UNRELATED**0.5 * sizes[worst])
+    if errors[worst] < least or own.min() < FOLLOWS:
         return run, ""
     duty = np.where(np.isfinite(run.duty), _settings(whole, measured, model), run.duty)
     axis = ("roll", "pitch", "yaw")[worst]
     return replace(run, duty=duty, duty_step=np.full_like(run.duty_step, np.nan)), (
         f"{run.name}: PWM and battery voltage do not tell how its rotors turned: what drives"
         f" {axis} is off by {errors[worst]:.2g} rev/s where it changes by {sizes[worst]:.2g}"
-        " (settings swing faster than rows show); predictions are driven by the measured speeds"
+        " (settings that swing from row to row let motors coast, or are not all in the rows);"
+        " predictions are driven by the measured speeds"
     )
 
 
