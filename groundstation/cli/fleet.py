@@ -171,6 +171,8 @@ def discrepancy(
             continue
         named = ", ".join(row["effects"]) or "nothing named"
         show(f"  {craft}: {named}; gap {row['gap_before']:.2f} -> {row['gap_after']:.2f}")
+        for words in row["warnings"] or ():
+            show(f"    warning: {words}")
 
 
 def twin(

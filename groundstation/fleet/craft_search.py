@@ -34,14 +34,16 @@ COLUMNS = {
     "gap_after": "number",
     "left": "texts",
     "to_fly": "texts",
+    "warnings": "texts",
     "model": "text",
     "reason": "text",
 }
 """Of the catalogue's table ``effects``. fitted, held_out: addresses of whole flights. effects:
 names in the order of joining; parameters, values, stderrs, units: of all of them, by place,
 parameters as ``effect.parameter``. changed: constants of the given model that moved, in words.
-to_fly: effects that these flights cannot show, with the manoeuvre. model: the improved one, as a
-model file holds it. reason: why nothing was told."""
+to_fly: effects that these flights cannot show, with the manoeuvre. warnings: what was left out of
+the flights, and what else the search warns of. model: the improved one, as a model file holds it.
+reason: why nothing was told."""
 KEY = "craft"
 
 
@@ -90,14 +92,15 @@ def _searched(
     fit_on: Sequence[Path], held: Sequence[Path], model: Model | None, vehicle: str | None
 ) -> Discrepancy:
     from groundstation.discrepancy.engine import find_discrepancy
-    from groundstation.identification.recordings import flights_of, without_gaps
+    from groundstation.identification.recordings import flights_of_each, without_gaps
     from groundstation.recording.craft_family import require_craft_of, vehicle_of
     from groundstation.recording.open_recording import open_recording
 
     opened = [[open_recording(path) for path in paths] for paths in (fit_on, held)]
-    runs: list[list[list[Run]]] = [
-        [flights_of(one.samples, one.path.name) for one in recordings] for recordings in opened
+    groups = [
+        flights_of_each((one.samples, one.path.name) for one in recordings) for recordings in opened
     ]
+    runs: list[list[list[Run]]] = [one for one, _ in groups]
     if model is None:
         name = vehicle_of([*opened[0], *opened[1]], vehicle) or "crazyflie1"
         bridged, rest = (
@@ -107,7 +110,8 @@ def _searched(
     elif vehicle is None:
         for one in (*opened[0], *opened[1]):
             require_craft_of(one, model)
-    return find_discrepancy(runs[0], model, runs[1])
+    left_out = [words for _, some in groups for words in some]
+    return find_discrepancy(runs[0], model, runs[1], left_out=left_out)
 
 
 def _own_fit(fit_on: Sequence[Run], held: Sequence[Run], vehicle: str) -> Model:
@@ -145,5 +149,6 @@ def _told(found: Discrepancy) -> Row:
         "gap_after": proof.after.beside(proof.before),
         "left": [one.words for one in what_is_left(proof.after)],
         "to_fly": sorted({f"{one.name}: {one.manoeuvre}" for one in findings.not_shown}),
+        "warnings": list(findings.warnings),
         "model": msgspec.json.encode(findings.model).decode(),
     }

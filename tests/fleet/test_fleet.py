@@ -4,19 +4,24 @@ import contextlib
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 from installed import COMMAND, require_failure
 from programs import run_program
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
+from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
+from groundstation.fleet.craft_search import CraftFlights, search_craft
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.recordings import bridged
 from groundstation.identification.stretches import stretches_of
 from groundstation.recording.open_recording import open_recording
+from groundstation.recording.recording_file import write_mcap
 
 pytestmark = pytest.mark.timeout(1200)
 PATIENCE_S = 600.0
@@ -143,6 +148,18 @@ def test_a_craft_is_searched_on_its_flights_together_and_whole_flights_are_held_
     assert any("yaw steps" in one for one in row["to_fly"])  # so short a flight has none
     again = answer_here(folder, "discrepancy", "one", "--flights", "3", "--workers", "1")
     assert (again["searched"], again["unchanged"]) == (0, 1)
+
+
+def test_a_flight_that_is_too_short_is_left_out_by_name_and_the_others_are_searched(sound):
+    folder, row = sound
+    whole = open_recording(Path(row["fitted"][0]))
+    write_mcap(replace(whole, samples=whole.samples[:1500]), folder / "short.mcap")
+    flights = (row["fitted"][0], str(folder / "short.mcap"))
+    task = CraftFlights(row["craft"], flights, tuple(row["held_out"]), "")
+    told = search_craft(task, msgspec.json.decode(row["model"], type=Model), None)
+    assert told["reason"] is None
+    assert told["gap_after"] <= told["gap_before"]
+    assert any("short.mcap" in words and "left out" in words for words in told["warnings"])
 
 
 def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sound):
