@@ -110,7 +110,7 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     if now.gap < EXCESS:
         return findings
     refused: tuple[Slow, Refusal] | None = None
-    for slow, settled in _options(base, train, held):
+    for slow, settled in options(base, train, held):
         why = lasting_refusal(Stage.WEIGHED, slow.asked())
         if why is None:
             slow, found = _where_better(settled(), base, held)
@@ -123,16 +123,19 @@ def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings
     return findings if refused is None else _asked(findings, refused[0], 0.0, refused[1])
 
 
-def _options(
+def options(
     base: Model, train: Predictions, held: HeldOut
 ) -> Iterator[tuple[Slow, Callable[[], Slow]]]:
     """What lasts in rows, and what to follow where it does: in fitted ones, as these tell; and
-    where that does not do, trims alone, if it lasts in these or those: each flight's is its own."""
+    where that does not do, trims alone, if it lasts in these, in those, or in both together (a few
+    seconds each tell little): each flight's is its own."""
     trims = np.array([*trim_of(model_vehicle(base)), 0.0, 0.0, LIFT_SHARE * STANDARD_GRAVITY])
     fitted = train.of(base)
     learnt = slow_part(fitted.errors)
     yield learnt, lambda: best_followed(learnt, fitted).with_trims(trims)
-    surer = max(learnt, slow_part(held.of(base).errors), key=lambda one: one.t)
+    after = held.of(base).errors
+    every = (learnt, slow_part(after), slow_part([*fitted.errors, *after]))
+    surer = max(every, key=lambda one: one.t)
     alone = replace(surer, spread=np.zeros(6), time_s=PACES_S[-1])
     yield surer, lambda: alone.with_trims(trims)
 

@@ -15,6 +15,7 @@ from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.discrepancy.slow_disturbance import (
     LIFT_SHARE,
     PACES_S,
+    options,
     slow_part,
     standard_errors,
     with_wind,
@@ -94,6 +95,24 @@ def test_a_flight_that_was_hardly_judged_tells_nothing():
     missing = np.full((100_000, 6), np.nan)
     missing[:2000] = 1.0
     assert not slow_part([errors(missing)]).spread.any()
+
+
+def test_flights_too_short_to_tell_it_alone_tell_it_together():
+    """Seven seconds each, and a moment that only the second has."""
+    generator = np.random.default_rng(4)
+    still, again, moved = (generator.normal(0.0, 1.0, (3500, 6)) for _ in range(3))
+    moved[:, 1] += 4.0
+
+    def predictions(missing):
+        return SimpleNamespace(of=lambda model: SimpleNamespace(errors=[errors(missing)]))
+
+    for one in (still, moved):
+        assert slow_part([errors(one)]).t == 0.0
+    _, (told, settled) = options(base_model(), predictions(still), predictions(moved))
+    assert told.t > 5.0
+    assert settled().spread[1] > 0.0
+    _, (told, _) = options(base_model(), predictions(still), predictions(again))
+    assert told.t < 3.0
 
 
 @pytest.fixture(scope="module")
