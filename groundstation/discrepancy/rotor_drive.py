@@ -48,11 +48,13 @@ def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
     modelled, turned = (
         _moving(one, run.period_s)[motion.flown] for one in (np.sqrt(motion.squares.end), measured)
     )
+    driven, shown = (one - one.mean(axis=1, keepdims=True) for one in (modelled, turned))
+    if not all(np.std(one, axis=0).all() for one in (driven, shown)):
+        return run, ""  # what never changes follows nothing
+    own = np.diag(np.corrcoef(driven, shown, rowvar=False)[:4, 4:])
     mixer = MIXERS[model_vehicle(model).configuration].T
     errors, sizes = (np.std(one @ mixer, axis=0) for one in (modelled - turned, turned))
-    driven, shown = (one - one.mean(axis=1, keepdims=True) for one in (modelled, turned))
-    own = np.diag(np.corrcoef(driven, shown, rowvar=False)[:4, 4:])
-    worst = int(np.argmax(errors / sizes))
+    worst = int(np.argmax(errors - UNRELATED**0.5 * sizes))
     least = max(LEAST_REV_S, UNRELATED**0.5 * sizes[worst])
     if errors[worst] < least or own.min() < FOLLOWS:
         return run, ""

@@ -61,6 +61,12 @@ def test_speeds_of_other_motors_are_no_reason_to_doubt_the_pwm(measured):
     assert driven_by_speeds(crossed, BASE)[0] is crossed
 
 
+def test_speeds_that_never_change_are_no_reason_either(measured):
+    for speeds in (np.full_like(measured.duty, 200.0), measured.duty[:, :1] * np.ones(4)):
+        stuck = replace(beating(measured, 0.012), rotor_rev_s=speeds)
+        assert driven_by_speeds(stuck, BASE)[0] is stuck
+
+
 def test_lost_rows_stay_lost(measured):
     duty, gyro = measured.duty.copy(), measured.gyro.copy()
     speed = measured.rotor_rev_s.copy()
