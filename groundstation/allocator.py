@@ -28,10 +28,10 @@ def limit_arenas() -> None:
 
 def give_back() -> None:
     """Return to the system all pages that hold nothing."""
-    with contextlib.suppress(AttributeError):
+    with contextlib.suppress(AttributeError, TypeError, OSError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _set(option: int, value: int) -> None:
-    with contextlib.suppress(AttributeError):
+    with contextlib.suppress(AttributeError, TypeError, OSError):
         ctypes.CDLL(None).mallopt(option, value)

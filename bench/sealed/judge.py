@@ -30,7 +30,8 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
     """One line of results.
 
     ``counted`` is False where a hidden effect is below five standard errors: by the bound, never
-    by what the search says. ``right``: every hidden effect named and nothing that is not there.
+    by what the search says. ``right``: every hidden effect named and nothing that is not there
+    (``Sealed.also`` is).
     ``listed``: wrong by one confusable name whose alternatives list the right one.
     """
     found = [effect["name"] for effect in report["effects"]]

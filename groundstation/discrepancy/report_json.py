@@ -337,5 +337,5 @@ def _driven(proof: Proof) -> list[str]:
         return []
     return [
         "rotor speeds are measured: the search uses them, the gaps are of models that are driven"
-        " by PWM and battery voltage"
+        " by PWM and battery voltage, unless it is said otherwise of a flight"
     ]

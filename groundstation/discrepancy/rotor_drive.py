@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.comparison.regimes import motion_of
+from groundstation.discrepancy.base_constants import DRIVING
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
 from groundstation.dynamics.motor import each_motor
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import measured_squares
@@ -30,15 +32,19 @@ that are not related to each other."""
 LEAST_REV_S = 1.0
 """Of what is off at least: sensors that count revolutions are a third of that off by themselves,
 and sums of four twice as much."""
-FOLLOWS = 0.3
+LEAST_DUTY = 0.12
+"""A rotor that coasts still turns, which is told by a duty above a tenth: less ends a flight."""
+FOLLOWS_ALONE = 0.3
 """Correlation of each rotor with its own settings, less what all four do: below it columns may be
 interchanged, or a sensor is dead."""
 
 
 def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
-    """A run with the settings by which the model's motors turn as measured, and why; the run itself
-    and no words where PWM and battery voltage tell as much."""
-    if not np.isfinite(run.rotor_rev_s).any():
+    """A run with the settings by which the model's motors turn as measured while it flies, and why;
+    the run itself and no words where PWM and battery voltage tell as much, or where an effect of
+    supply or motors stands between settings and speeds."""
+    between = any(EFFECTS[e.name].stage in DRIVING for e in model.effects if e.name in EFFECTS)
+    if between or not np.isfinite(run.rotor_rev_s).any():
         return run, ""
     whole = without_gaps(run)
     motion = motion_of(whole, model)
@@ -56,9 +62,10 @@ def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
     errors, sizes = (np.std(one @ mixer, axis=0) for one in (modelled - turned, turned))
     worst = int(np.argmax(errors - UNRELATED**0.5 * sizes))
     least = max(LEAST_REV_S, UNRELATED**0.5 * sizes[worst])
-    if errors[worst] < least or own.min() < FOLLOWS:
+    if errors[worst] < least or not own.min() >= FOLLOWS_ALONE:
         return run, ""
-    duty = np.where(np.isfinite(run.duty), _settings(whole, measured, model), run.duty)
+    told = np.isfinite(run.duty) & motion.flown[:, None]
+    duty = np.where(told, _settings(whole, measured, model), run.duty)
     axis = ("roll", "pitch", "yaw")[worst]
     return replace(run, duty=duty, duty_step=np.full_like(run.duty_step, np.nan)), (
         f"{run.name}: PWM and battery voltage do not tell how its rotors turned: what drives"
@@ -84,4 +91,5 @@ def _settings(run: Run, speed: Array, model: Model) -> Array:
     before = np.vstack([speed[:1], speed[:-1]])
     mean = 0.5 * (speed + before)
     armature_mv = ((speed - before) / run.period_s + (a1 + a2 * mean) * mean) / a0
-    return np.asarray(np.clip(armature_mv / (1000.0 * run.supply_v[:, None]), 0.0, 1.0))
+    duty = armature_mv / (1000.0 * run.supply_v[:, None])
+    return np.asarray(np.clip(duty, LEAST_DUTY, 1.0))

@@ -53,10 +53,10 @@ EXCESS = 1.2
 @dataclass(frozen=True, slots=True)
 class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
-    where nothing lasts. time_s: the pace of all. t: ``standard_errors`` of the six; drop: of
-    -2 log L where each has its likeliest pace. seconds: so much was flown. variances (paces, 6):
-    of the means of half seconds, by ``PACES_S``. usual: (6,) spreads of flights in general, below
-    which these flights, or others, did not tell one."""
+    where nothing lasts. time_s: the pace of all. t: ``standard_errors`` of the six, where one at
+    least lasts; drop: of -2 log L where each has its likeliest pace. seconds: so much was flown.
+    variances (paces, 6): of the means of half seconds, by ``PACES_S``. usual: (6,) spreads of
+    flights in general, below which these flights, or others, did not tell one."""
 
     spread: Array
     time_s: float
@@ -197,8 +197,8 @@ def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     found = Slow(
         spread=np.zeros(6),
         time_s=PACES_S[0],
-        t=standard_errors(likeliest),
-        drop=float(likeliest[lasting].sum()),
+        t=standard_errors(likeliest) if lasting.any() else math.sqrt(likeliest.max()),
+        drop=float(likeliest.sum()) if lasting.any() else 0.0,
         seconds=seconds,
         variances=np.where(lasting, variances, 0.0),
     )

@@ -21,7 +21,8 @@ Groups = Sequence[Sequence[Sequence[Run]]]
 
 
 def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
-    """The groups without what a search cannot use, and what was left out, in words.
+    """The groups without what a search cannot use, with settings that tell how rotors turned, and
+    what was left out or is another, in words.
 
     Raises BadInputError where all of a group are of no use, and one for want of a channel.
     """
@@ -30,8 +31,8 @@ def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[st
     sound, broken = _without_broken_sensors(useful, model)
     told = [[[driven_by_speeds(run, model) for run in part] for part in group] for group in sound]
     kept = [[[run for run, _ in part] for part in group] for group in told]
-    words = {why: None for group in told for part in group for _, why in part if why}
-    return kept, [*useless, *broken, *words]
+    words = {run.name: why for group in told for part in group for run, why in part if why}
+    return kept, [*useless, *broken, *words.values()]
 
 
 def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:

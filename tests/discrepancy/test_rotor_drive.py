@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
 from groundstation.discrepancy.rotor_drive import driven_by_speeds
 from groundstation.discrepancy.usable import usable
+from groundstation.dynamics.model import EffectTerm, Estimate
+from groundstation.identification.airborne import flights_in
 
 BEAT_HZ = 3.0
 
@@ -48,7 +51,8 @@ def test_a_beat_that_no_rotor_follows_is_told_and_the_true_settings_come_back(me
     run, why = driven_by_speeds(beaten, BASE)
     assert "beaten: PWM and battery voltage do not tell how its rotors turned" in why
     assert "what drives yaw is off" in why
-    flying = measured.duty.min(axis=1) > 0.3
+    (air,) = flights_in(measured)
+    flying = slice(air.first, air.last)
     slow = np.ones(25) / 25.0  # the speeds' noise is in the settings, as fast as it comes
     for rotor in range(4):
         off = np.convolve((run.duty - measured.duty)[flying, rotor], slow, "valid")
@@ -67,6 +71,20 @@ def test_speeds_that_never_change_are_no_reason_either(measured):
         assert driven_by_speeds(stuck, BASE)[0] is stuck
 
 
+def test_behind_a_known_effect_of_the_supply_settings_are_not_made(measured):
+    term = EffectTerm("supply_sag", {"resistance_ohm": Estimate(0.1)})
+    model = msgspec.structs.replace(BASE, effects=(term,))
+    beaten = beating(measured, 0.012)
+    assert driven_by_speeds(beaten, model)[0] is beaten
+
+
+def test_the_flight_stays_one(measured):
+    beaten = beating(measured, 0.012)
+    run, _ = driven_by_speeds(beaten, BASE)
+    flights = [[(one.first, one.last) for one in flights_in(each)] for each in (beaten, run)]
+    assert flights[0] == flights[1]
+
+
 def test_lost_rows_stay_lost(measured):
     duty, gyro = measured.duty.copy(), measured.gyro.copy()
     speed = measured.rotor_rev_s.copy()
@@ -81,7 +99,7 @@ def test_lost_rows_stay_lost(measured):
 
 def test_a_search_says_it_once_and_takes_the_settings(measured):
     beaten = beating(measured, 0.012)
-    (fitted, held), warnings = usable(([[measured]], [[beaten]]), BASE)
+    (fitted, held), warnings = usable(([[measured]], [[beaten, beaten[2000:]]]), BASE)
     assert fitted[0][0] is measured
     assert len(warnings) == 1
     assert not np.array_equal(held[0][0].duty, beaten.duty)

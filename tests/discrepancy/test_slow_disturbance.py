@@ -9,6 +9,7 @@ from scipy.stats import chi2, norm
 from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
+from groundstation.discrepancy.acceptance import Stage, lasting_refusal
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import HeldOut, Predictions
@@ -81,6 +82,16 @@ def test_noise_seldom_seems_to_last():
         chance.append(slow_part([half_seconds(missing)]).t)
     assert np.mean(np.array(chance) > 3.0) < 0.03
     assert max(chance) < 4.5
+
+
+def test_what_is_a_little_in_every_channel_passes_its_gate():
+    generator = np.random.default_rng(5)
+    time_s = 0.5 * np.arange(100)[:, None]
+    swaying = 0.75 * np.sin(2.0 * np.pi * time_s / 25.0 + np.arange(6.0))
+    slow = slow_part([half_seconds(swaying + generator.normal(0.0, 1.0, (100, 6)))])
+    assert 1 <= np.count_nonzero(slow.spread) < 6
+    assert slow.t > 4.5
+    assert lasting_refusal(Stage.WEIGHED, slow.asked()) is None
 
 
 def half_seconds(missing):

@@ -128,10 +128,11 @@ def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:
     """The estimates of a band (Hz) and their covariance; all but ``AGAIN`` stays as it is."""
     cut = setup.within(band)
     still = [key for key in setup.keys if not key.startswith(AGAIN)]
-    near = cut.counted(free.linear)
-    values = np.array([value(near.point, key) for key in setup.keys])
+    point = free.linear.point if free.settled else free.point
+    values = np.array([value(point, key) for key in setup.keys])
     limits = cut.limits().held(setup.keys, still, values)
-    part = fit_free(cut.linearise, near, limits, white=False)
+    start = cut.counted(free.linear) if free.settled else point
+    part = fit_free(cut.linearise, start, limits, white=False)
     return part.point, _by_blocks(setup, part, inverse(part.normal))
 
 

@@ -24,7 +24,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.attitude_rows import Gaps, attitude_rows
 from groundstation.identification.flight import Flight, is_force_between
 from groundstation.identification.likelihood.evaluation import Columns
-from groundstation.identification.likelihood.free_spectra import HALF_WIDTH_HZ, Limits, joined
+from groundstation.identification.likelihood.free_spectra import Limits, joined, without_upper_ends
 from groundstation.identification.likelihood.linearisation import Linear, linearise
 from groundstation.identification.likelihood.parameters import MOTOR_KEYS, SENSOR_LAG, Point, value
 from groundstation.identification.likelihood.problem import Problem
@@ -117,7 +117,7 @@ class Setup:
         if self.least_hz == 0.0:
             return linear
         most_hz = self.most_share * 0.5 / self.problem.flights[0].period_s
-        return linear.within(self.least_hz, most_hz).up_to(most_hz + 2.0 * HALF_WIDTH_HZ)
+        return without_upper_ends(linear.within(self.least_hz, most_hz), most_hz)
 
     def limits(self) -> Limits:
         """Where each key is kept."""

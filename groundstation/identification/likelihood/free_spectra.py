@@ -55,6 +55,13 @@ class FreeFit:
     def values(self) -> Array:
         return np.array([value(self.point, key) for key in self.keys])
 
+    @property
+    def settled(self) -> bool:
+        """Whether the last linearisation is as good as one at the point itself."""
+        before = np.array([value(self.linear.point, key) for key in self.keys])
+        errors = np.abs(self.values - before) * np.sqrt(np.diag(self.normal))
+        return bool((errors < SETTLED).all())
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -80,11 +87,11 @@ def fit_free(
 ) -> FreeFit:
     """Gauss-Newton with reweighting.
 
-    linearise: residuals and columns at a point. start: a point, or what is known of one. white: the
-    first weights; otherwise those of the residual at ``start``.
+    linearise: residuals and columns at a point. start: a point, or a linearisation at it. white:
+    the first weights; otherwise those of the residual at ``start``.
     """
     linear = start if isinstance(start, Linear) else linearise(start)
-    point = linear.point
+    point = linear.point if isinstance(start, Linear) else start
     keys = linear.keys
     powers = [np.ones(len(s.hz) // 2) for s in linear.spectra]
     if not white:
@@ -147,10 +154,33 @@ def smoothed(spectra: Sequence[Spectrum], values: Sequence[Array]) -> list[Array
     found = []
     for s, one in zip(spectra, values, strict=True):
         real, imaginary = np.split(one, 2)
-        bins = max(LEAST_BINS, round(HALF_WIDTH_HZ / (s.hz[1] - s.hz[0])))
-        power = uniform_filter1d(real**2 + imaginary**2, 2 * bins + 1, mode="reflect")
+        power = uniform_filter1d(real**2 + imaginary**2, 2 * half_width(s) + 1, mode="reflect")
         found.append(np.maximum(power, 1e-30))
     return found
+
+
+def half_width(s: Spectrum) -> int:
+    """Of the moving mean over a spectrum's periodogram, in bins."""
+    return max(LEAST_BINS, round(HALF_WIDTH_HZ / (s.hz[1] - s.hz[0])))
+
+
+def without_upper_ends(linear: Linear, most_hz: float) -> Linear:
+    """The same without frequencies that neither count, above ``most_hz``, nor are smoothed into
+    some that do."""
+    spectra = []
+    for s in linear.spectra:
+        kept = s.hz <= most_hz + (half_width(s) + 1) * (s.hz[1] - s.hz[0])
+        spectra.append(
+            replace(
+                s,
+                hz=s.hz[kept],
+                weight=s.weight[kept],
+                residual=s.residual[kept],
+                columns=s.columns[:, kept],
+                lasting=None if s.lasting is None else s.lasting[:, kept],
+            )
+        )
+    return replace(linear, spectra=spectra)
 
 
 def cost_of(spectra: Sequence[Spectrum], powers: Sequence[Array], left: Sequence[Array]) -> float:

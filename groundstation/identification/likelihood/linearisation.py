@@ -47,23 +47,6 @@ class Linear:
             spectra.append(replace(s, weight=np.where(inside, s.weight, 0.0)))
         return replace(self, spectra=spectra)
 
-    def up_to(self, most_hz: float) -> Linear:
-        """The same without the spectra's upper ends, for a fit that counts none of them."""
-        spectra = []
-        for s in self.spectra:
-            kept = s.hz <= most_hz
-            spectra.append(
-                replace(
-                    s,
-                    hz=s.hz[kept],
-                    weight=s.weight[kept],
-                    residual=s.residual[kept],
-                    columns=s.columns[:, kept],
-                    lasting=None if s.lasting is None else s.lasting[:, kept],
-                )
-            )
-        return replace(self, spectra=spectra)
-
 
 def linearise(
     flights: Sequence[Flight],
