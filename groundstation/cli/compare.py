@@ -77,6 +77,8 @@ def compare(
         flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
         found = judge(flights, loaded, turning=turning)
+        for line in found.warnings.values():
+            show(line, error=True)
         names = [one.name for one in read if one.runs]
         report = CompareReport(
             *(found.places, gap_of(found), names, model),

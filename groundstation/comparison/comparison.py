@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +19,7 @@ from groundstation.comparison.refusals import (
     require_predictions,
 )
 from groundstation.comparison.regimes import motion_of
+from groundstation.comparison.rotor_drive import driven_by_speeds
 from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
@@ -32,7 +33,8 @@ class Comparison:
     """One model on some runs.
 
     errors, floors: one of each per run. black_box: what the floors come from. turning: what of the
-    model turns the craft.
+    model turns the craft. warnings: recordings whose predictions are not driven by their PWM, and
+    why.
     """
 
     model: Model
@@ -40,6 +42,7 @@ class Comparison:
     floors: tuple[Floor, ...]
     black_box: BlackBox
     turning: Turning = "body"
+    warnings: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def rms(self) -> Array:
@@ -84,7 +87,7 @@ class Comparison:
             )
             for one in self.errors
         )
-        return Comparison(model, errors, self.floors, self.black_box, self.turning)
+        return replace(self, model=model, errors=errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +118,12 @@ def compare(
     require_body(model)
     motions = [motion_of(without_gaps(part.run), model) for part in parts]
     require_consistent([part.run for part in parts], model, motions)
+    warnings: dict[str, str] = {}
+    for number, (part, motion) in enumerate(zip(parts, motions, strict=True)):
+        run, why = driven_by_speeds(part.run, model, motion)
+        if why:
+            parts[number], warnings[run.name] = replace(part, run=run), why
+            motions[number] = motion_of(without_gaps(run), model)
     errors = tuple(
         ahead_errors(part.run, model, slice(part.first, part.last), motion=motion, turning=turning)
         for part, motion in zip(parts, motions, strict=True)
@@ -125,4 +134,4 @@ def compare(
     prepared = [prepare(one, configuration) for one in errors]
     learnt = black_box if black_box is not None else learn(prepared)
     floors = tuple(floor_errors(learnt, one) for one in prepared)
-    return Comparison(model, errors, floors, learnt, turning)
+    return Comparison(model, errors, floors, learnt, turning, warnings)

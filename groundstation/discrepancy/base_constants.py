@@ -10,6 +10,7 @@ import numpy as np
 from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
+from groundstation.dynamics.registry import ROTORS_TURN_BY
 from groundstation.identification.body.certainty import DRAG_HZ, STEERED_HZ, YAW_BANDS, blurred
 from groundstation.identification.body.setup import GAINS
 from groundstation.identification.flight import Flight
@@ -26,8 +27,6 @@ Group = tuple[str, ...]
 
 THRUST = "thrust_per_mass"
 EVERY_HZ, YAW_ENDS_HZ = (0.0, math.inf), (DRAG_HZ, YAW_BANDS[0])
-DRIVING = ("supply", "motor")
-"""Stages of effects that change how fast a rotor turns by its PWM."""
 SAME_PERCENT = 1.0
 """What a change of thrust per mass and one of the push at the same PWM differ by at most."""
 TOUCHES: dict[str, tuple[int, ...]] = {
@@ -150,7 +149,9 @@ def _turn_otherwise(problem: Problem, final: Point) -> bool:
     unknowns = problem.frame.unknowns
     return any(
         now != problem.start.get(key, absent(key))
-        and (key in MOTOR_KEYS or (key in unknowns and unknowns[key].effect.stage in DRIVING))
+        and (
+            key in MOTOR_KEYS or (key in unknowns and unknowns[key].effect.stage in ROTORS_TURN_BY)
+        )
         for key, now in final.items()
     )
 

@@ -127,7 +127,9 @@ def find_discrepancy(
         progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
     )
     report("proving it on held-out rows", 0.8)
-    findings = replace(findings, warnings=(*left_out, *unused, *not_shown, *findings.warnings))
+    driven = {**train.before.warnings, **judged.before.warnings}
+    said = (*left_out, *unused, *not_shown, *driven.values(), *findings.warnings)
+    findings = replace(findings, warnings=said)
     findings, proof = prove(findings, train, judged)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     if given is not None:

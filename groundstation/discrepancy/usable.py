@@ -1,5 +1,5 @@
 """What of recordings a search can use: flights with every channel that is needed, that PWM steers,
-rotor sensors that follow it, and PWM that tells what rotors did."""
+and rotor sensors that follow it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from groundstation.comparison.consistency import broken_rotor_sensors
 from groundstation.comparison.refusals import missing_channel, require_channels
 from groundstation.comparison.stretches import Marked
-from groundstation.discrepancy.rotor_drive import driven_by_speeds
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import mostly_saturated
@@ -21,18 +20,14 @@ Groups = Sequence[Sequence[Sequence[Run]]]
 
 
 def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[str]]:
-    """The groups without what a search cannot use, with settings that tell how rotors turned, and
-    what was left out or is another, in words.
+    """The groups without what a search cannot use, and what was left out, in words.
 
     Raises BadInputError where all of a group are of no use, and one for want of a channel.
     """
     useful, useless = _without_useless(groups)
     require_channels([run for group in useful for part in group for run in part])
     sound, broken = _without_broken_sensors(useful, model)
-    told = [[[driven_by_speeds(run, model) for run in part] for part in group] for group in sound]
-    kept = [[[run for run, _ in part] for part in group] for group in told]
-    words = {run.name: why for group in told for part in group for run, why in part if why}
-    return kept, [*useless, *broken, *words.values()]
+    return sound, [*useless, *broken]
 
 
 def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:

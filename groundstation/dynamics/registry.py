@@ -29,6 +29,8 @@ SPIN_UP = "rotor_acceleration_torque.rotor_inertia_kg_m2"
 """The same of what accelerating rotors turn the craft with."""
 COMPILED: tuple[Stage, ...] = ("supply", "motor", "rotor", "body", "sensor")
 """Stages whose laws act within the equations of motion; the others are evaluated once."""
+ROTORS_TURN_BY: tuple[Stage, ...] = ("supply", "motor")
+"""Stages whose laws change how fast a rotor turns by its PWM."""
 
 
 def at_stage(stage: str) -> tuple[Effect, ...]:

@@ -14,7 +14,7 @@ from groundstation.errors import BadInputError
 from groundstation.identification.airborne import airborne
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection, selected
-from groundstation.identification.torque import RotorSquares, rotor_squares
+from groundstation.identification.torque import RotorSquares, measured_squares, rotor_squares
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def stretches_of(
     for run in runs:
         if not np.isfinite(run.gyro).all():
             raise BadInputError(f"{run.name}: the gyro is missing in some rows")
-        squares = rotor_squares(run, motor, measured)
+        squares = measured_squares(run) if measured else rotor_squares(run, motor)
         chosen = airborne(run) & selected(run, selection)
         for first, last in spans(chosen):
             if (last - first) * run.period_s >= PIECE_S:

@@ -50,21 +50,15 @@ def by_saturation(runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
     return found
 
 
-def rotor_squares(
-    run: Run,
-    motor: MotorConstants | Motors,
-    measured: bool = False,
-) -> RotorSquares:
-    """Squared rotor speeds by simulating the motors, or from measured speeds.
+def rotor_squares(run: Run, motor: MotorConstants | Motors) -> RotorSquares:
+    """Squared rotor speeds by simulating the motors.
 
     The motors start settled at the first row's voltage; what is wrong with that is gone after
     half a second.
 
-    Raises BadInputError where duty or battery voltage (or the measured speed) are missing, and
-    where the motors are saturated throughout.
+    Raises BadInputError where duty or battery voltage are missing, and where the motors are
+    saturated throughout.
     """
-    if measured:
-        return measured_squares(run)
     settings = run.settings
     each = len(settings) // len(run)
     voltage = armature_mv(settings, np.repeat(run.supply_v, each))

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from affected_flights import BASE, flown
 
-from groundstation.discrepancy.rotor_drive import driven_by_speeds
-from groundstation.discrepancy.usable import usable
+from groundstation.comparison import rotor_drive
+from groundstation.comparison.comparison import Judged, compare
+from groundstation.comparison.regimes import motion_of
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.identification.airborne import flights_in
+from groundstation.identification.recordings import without_gaps
 
 BEAT_HZ = 3.0
 
@@ -31,6 +33,10 @@ def measured():
             now = now + run.period_s / steps * slope
         speed[i] = now
     return replace(run, rotor_rev_s=speed + np.random.default_rng(1).normal(0.0, 0.2, speed.shape))
+
+
+def driven_by_speeds(run, model):
+    return rotor_drive.driven_by_speeds(run, model, motion_of(without_gaps(run), model))
 
 
 def beating(run, size, signs=(-1.0, 1.0, -1.0, 1.0)):
@@ -97,9 +103,14 @@ def test_lost_rows_stay_lost(measured):
     assert np.isfinite(run.duty[:3000]).all()
 
 
-def test_a_search_says_it_once_and_takes_the_settings(measured):
+def test_a_comparison_says_it_once_and_predicts_by_the_speeds(measured):
     beaten = beating(measured, 0.012)
-    (fitted, held), warnings = usable(([[measured]], [[beaten, beaten[2000:]]]), BASE)
-    assert fitted[0][0] is measured
-    assert len(warnings) == 1
-    assert not np.array_equal(held[0][0].duty, beaten.duty)
+    untouched = compare([measured], BASE)
+    assert not untouched.warnings
+    parts = [Judged(beaten, 0, 4000), Judged(beaten, 4000, len(beaten))]
+    found = compare(parts, BASE, untouched.black_box)
+    assert list(found.warnings) == ["beaten"]
+    assert found.gap < 1.1 * untouched.gap
+    deaf = replace(beaten, rotor_rev_s=np.full_like(beaten.duty, np.nan))
+    assert compare([deaf], BASE, untouched.black_box).gap > 1.5 * untouched.gap
+    assert found.with_model(BASE).warnings == found.warnings

@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.comparison.regimes import motion_of
-from groundstation.discrepancy.base_constants import DRIVING
+from groundstation.comparison.regimes import Motion
+from groundstation.dynamics.craft import craft_of_model
+from groundstation.dynamics.hover import duties_for
 from groundstation.dynamics.mixer import MIXERS
-from groundstation.dynamics.model import Model, model_vehicle, rotor_motors
-from groundstation.dynamics.motor import each_motor
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.registry import EFFECTS, ROTORS_TURN_BY
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import measured_squares
@@ -39,16 +39,15 @@ FOLLOWS_ALONE = 0.3
 interchanged, or a sensor is dead."""
 
 
-def driven_by_speeds(run: Run, model: Model) -> tuple[Run, str]:
+def driven_by_speeds(run: Run, model: Model, motion: Motion) -> tuple[Run, str]:
     """A run with the settings by which the model's motors turn as measured while it flies, and why;
     the run itself and no words where PWM and battery voltage tell as much, or where an effect of
-    supply or motors stands between settings and speeds."""
-    between = any(EFFECTS[e.name].stage in DRIVING for e in model.effects if e.name in EFFECTS)
-    if between or not np.isfinite(run.rotor_rev_s).any():
+    supply or motors stands between settings and speeds. motion: the run's under the model."""
+    stages = {EFFECTS[one.name].stage for one in model.effects if one.name in EFFECTS}
+    if not stages.isdisjoint(ROTORS_TURN_BY) or not motion.flown.any():
         return run, ""
     whole = without_gaps(run)
-    motion = motion_of(whole, model)
-    if not motion.flown.any() or not np.isfinite(whole.rotor_rev_s).all():
+    if not np.isfinite(whole.rotor_rev_s).all():
         return run, ""
     measured = np.sqrt(measured_squares(whole).end)
     modelled, turned = (
@@ -85,11 +84,10 @@ def _moving(speed: Array, period_s: float) -> Array:
 
 
 def _settings(run: Run, speed: Array, model: Model) -> Array:
-    """Duty (n, 4) behind speeds (n, 4) in rev/s by the motors' law (thesis eq. 3.82)."""
-    motors = each_motor(rotor_motors(model))
-    a0, a1, a2 = (np.array([getattr(one, name) for one in motors]) for name in ("a0", "a1", "a2"))
+    """Duty (n, 4) behind speeds (n, 4) in rev/s."""
+    craft, supply_mv = craft_of_model(model), 1000.0 * run.supply_v
     before = np.vstack([speed[:1], speed[:-1]])
-    mean = 0.5 * (speed + before)
-    armature_mv = ((speed - before) / run.period_s + (a1 + a2 * mean) * mean) / a0
-    duty = armature_mv / (1000.0 * run.supply_v[:, None])
-    return np.asarray(np.clip(duty, LEAST_DUTY, 1.0))
+    mean, slope = 0.5 * (speed + before), (speed - before) / run.period_s
+    rows = zip(mean, slope, supply_mv, strict=True)
+    duty = np.array([duties_for(craft, *row) for row in rows])
+    return np.maximum(duty, LEAST_DUTY)
