@@ -33,23 +33,9 @@ def running_station(folder):
         assert daemon.stop() == 0, daemon.stderr
 
 
-@pytest.fixture(scope="module")
-def station(tmp_path_factory):
-    """A station that the commands of the pages share."""
-    with running_station(tmp_path_factory.mktemp("station")) as daemon:
-        yield daemon
-
-
 @pytest.fixture
-def with_station(station, monkeypatch):
-    """Commands find the daemon."""
-    find(station, monkeypatch)
-    return station
-
-
-@pytest.fixture
-def for_a_while(tmp_path_factory, monkeypatch):
-    """Commands find a daemon of their own while they run, which computes no longer than that."""
+def with_station(tmp_path_factory, monkeypatch):
+    """Commands find a daemon while they run, which flies no longer than that."""
 
     @contextmanager
     def begin():
@@ -57,15 +43,11 @@ def for_a_while(tmp_path_factory, monkeypatch):
             running_station(tmp_path_factory.mktemp("station")) as daemon,
             monkeypatch.context() as m,
         ):
-            find(daemon, m)
+            m.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
+            m.setenv("XDG_RUNTIME_DIR", str(daemon.folder))
             yield
 
     return begin
-
-
-def find(daemon, monkeypatch):
-    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(daemon.folder))
 
 
 @pytest.fixture

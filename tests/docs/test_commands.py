@@ -18,6 +18,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from itertools import pairwise
 
 import pytest
@@ -115,12 +116,11 @@ HERE = [command for command in COMMANDS if elsewhere(command) is None]
 
 
 @pytest.mark.parametrize("command", HERE)
-def test_what_is_printed_works(command, folder, larder, request):
+def test_what_is_printed_works(command, folder, larder, with_station):
     for name in inputs_of(shlex.split(command)):
         larder.give(name, folder)
-    if command.startswith(CLIENTS):
-        request.getfixturevalue("with_station")
-    carry_out(command, folder)
+    with with_station() if command.startswith(CLIENTS) else nullcontext():
+        carry_out(command, folder)
 
 
 @pytest.mark.parametrize("command", [c for c in COMMANDS if elsewhere(c) is not None])
@@ -149,7 +149,7 @@ def assert_taken(command):
 
 
 @pytest.mark.timeout(900)  # half a minute where nothing else runs
-def test_the_story_of_getting_started_goes_as_printed(folder, larder, for_a_while):
+def test_the_story_of_getting_started_goes_as_printed(folder, larder, with_station):
     """Its commands in order in one folder; a ``text`` block is what the commands before it say."""
     said, told, clone, there = "", "", folder, set(folder.iterdir())
     for block in blocks_of(STORY):
@@ -163,7 +163,7 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, for_a_whil
         elif block.holds_commands:
             for command in block.commands():
                 if command.startswith(CLIENTS):
-                    with for_a_while():
+                    with with_station():
                         said += carry_out(command, folder) or ""
                     continue
                 if command.startswith("cd "):

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import nullcontext
 
 import pytest
 from larder import FLOWN
@@ -18,17 +19,16 @@ MODELS = ("body.json", "motor.json")
 
 @pytest.mark.timeout(900)  # a quarter of a minute where nothing else runs
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.name)
-def test_the_examples_of_a_page_run_in_order(page, folder, larder, request):
+def test_the_examples_of_a_page_run_in_order(page, folder, larder, with_station):
     names = {}
     for block in blocks_of(page):
         if block.language == "python":
             for name in (*FLOWN, *MODELS):
                 if f'"{name}"' in block.text:
                     larder.give(name, folder)
-            if "socket_path" in block.text:
-                request.getfixturevalue("with_station")
             code = compile("\n" * (block.line - 1) + block.text, str(page), "exec")
-            exec(code, names)
+            with with_station() if "socket_path" in block.text else nullcontext():
+                exec(code, names)
 
 
 def test_the_public_names_are_there_and_are_those_that_the_page_lists():
