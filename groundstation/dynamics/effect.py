@@ -303,8 +303,12 @@ class Effect:
         return all(values[p.name] == p.absent for p in self.sizes)
 
     def plausible(self, given: Mapping[str, float]) -> bool:
-        """Whether every value lies in its range, or is the one that means absent."""
+        """Whether every value lies in its range, as far as its doubt lets it be known, or is the
+        one that means absent."""
         values = {p.name: float(given.get(p.name, p.default)) for p in self.parameters}
+        off = {} if self.doubt is None else self.doubt(values)
         return all(
-            p.low <= values[p.name] <= p.high or values[p.name] == p.absent for p in self.parameters
+            p.low - off.get(p.name, 0.0) <= values[p.name] <= p.high + off.get(p.name, 0.0)
+            or values[p.name] == p.absent
+            for p in self.parameters
         )

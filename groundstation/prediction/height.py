@@ -39,8 +39,9 @@ one that hovers low for two is not."""
 IDLE_SHARE, IDLE_S = 0.4, 1.0
 """Motors that are driven by less than this share of what they are in flight, for so long at either
 end, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535)."""
-FALL_S, FALLING = 0.6, 0.5
-"""How long a craft may fall once its motors have stopped, feeling less than this share of 1 g."""
+FALL_S, FALLING, IMPACT = 0.6, 0.5, 1.0
+"""How long a craft may fall once its motors have stopped, feeling less than this share of 1 g, and
+by how many g more than 1 the ground then stops it: rotors that run down are felt by less than 1."""
 
 
 def rise_of(attitude: Array, accelerometer: Array) -> Array:
@@ -124,8 +125,11 @@ def _touch_down(rise: Array, stop: int, period_s: float) -> int | None:
     """The row of the impact, or of the motors' stop where the craft stood already; None where the
     recording does not show it."""
     rows = round(FALL_S / period_s)
-    fall = rise[stop : stop + rows]
-    if len(fall) < rows:
+    after = rise[stop : stop + rows]
+    if len(after) < rows:
         return None
-    falling = np.flatnonzero(fall < (FALLING - 1.0) * STANDARD_GRAVITY)
+    struck = np.flatnonzero(after > IMPACT * STANDARD_GRAVITY)
+    if len(struck):  # it may bounce, and fall again
+        return stop + int(struck[0])
+    falling = np.flatnonzero(after < (FALLING - 1.0) * STANDARD_GRAVITY)
     return stop + int(falling[-1]) + 1 if len(falling) else stop

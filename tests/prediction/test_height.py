@@ -96,3 +96,25 @@ def test_rows_without_a_new_attitude_are_risen_in_as_well():
     told = rise_of(attitude, accelerometer)
     assert told.sum() == pytest.approx(true.sum(), rel=0.01)
     assert np.abs(told - true).mean() < 0.02
+
+
+def test_a_craft_that_drops_the_last_centimetres_came_down_where_the_ground_stops_it(tmp_path):
+    rise, still, start, stop, true = flown(tmp_path, 14.0, 1.9, 0.0)
+    assert 0.01 < true[stop] < 0.03
+    height, _ = heights_of(rise, still, start, stop, 0.002)
+    assert height[-1] == pytest.approx(true[stop - 1], abs=0.004)
+
+
+def test_a_bounce_is_not_the_touch_down():
+    period = 0.002
+    up = np.repeat([0.0, 2.0, -2.0, -0.9], [500, 250, 250, 500])  # rest, half a metre up, and down
+    speed = np.cumsum(up) * period
+    stop, low = len(up), float(np.sum(speed) * period)
+    assert 0.04 < low < 0.06
+    rows = round((speed[-1] + (speed[-1] ** 2 + 2 * 9.8 * low) ** 0.5) / 9.8 / period)
+    fall, struck = np.full(rows, -9.8), [80.0]
+    bounce = np.concatenate([fall, struck, np.full(40, -9.8), struck, np.zeros(400)])
+    rise = np.concatenate([up, bounce])
+    still = np.arange(len(rise)) < 500
+    height, _ = heights_of(rise, still, 500, stop, period)
+    assert height[-1] == pytest.approx(low, abs=0.005)

@@ -69,6 +69,13 @@ def test_every_size_a_craft_may_have_is_plausible_and_another_sign_is_not(name):
         assert not effect.plausible({parameter: -low})
 
 
+def test_a_size_beyond_its_range_is_plausible_as_far_as_nobody_knows_it_better():
+    low = EFFECTS["ground_effect"]  # of a height that is off by centimetres
+    assert low.plausible({"height_m": 0.045, "gain": 0.08})
+    assert not low.plausible({"height_m": 0.045, "gain": 0.03})
+    assert not low.plausible({"height_m": 0.16, "gain": 0.08})
+
+
 def test_absent_means_the_value_that_changes_nothing():
     assert EFFECTS["motor_braking_asymmetry"].absent({"factor": 1.0})
     assert not EFFECTS["motor_braking_asymmetry"].absent({"factor": 0.0})
