@@ -58,7 +58,7 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "right": not false and not missed,
         "listed": _listed(report["effects"], false, missed),
         "rivals": {e["name"]: [o["name"] for o in e["alternatives"]] for e in report["effects"]},
-        "parameters": _parameters(sealed, report["effects"]),
+        "parameters": _parameters(sealed, report),
         "explained": _explained(_acting(case, sealed), report),
         "loudness": _loudness(report),
         "residual": report["residual"],
@@ -113,10 +113,10 @@ def _listed(effects: list[dict[str, Any]], false: list[str], missed: list[str]) 
     return missed[0] in [other["name"] for other in wrong["alternatives"]]
 
 
-def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _parameters(sealed: Sealed, report: dict[str, Any]) -> list[dict[str, Any]]:
     """Every continuous parameter of a rightly named effect against the truth."""
-    out, truths = [], _truths(sealed, [effect["name"] for effect in effects])
-    for effect in effects:
+    out, truths = [], _truths(sealed, _in_model(report))
+    for effect in report["effects"]:
         truth = truths.get(effect["name"], {})
         for key, estimate in effect["parameters"].items():
             if key not in truth or key == "rotor" or estimate["stderr"] is None:
@@ -135,11 +135,17 @@ def _parameters(sealed: Sealed, effects: list[dict[str, Any]]) -> list[dict[str,
     return out
 
 
-def _truths(sealed: Sealed, found: list[str]) -> dict[str, dict[str, float]]:
-    """Parameters as they are where these effects are named: a lag of the gyro that has a name of
-    its own is no part of the delay."""
+def _in_model(report: dict[str, Any]) -> set[str]:
+    """Effects that the improved model has: those that are named, and those too small for a name."""
+    small = {one["name"] for one in report["candidates"] if one["refused_by"] == "negligible"}
+    return small | {effect["name"] for effect in report["effects"]}
+
+
+def _truths(sealed: Sealed, fitted: set[str]) -> dict[str, dict[str, float]]:
+    """Parameters as they are beside what else is fitted: a lag of the gyro is then no part of the
+    delay."""
     lag = sealed.also.get("gyro_low_pass")
-    if lag is None or "gyro_low_pass" not in found:
+    if lag is None or "gyro_low_pass" not in fitted:
         return sealed.present
     delay_s = sealed.present["dead_time"]["delay_s"] - 1.0 / (2.0 * math.pi * lag["bandwidth_hz"])
     return {**sealed.present, **sealed.also, "dead_time": {"delay_s": delay_s}}

@@ -205,6 +205,9 @@ def _say(report: DiscrepancyReport) -> None:
         show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
         for other in effect.alternatives:
             show(f"     could also be {other.name}; to tell: {other.manoeuvre}")
+    for small in report.candidates:
+        if small.refused_by == "negligible":
+            show(f"{small.name}: {small.reason}")
     if report.residual == "structured":
         left = report.residual_detail
         where = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)

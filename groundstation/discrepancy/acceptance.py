@@ -180,11 +180,7 @@ def implausible(trial: Trial) -> str:
     )
     if not ends and plausible(trial.variant, point):
         return ""
-    values = ", ".join(
-        f"{name} {estimate.value:.3g} {estimate.unit}".strip()
-        for name, estimate in estimates_of(trial.variant, point, {}).items()
-    )
-    return f"not plausible: {values}"
+    return f"not plausible: {_in_words(estimates_of(trial.variant, point, {}))}"
 
 
 def insignificant(trial: Trial) -> str:
@@ -256,14 +252,15 @@ def drowned(trial: Trial) -> str:
 def negligible(trial: Trial) -> str:
     """It is surely there, and always is: too small to be called an effect."""
     assert trial.fit is not None
-    effect = trial.variant.definition
-    size = float(np.linalg.norm(sizes_at(trial.variant, trial.fit.point)))
+    effect, point = trial.variant.definition, trial.fit.point
+    size = float(np.linalg.norm(sizes_at(trial.variant, point)))
+    fitted = f"{_in_words(estimates_of(trial.variant, point, {}))} fitted, but no effect"
     if effect.stage == "delay" and size < trial.open_s:
         return (
-            "fitted, but no effect: the controller answers several times within a row, which leaves"
-            f" a delay below {1e3 * trial.open_s:.2g} ms open"
+            f"{fitted}: the controller answers several times within a row, which leaves a delay"
+            f" below {1e3 * trial.open_s:.2g} ms open"
         )
-    return f"fitted, but no effect: {effect.because}" if size < effect.negligible else ""
+    return f"{fitted}: {effect.because}" if size < effect.negligible else ""
 
 
 def chance_does_it(found: Lasting | Shaken) -> str:

@@ -147,6 +147,13 @@ def test_a_gyro_that_lags_no_more_than_its_chip_always_does_is_no_effect():
         assert said(Stage.NAMED, "gyro_low_pass", fit=place) is reason
 
 
+def test_what_the_model_has_without_a_name_is_told_with_its_size():
+    (key,) = VARIANT["gyro_low_pass"].keys
+    place = Fit({key: 0.9e-3}, (), 0.0, np.eye(0))
+    found = refusal(Stage.NAMED, Trial(VARIANT["gyro_low_pass"], fit=place))
+    assert found.words.startswith("bandwidth_hz 177 Hz fitted, but no effect: the chip")
+
+
 @pytest.mark.parametrize(
     ("drop", "beyond", "reason"),
     [
@@ -188,6 +195,7 @@ def test_a_delay_that_slow_rows_leave_open_is_no_effect(rows_hz, delay_s, reason
             Reason.IMPLAUSIBLE,
         ),
         ("ground_effect", {"ground_effect__gain": 0.3, "ground_effect__height_m": 0.05}, None),
+        ("ground_effect", {"ground_effect__gain": 0.08, "ground_effect__height_m": 0.05}, None),
     ],
 )
 def test_a_size_that_the_last_fit_left_has_to_be_one_that_a_craft_can_have(effect, point, reason):

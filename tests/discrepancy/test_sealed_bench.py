@@ -303,6 +303,7 @@ def report(
             }
             for name, parameters, others in effects
         ],
+        "candidates": [],
         "where": [{"channel": where, "regime": regime, "rms": 2.0, "expected_rms": 1.0}],
         "gap": {
             "channels": {
@@ -332,7 +333,7 @@ def test_the_right_name_alone_is_right():
     assert [p["inside"] for p in line["parameters"]] == [True]
 
 
-def test_the_lag_of_the_chips_own_filter_may_be_named_and_is_then_no_part_of_the_delay():
+def test_the_lag_of_the_chips_own_filter_may_be_fitted_and_is_then_no_part_of_the_delay():
     lag_s = 0.85e-3
     present = {"dead_time": {"delay_s": 3.2e-3}}
     also = {"gyro_low_pass": {"bandwidth_hz": 1.0 / (2.0 * np.pi * lag_s)}}
@@ -343,7 +344,9 @@ def test_the_lag_of_the_chips_own_filter_may_be_named_and_is_then_no_part_of_the
         ("dead_time", {"delay_s": (2.35e-3, 1e-5)}, []),
         ("gyro_low_pass", {"bandwidth_hz": (187.2, 0.2)}, []),
     )
-    for line in (whole, judge(case, chip, split)):
+    unnamed = report(("dead_time", {"delay_s": (2.35e-3, 1e-5)}, []))
+    unnamed["candidates"] = [{"name": "gyro_low_pass", "refused_by": "negligible"}]
+    for line in (whole, judge(case, chip, split), judge(case, chip, unnamed)):
         assert line["right"]
         assert all(p["inside"] for p in line["parameters"])
     assert not judge(case, sealed({"dead_time": 50.0}, **present), split)["right"]
