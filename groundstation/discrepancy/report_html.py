@@ -59,6 +59,7 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
         page.verdict(
             f"Gap {found.gap:.2f} over all channels (1 is noise). Worst: {_place(worst)}.", "bad"
         )
+    page.bullets(list(found.warnings.values())) if found.warnings else None
     _stretches(page, report.stretches)
     _channels(page, report.gap)
     page.heading("Where")

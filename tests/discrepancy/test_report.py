@@ -105,7 +105,9 @@ def test_a_model_as_good_as_noise_is_told_so():
     (run,) = flights(1)
     good = compare([run], BASE)
     made = CompareReport(good.places, gap_of(good), ["a.mcap"], "base.json")
-    page = compare_page(good, made).html()
+    told = replace(good, warnings={"flight": "flight: driven by its measured speeds"})
+    page = compare_page(told, made).html()
+    assert "driven by its measured speeds" in page
     assert "as well as noise allows" in page
     assert "A closer look" not in page
 
