@@ -83,7 +83,8 @@ def searched(case: str, model: str, folder: Path) -> Iterator[str]:
     for name, parameters in found["effects"].items():
         for key, one in parameters.items():
             truth = known.pop((name, key), None)
-            size = f"{one['value']:.4g} +- {one['stderr']:.1g} {one['unit']}"
+            error = "" if one["stderr"] is None else f" +- {one['stderr']:.1g}"
+            size = f"{one['value']:.4g}{error} {one['unit']}"
             apart = "" if truth is None else f"{100 * (one['value'] / truth - 1):+.1f} %"
             told = "nothing" if truth is None else f"{truth:.4g}"
             yield f"| {case} | {name} | {told} | {size} | {apart} | {gap} |"

@@ -27,6 +27,9 @@ BLOCK_S = 1.0
 HELD_OUT_SHARE = 0.2
 """Of what an effect promises on held-out rows, the least that they have to gain: it may be of
 another size there, and then gains nothing at half of it."""
+LATE_SHARE = 0.4
+"""Of a fitted delay, what held-out flights have of their own at least: a sensor's clock starts at
+any phase, so flights of one craft are up to a period more or less late (1.5 to 3.5 ms, the 1.0)."""
 INFORMED = 0.05
 """Least share of Fisher information for the homogeneity test: where an effect hardly shows, a
 small fault of a strong one looks like a disagreement."""
@@ -121,6 +124,11 @@ def gather(
             free = problem.linear(after.point, BODY_KEYS, validation)
             held, expected = beside_own_constants(away, free, problem.noise)
             information = expected
+        if held < HELD_OUT_SHARE * expected and variant.definition.stage == "delay":
+            late = problem.linear(after.point, (*BODY_KEYS, *variant.keys), validation)
+            least = LATE_SHARE * value(after.point, *variant.keys)
+            if own_value(late, problem.noise, *variant.keys) >= least:
+                held, expected = beside_own_constants(away, late, problem.noise)
         if held < HELD_OUT_SHARE * expected:
             held, expected = by_own_noise(away, where_speeds_tell(free, validation))
         count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
@@ -154,6 +162,13 @@ def beside_own_constants(
     before, after = ([s.residual for s in one.spectra] for one in (away, near))
     moved = (one - other for one, other in zip(before, after, strict=True))
     return least(before) - least(after), least(moved)
+
+
+def own_value(near: Linear, noises: Mapping[int, Noise], key: str) -> float:
+    """The value of ``key`` that flights have of their own, beside their own c0..c2 and thrust."""
+    found = quadratic(near.spectra, noises, (), len(near.keys))
+    change = inverse(found.normal) @ found.gradient
+    return value(near.point, key) + float(change[near.keys.index(key)])
 
 
 def where_speeds_tell(linear: Linear, flights: Sequence[Flight]) -> Linear:

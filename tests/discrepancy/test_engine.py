@@ -6,7 +6,7 @@ import functools
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import flown
+from affected_flights import BASE, flown
 from scipy.signal import lfilter
 from searched_flights import base_model, flights, samples
 
@@ -54,6 +54,17 @@ def assert_found(findings, hidden):
                 assert value == true
             else:
                 assert value == pytest.approx(true, abs=max(4.0 * error, 1e-3 * abs(true)))
+
+
+@pytest.mark.parametrize(("own_ms", "named"), [(2.2, ["dead_time"]), (0.0, [])])
+def test_a_delay_is_named_though_the_held_out_flight_has_one_of_its_own_but_not_where_it_has_none(
+    own_ms, named
+):
+    def late(seed, ms):
+        return flown(20.0, seed, effects={"dead_time": {"delay_s": 1e-3 * ms}})[0]
+
+    found = find_effects([late(1, 4.0), late(2, 4.0)], BASE, [late(3, own_ms)])
+    assert [effect.name for effect in found.effects] == named
 
 
 @pytest.mark.parametrize("name", HIDDEN)
