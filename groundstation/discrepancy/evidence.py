@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.screening import sizes_at
+from groundstation.dynamics.registry import DELAY
 from groundstation.identification.body.certainty import unseen_delay_s
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight
@@ -124,10 +125,9 @@ def gather(
             free = problem.linear(after.point, BODY_KEYS, validation)
             held, expected = beside_own_constants(away, free, problem.noise)
             information = expected
-        if held < HELD_OUT_SHARE * expected and variant.definition.stage == "delay":
-            late = problem.linear(after.point, (*BODY_KEYS, *variant.keys), validation)
-            least = LATE_SHARE * value(after.point, *variant.keys)
-            if own_value(late, problem.noise, *variant.keys) >= least:
+        if held < HELD_OUT_SHARE * expected and variant.keys == (DELAY,):
+            late = problem.linear(after.point, (*BODY_KEYS, DELAY), validation)
+            if own_value(late, problem.noise, DELAY) >= LATE_SHARE * value(after.point, DELAY):
                 held, expected = beside_own_constants(away, late, problem.noise)
         if held < HELD_OUT_SHARE * expected:
             held, expected = by_own_noise(away, where_speeds_tell(free, validation))
