@@ -1,6 +1,7 @@
 """The installed ``groundstation`` command, as a user runs it."""
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -19,6 +20,8 @@ from groundstation.service.client import ask
 COMMAND = Path(sys.executable).with_name("groundstation")
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 PATIENCE_S = 60.0
+PORTS = range(20_000, 32_000)
+_PORTS = itertools.islice(itertools.cycle(PORTS), 131 * os.getpid() % len(PORTS), None)
 
 
 def groundstation(*arguments, socket_path=None, cwd=None):
@@ -41,9 +44,14 @@ def require_failure(result, status=1):
 
 
 def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    """One that nobody has: another one each time, and below those that the system gives to whoever
+    asks for any, for it would give this one away before it is used."""
+    for _ in PORTS:
+        port = next(_PORTS)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise RuntimeError(f"no port from {PORTS.start} to {PORTS.stop - 1} is free")
 
 
 def until(condition, what, timeout_s=PATIENCE_S, every_s=0.01):
