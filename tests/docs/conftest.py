@@ -6,9 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from installed import Daemon, free_port
+from installed import Daemon
 from larder import Larder
 from pages import ROOT
+from ports import free_port
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,9 @@ from contextlib import nullcontext
 from itertools import pairwise
 
 import pytest
-from installed import COMMAND, PATIENCE_S, Daemon, free_port, until
+from installed import COMMAND, PATIENCE_S, Daemon, until
 from pages import PAGES, ROOT, blocks_of
+from ports import free_port
 from programs import Program, run_program
 from typer.main import get_command
 from typer.testing import CliRunner

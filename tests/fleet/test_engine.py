@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from dask_programs import scheduler, worker
-from installed import free_port
+from ports import free_port
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.fleet import engine

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 from dask_programs import scheduler, worker
-from installed import RECORDINGS, free_port
+from installed import RECORDINGS
+from ports import free_port
 
 from groundstation.fleet.fit import fit_all, fits_table
 from groundstation.fleet.index import index, recordings_of

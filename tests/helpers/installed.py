@@ -1,11 +1,9 @@
 """The installed ``groundstation`` command, as a user runs it."""
 
 import contextlib
-import itertools
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -20,8 +18,6 @@ from groundstation.service.client import ask
 COMMAND = Path(sys.executable).with_name("groundstation")
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 PATIENCE_S = 60.0
-PORTS = range(20_000, 32_000)
-_PORTS = itertools.islice(itertools.cycle(PORTS), 131 * os.getpid() % len(PORTS), None)
 
 
 def groundstation(*arguments, socket_path=None, cwd=None):
@@ -41,17 +37,6 @@ def require_failure(result, status=1):
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("groundstation: ")
     return lines[0]
-
-
-def free_port():
-    """One that nobody has: another one each time, and below those that the system gives to whoever
-    asks for any, for it would give this one away before it is used."""
-    for _ in PORTS:
-        port = next(_PORTS)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            return port
-    raise RuntimeError(f"no port from {PORTS.start} to {PORTS.stop - 1} is free")
 
 
 def until(condition, what, timeout_s=PATIENCE_S, every_s=0.01):

@@ -9,7 +9,8 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from flown_link import flown, free_udp_port
+from flown_link import flown
+from ports import free_port
 from served_craft import ServedCraft, served
 
 from firmware_sim.craft import CraftState
@@ -112,7 +113,7 @@ def test_a_craft_that_does_not_answer_gives_one_clear_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("groundstation.links.crazyflie_connection.FIRST_S", 0.5)
-    link = CrazyflieLink(f"udp://127.0.0.1:{free_udp_port()}")
+    link = CrazyflieLink(f"udp://127.0.0.1:{free_port()}")
     with pytest.raises(LinkError, match=r"no craft answered within 0\.5 s|refused"):
         asyncio.run(link.open())
     assert link.state is CommandState.CLOSED

@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 
 import pytest
-from flown_link import free_udp_port
+from ports import free_port
 from programs import run_program
 from served_craft import ServedCraft, served
 from usb.core import USBError
@@ -79,7 +79,7 @@ def test_the_rule_that_is_named_lets_every_dongle_in() -> None:
 def test_a_craft_that_is_off_or_a_wrong_port_is_one_line_and_nothing_else_is_printed(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    uri = f"udp://127.0.0.1:{free_udp_port()}"
+    uri = f"udp://127.0.0.1:{free_port()}"
     with pytest.raises(LinkError, match="refused: nothing serves there") as refusal:
         opened(CrazyflieTelemetry(uri))
     assert "\n" not in str(refusal.value)

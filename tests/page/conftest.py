@@ -5,7 +5,8 @@ import re
 import shutil
 
 import pytest
-from installed import Daemon, free_port, until
+from installed import Daemon, until
+from ports import free_port
 
 CHROMIUM = shutil.which("chromium")
 PATIENCE_MS = 120_000

@@ -8,8 +8,8 @@ import time
 
 import psutil
 import pytest
-from flown_link import free_udp_port
 from installed import RECORDINGS, groundstation, until
+from ports import free_port
 from served_craft import served
 
 from firmware_sim.supervisor import CRASHED
@@ -192,7 +192,7 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     daemon.recording()
     page = visit(daemon.address())
     expect(page.locator("#stop-why")).to_contain_text("No command link")
-    page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_udp_port()}")
+    page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_port()}")
     page.get_by_role("button", name="Connect").click()
     expect(page.locator("#armed")).to_have_text("yes")  # as the craft says: this one arms itself
     expect(page.get_by_role("button", name="Arm…")).to_be_disabled()

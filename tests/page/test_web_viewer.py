@@ -3,7 +3,8 @@
 import re
 
 import pytest
-from installed import free_port, until
+from installed import until
+from ports import free_port
 
 
 @pytest.mark.timeout(600)

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from flown_link import free_udp_port
 from installed import RECORDINGS, until
+from ports import free_port
 from served_station import recorded, serve
 
 from groundstation.errors import BadInputError, GroundStationError, NotAuthorisedError
@@ -51,7 +51,7 @@ def fly(tmp_path, path, crafts, stations):
     def flying(conversation, stand_in=None, **dead_man):
         config = Config(
             link=LinkConfig(name="stand-in"),
-            command=f"udp://127.0.0.1:{free_udp_port()}",
+            command=f"udp://127.0.0.1:{free_port()}",
             stand_in={"program": "wait", "altitude_hold": True} if stand_in is None else stand_in,
             recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
             dead_man=DeadManConfig(**dead_man),

@@ -4,8 +4,8 @@ import json
 import socket
 
 import pytest
-from flown_link import free_udp_port
 from installed import groundstation, until
+from ports import free_port
 from served_station import serve
 
 from groundstation.errors import GroundStationError
@@ -38,7 +38,7 @@ def test_a_stand_in_is_commanded_at_the_address_that_was_asked_for(talk):
     def conversation(ask, path):
         assert ask("GET", "/status")["command"] is None
         for _ in range(2):
-            uri = f"udp://127.0.0.1:{free_udp_port()}"
+            uri = f"udp://127.0.0.1:{free_port()}"
             assert ask("POST", "/command/connect", {"uri": uri})["command"]["uri"] == uri
             until(lambda: connected(ask), "the command link")
         with Pilot(path, "a program") as pilot:

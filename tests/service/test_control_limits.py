@@ -10,7 +10,8 @@ import time
 
 import psutil
 import pytest
-from installed import free_port, until
+from installed import until
+from ports import free_port
 from programs import run_program
 
 from groundstation.errors import GroundStationError, TakenError

@@ -179,7 +179,7 @@ def test_while_a_client_commands_the_link_stays(tmp_path, monkeypatch):
 
 
 def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tmp_path):
-    from installed import free_port
+    from ports import free_port
 
     async def conversation(station):
         async with asyncio.timeout(60):

@@ -5,8 +5,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from flown_link import free_udp_port
 from installed import until
+from ports import free_port
 from served_station import serve
 
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, save_model
@@ -45,7 +45,7 @@ def talk(tmp_path):
     (folder / BROKEN / "model.json").write_text("{}")
     config = Config(
         recording=RecordingConfig(folder=str(folder.parent), enabled=False),
-        command=f"udp://127.0.0.1:{free_udp_port()}",
+        command=f"udp://127.0.0.1:{free_port()}",
     )
     path = tmp_path / "control.sock"
 

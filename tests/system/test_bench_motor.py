@@ -2,12 +2,12 @@
 
 import os
 import signal
-import socket
 import subprocess
 from pathlib import Path
 
 import pytest
 from installed import COMMAND, Daemon, require_failure, until
+from ports import free_port
 from programs import Program, run_program
 
 from groundstation.dynamics.model import load_model
@@ -20,9 +20,7 @@ from groundstation.service.client import ask
 def daemon(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     settings = folder / "groundstation.toml"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     settings.write_text(
         f'command = "udp://127.0.0.1:{port}"\n[link]\nname = "stand-in"\n'
         '[stand_in]\nprogram = "bench"\nplant = "reduced"\nseed = 5\n'

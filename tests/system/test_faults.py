@@ -13,7 +13,8 @@ import psutil
 import pytest
 import shim
 from held_up import in_real_time
-from installed import Daemon, free_port, groundstation, require_failure, until
+from installed import Daemon, groundstation, require_failure, until
+from ports import free_port
 from programs import Program, run_program
 
 from groundstation.errors import GroundStationError

@@ -4,7 +4,8 @@ import signal
 
 import psutil
 import pytest
-from installed import PATIENCE_S, RECORDINGS, Daemon, free_port
+from installed import PATIENCE_S, RECORDINGS, Daemon
+from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording

@@ -186,7 +186,7 @@ def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
 
 def test_nothing_listens_beyond_loopback(tmp_path):
     import psutil
-    from installed import free_port
+    from ports import free_port
 
     ports = ("--viewer-port", free_port(), "--web-port", free_port())
     arguments = ("--viewer", "serve", *ports, "--set", f"control.tcp_port={free_port()}")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from held_up import in_real_time
 from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
+from ports import free_port
 from programs import Program, run_program
 
 from groundstation.cli.commanding import kept
@@ -28,17 +29,9 @@ GAIN = "pid_rate.roll_kp"
 STOCK, DESIGNED = 70.0, 2.847
 
 
-def free_udp_port():
-    import socket
-
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture
 def port():
-    return free_udp_port()
+    return free_port()
 
 
 def connected(status):

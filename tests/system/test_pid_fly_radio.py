@@ -12,10 +12,10 @@ import sys
 import time
 
 import pytest
-from flown_link import free_udp_port
 from held_up import in_real_time
 from installed import COMMAND, Daemon, require_failure, until
 from narrow_radio import narrow
+from ports import free_port
 from programs import Program, run_program
 
 from groundstation.dynamics.model import save_model, vehicle_model
@@ -81,7 +81,7 @@ class Field:
 
 @pytest.fixture
 def field(tmp_path, request):
-    settings, port = tmp_path / "craft.toml", free_udp_port()
+    settings, port = tmp_path / "craft.toml", free_port()
     given = {"craft": '"crazyflie21"', "protocol": "9", **getattr(request, "param", {})}
     always = 'program = "wait"\nresume_s = 1e6\nheight_deck = true\n'
     settings.write_text(always + "".join(f"{key} = {value}\n" for key, value in given.items()))

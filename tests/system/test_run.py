@@ -7,7 +7,8 @@ import stat
 
 import numpy as np
 import pytest
-from installed import RECORDINGS, Daemon, free_port, groundstation, require_failure
+from installed import RECORDINGS, Daemon, groundstation, require_failure
+from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording

@@ -5,7 +5,8 @@ import pty
 import signal
 
 import pytest
-from installed import COMMAND, free_port, until
+from installed import COMMAND, until
+from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
