@@ -15,7 +15,7 @@ OFF, APART, THRUST_APART = 0.25, 0.10, 0.01
 INSIDE = 0.9
 """Share of the pairs of constants that agree within their stated 95 %."""
 EXPLAINED = {True: 0.90, False: 0.75}
-"""Of held-out rates in the reference's band, with recorded rotor speeds and from PWM."""
+"""Of held-out rates from 4 to 18 Hz, with recorded rotor speeds and from PWM."""
 AHEAD = {"roll": 60.0, "pitch": 60.0, "yaw": 80.0}
 """Fit in % of held-out rates 50 ms ahead."""
 GAP = 2.0
@@ -45,7 +45,7 @@ def predictions(
         least = EXPLAINED[measured]
         yield (
             share >= least,
-            f"{label}: {axis} explained in the band {share:.2f} (at least {least:g})",
+            f"{label}: {axis} explained from 4 to 18 Hz {share:.2f} (at least {least:g})",
         )
     for axis, least in AHEAD.items():
         fit = case["validation"].get(f"gyro_{axis}_fit_percent_50ms", float("nan"))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
-from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
+from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of, struck
 from groundstation.spans import spans
 
 Array = NDArray[np.float64]
@@ -29,6 +29,9 @@ LANDING_CLEAR_M = 0.05
 TAKE_OFF_S, CONTACT_S = 1.5, 1.0
 """Left out at the start and at the end where height cannot be told; the ground may carry part of
 the torque."""
+DRIVEN_ON_S, BEFORE_IMPACT_S = 1.0, 0.02
+"""How long motors may turn on after the craft has struck the ground, and by how much earlier a
+filtered or interpolated accelerometer shows it."""
 REST_S = 0.2
 TOUCH_DOWN_S = 0.6
 """From when the motors stop until the craft lies still: it may fall the last bit."""
@@ -91,6 +94,9 @@ def flights_in(run: Run) -> list[Air]:
             rise = rise_of(level, run.accelerometer)
             height[start:stop], maybe_low = heights_of(rise, still, start, stop, period)
         first, last = _clear_of_ground(period, start, stop, rests, height)
+        if has_accelerometer:
+            hit = struck(rise, max(first, stop - round(DRIVEN_ON_S / period)), stop)
+            last = last if hit is None else min(last, hit - round(BEFORE_IMPACT_S / period))
         if rests[1]:
             last, maybe_low = min(last, stop - maybe_low), 0
         if last > first:

@@ -101,6 +101,13 @@ def heights_of(
     return height, 0
 
 
+def struck(rise: Array, first: int, last: int) -> int | None:
+    """The first row from ``first`` to ``last`` in which the ground stops the craft: vertical
+    acceleration ``rise`` (n,) in m/s^2 beyond what rotors make at the end of a flight."""
+    found = np.flatnonzero(rise[first:last] > IMPACT * STANDARD_GRAVITY)
+    return first + int(found[0]) if len(found) else None
+
+
 def _speed_doubt(climbed: Array, period_s: float) -> float:
     """Standard error in m/s of the vertical speed at a touch-down at which the height (n,) should
     have been 0: of noise that walks as ever, and of one that drifts so far (sqrt(3)/2 of the drift
@@ -128,8 +135,8 @@ def _touch_down(rise: Array, stop: int, period_s: float) -> int | None:
     after = rise[stop : stop + rows]
     if len(after) < rows:
         return None
-    struck = np.flatnonzero(after > IMPACT * STANDARD_GRAVITY)
-    if len(struck):  # it may bounce, and fall again
-        return stop + int(struck[0])
+    hit = struck(rise, stop, stop + rows)
+    if hit is not None:  # it may bounce, and fall again
+        return hit
     falling = np.flatnonzero(after < (FALLING - 1.0) * STANDARD_GRAVITY)
     return stop + int(falling[-1]) + 1 if len(falling) else stop

@@ -60,6 +60,20 @@ def test_motors_that_idle_on_the_ground_make_no_flight_longer(run):
     np.testing.assert_allclose(height, still.height_m[still.first : still.last], atol=1e-9)
 
 
+@pytest.mark.parametrize("rows_after_the_stop", [0, 100])
+def test_a_craft_that_strikes_the_ground_is_down_though_its_motors_turn_on(
+    run, rows_after_the_stop
+):
+    """NanoBench's recordings break off there, after shocks of up to 7 g under turning motors."""
+    hit = STOP - 200
+    force = run.accelerometer.copy()
+    force[hit : hit + 3, 2] += 4.0 * STANDARD_GRAVITY
+    cut = replace(run, accelerometer=force)[: STOP + rows_after_the_stop]
+    (flight,) = flights_in(cut)
+    assert flight.stop == STOP
+    assert hit - 0.03 / T < flight.last < hit
+
+
 def test_without_an_accelerometer_time_decides(run):
     (flight,) = flights_in(replace(run, accelerometer=np.full((ROWS, 3), np.nan)))
     assert flight.first == START + round(TAKE_OFF_S / T)
