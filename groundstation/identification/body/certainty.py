@@ -68,10 +68,10 @@ what a minute's flight tells."""
 
 
 def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
-    """The estimates and how certain they are. noisy: whether measured speeds are (``blurred``).
+    """The estimates and how certain they are. noisy: whether what turns the rotors is ``blurred``.
 
     All frequencies together know most, and are right in closed loop, where what drives the rotors
-    is known at each of them. Where noisy speeds do not tell it, c0 and c1 are those of
+    is known at each of them. Where noisy speeds or slow rows do not tell it, c0 and c1 are those of
     ``STEERED_HZ``. A move counts as an error of its own beside the likelihood's: of c0 and c1 then
     the one to ``NARROWER_HZ``, of c2 the one to ``DRAG_HZ``, too.
     """
@@ -108,11 +108,12 @@ def _steered(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
 
 
 def blurred(flights: Sequence[Flight]) -> bool:
-    """Whether rotor speeds are measured ones that may not tell what is above ``STEERED_HZ``: more
-    than 1 / ``NOISY`` of it is noise, or readings so slow that noise cannot be told from motion.
+    """Whether what turns the rotors may not be told above ``STEERED_HZ``: measured speeds of which
+    more than 1 / ``NOISY`` is noise there, readings so slow that noise cannot be told from motion,
+    or settings of the motors that no row shows.
     """
     if not all(one.rotor_measured for one in flights):
-        return False
+        return any(unseen_delay_s(one.run) > 0.0 for one in flights)
     fast, noise = 0.0, 0.0
     for flight in flights:
         seen = speed_spectrum(flight)

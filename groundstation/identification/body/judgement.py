@@ -86,7 +86,7 @@ def require_told(setup: Setup, point: Point, variances: Array) -> None:
         unclear = not np.isfinite(found) or error > UNKNOWN * abs(found)
         if unclear and key == "c2":
             continue  # figures of eight hardly turn the craft about yaw: not identified
-        if unclear and blurred(setup.problem.flights):
+        if unclear and setup.problem.flights[0].rotor_measured and blurred(setup.problem.flights):
             raise BadInputError(
                 f"{names}: torque does not show in the rate about {axis} (its constant is"
                 f" {found:.3g} +- {error:.2g}): measured rotor speeds are noisy; fly longer and"
@@ -133,16 +133,20 @@ def untold(
     return found
 
 
-def given_way(whole: Point, point: Point) -> list[str]:
+def given_way(whole: Point, point: Point, flights: Sequence[Flight]) -> list[str]:
     """A warning where c0 and c1 are not those of all frequencies: what these say instead."""
     off = [whole[key] / point[key] - 1.0 for key in GAINS]
     if not any(off):
         return []
     low, high = STEERED_HZ
+    reason = (
+        "measured rotor speeds are too noisy or too slow above"
+        if flights[0].rotor_measured
+        else "above, the torque is that of settings which no row shows"
+    )
     return [
-        f"c0 and c1 are those of {low:g} to {high:g} Hz, for measured rotor speeds are too noisy or"
-        f" too slow above: all frequencies together say {100 * off[0]:+.0f} and"
-        f" {100 * off[1]:+.0f} %"
+        f"c0 and c1 are those of {low:g} to {high:g} Hz, for {reason}: all frequencies together say"
+        f" {100 * off[0]:+.0f} and {100 * off[1]:+.0f} %"
     ]
 
 
