@@ -75,7 +75,7 @@ class Bench:
         yield ""
         yield (
             "| set | axis | reference, 4..18 Hz (PWM: 2..20) | fit body | ratio |"
-            " rate explained from 4 to 18 Hz, held out: reference, program | 50 ms ahead, held out |"
+            " explained, 4..18 Hz, held out: reference, program | 50 ms ahead, held out |"
         )
         yield "|---|---|---|---|---|---|---|"
         for flights, split in self._splits():

@@ -77,9 +77,9 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
     is less than keeps an effect; None where all changes stand.
 
     They are asked as the body's fit asks them, with noise that is free at every frequency, and
-    roll and pitch in ``STEERED_HZ`` alone where the rotors' speed is not told above: what the search
-    has no name for bends a constant otherwise. Slow moments of the air bend c2 at one end of the
-    spectrum and the phase of the rotors' acceleration at the other, so neither end may speak
+    roll and pitch in ``STEERED_HZ`` alone where the rotors' speed is not told above: what the
+    search has no name for bends a constant otherwise. Slow moments of the air bend c2 at one end of
+    the spectrum and the phase of the rotors' acceleration at the other, so neither end may speak
     against it.
     """
     found: list[tuple[float, str]] = []
