@@ -142,7 +142,7 @@ def given_way(whole: Point, point: Point, flights: Sequence[Flight]) -> list[str
     reason = (
         "measured rotor speeds are too noisy or too slow above"
         if flights[0].rotor_measured
-        else "above, the torque is that of settings which no row shows"
+        else "rows do not show every setting of the motors, which counts above"
     )
     return [
         f"c0 and c1 are those of {low:g} to {high:g} Hz, for {reason}: all frequencies together say"
