@@ -40,7 +40,7 @@ def constants(label: str, case: Case, reference: Case) -> Iterator[Line]:
 def predictions(
     label: str, case: Case, explained: Mapping[str, float], measured: bool
 ) -> Iterator[Line]:
-    """Held-out rates of one split: what is explained in the band, and 50 ms ahead."""
+    """Held-out rates of one split: what is explained from 4 to 18 Hz, and 50 ms ahead."""
     for axis, share in explained.items():
         least = EXPLAINED[measured]
         yield (

@@ -44,7 +44,7 @@ def test_flights_that_show_what_they_must_fail_nowhere():
             acceptance.constants("a", CASE, {**REFERENCE, "roll": {"gain": 1.1e-3}}),
             "c0 is 1.36 of the reference",
         ),
-        (acceptance.predictions("a", CASE, {"roll": 0.8}, measured=True), "band 0.80"),
+        (acceptance.predictions("a", CASE, {"roll": 0.8}, measured=True), "18 Hz 0.80"),
         (
             acceptance.agreement(
                 "s", [CASE, {**CASE, "constants": {**CASE["constants"], "thrust_per_mass": 2.3e-5}}]
