@@ -32,6 +32,9 @@ the torque."""
 DRIVEN_ON_S, BEFORE_IMPACT_S = 1.0, 0.02
 """How long motors may turn on after the craft has struck the ground, and by how much earlier a
 filtered or interpolated accelerometer shows it."""
+SHAKEN = 1.5
+"""An impact is beyond so many times the largest acceleration before: rotors shake an unfiltered
+accelerometer by 1 g and more."""
 REST_S = 0.2
 TOUCH_DOWN_S = 0.6
 """From when the motors stop until the craft lies still: it may fall the last bit."""
@@ -95,7 +98,8 @@ def flights_in(run: Run) -> list[Air]:
             height[start:stop], maybe_low = heights_of(rise, still, start, stop, period)
         first, last = _clear_of_ground(period, start, stop, rests, height)
         if has_accelerometer:
-            hit = struck(rise, max(first, stop - round(DRIVEN_ON_S / period)), stop)
+            late = max(first, stop - round(DRIVEN_ON_S / period))
+            hit = struck(rise, late, stop, SHAKEN * float(rise[first:late].max(initial=0.0)))
             last = last if hit is None else min(last, hit - round(BEFORE_IMPACT_S / period))
         if rests[1]:
             last, maybe_low = min(last, stop - maybe_low), 0

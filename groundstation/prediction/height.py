@@ -101,10 +101,11 @@ def heights_of(
     return height, 0
 
 
-def struck(rise: Array, first: int, last: int) -> int | None:
+def struck(rise: Array, first: int, last: int, shaken: float = 0.0) -> int | None:
     """The first row from ``first`` to ``last`` in which the ground stops the craft: vertical
-    acceleration ``rise`` (n,) in m/s^2 beyond what rotors make at the end of a flight."""
-    found = np.flatnonzero(rise[first:last] > IMPACT * STANDARD_GRAVITY)
+    acceleration ``rise`` (n,) in m/s^2 beyond what rotors make at the end of a flight, and beyond
+    ``shaken``, as their vibration goes."""
+    found = np.flatnonzero(rise[first:last] > max(IMPACT * STANDARD_GRAVITY, shaken))
     return first + int(found[0]) if len(found) else None
 
 

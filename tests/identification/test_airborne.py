@@ -74,6 +74,14 @@ def test_a_craft_that_strikes_the_ground_is_down_though_its_motors_turn_on(
     assert hit - 0.03 / T < flight.last < hit
 
 
+def test_rotors_that_shake_the_accelerometer_end_no_flight(run):
+    """Unfiltered, it shows 1 g and more of them in every row."""
+    force = run.accelerometer.copy()
+    force[START:STOP, 2] += 1.2 * STANDARD_GRAVITY * (-1.0) ** np.arange(STOP - START)
+    (still,), (shaken,) = flights_in(run), flights_in(replace(run, accelerometer=force))
+    assert shaken.last == pytest.approx(still.last, abs=0.1 / T)
+
+
 def test_without_an_accelerometer_time_decides(run):
     (flight,) = flights_in(replace(run, accelerometer=np.full((ROWS, 3), np.nan)))
     assert flight.first == START + round(TAKE_OFF_S / T)

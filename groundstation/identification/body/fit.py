@@ -159,7 +159,10 @@ def fit_body(
     if doubt:
         motor = np.array([free.point[key] for key in MOTOR_KEYS])
         motor_covariance = doubt**2 * np.outer(motor, motor)
-    return replace(_outcome(setup, free, acting, motor_covariance), pace=(math.exp(pace), doubt))
+    # Slow rows of a known motor tell at all frequencies.
+    noisy = blurred(setup.problem.flights) and not (motor_known and stretches[0].motor is not None)
+    outcome = _outcome(setup, free, acting, motor_covariance, noisy)
+    return replace(outcome, pace=(math.exp(pace), doubt))
 
 
 def believed_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
@@ -284,10 +287,13 @@ def vertical(setup: Setup, point: Point) -> tuple[Array, Array]:
 
 
 def _outcome(
-    setup: Setup, free: FreeFit, effects: tuple[str, ...], motor_covariance: Array | None
+    setup: Setup,
+    free: FreeFit,
+    effects: tuple[str, ...],
+    motor_covariance: Array | None,
+    noisy: bool,
 ) -> BodyFit:
     keys, size = setup.keys, len(setup.keys)
-    noisy = blurred(setup.problem.flights)
     if not noisy:  # a band tells where all frequencies may not
         require_told(setup, free.point, np.diag(inverse(free.normal)))
     known = certain(setup, free, noisy)
