@@ -74,7 +74,10 @@ class Flight:
 
     @property
     def band(self) -> NDArray[np.bool_]:
-        low, high = BAND_HZ if self.measured else PWM_BAND_HZ
+        return self.within(*(BAND_HZ if self.measured else PWM_BAND_HZ))
+
+    def within(self, low: float, high: float) -> NDArray[np.bool_]:
+        """Bins of a band, Hz."""
         return (self.hz >= low) & (self.hz <= high)
 
 
@@ -138,9 +141,8 @@ def explained(
     a controller needs foretold is the rate.
     """
     left, whole = 0.0, 0.0
-    low, high = BAND_HZ
     for flight in flights:
-        band = (flight.hz >= low) & (flight.hz <= high)
+        band = flight.within(*BAND_HZ)
         integral = (2.0 * np.pi * flight.hz[band]) ** -2.0
         made = flight.acceleration(axis)[band]
         error = made - gain * _torque(flight, axis, delay, shape)[band]

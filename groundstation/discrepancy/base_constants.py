@@ -11,7 +11,13 @@ from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.dynamics.registry import ROTORS_TURN_BY
-from groundstation.identification.body.certainty import DRAG_HZ, STEERED_HZ, YAW_BANDS, blurred
+from groundstation.identification.body.certainty import (
+    DRAG_HZ,
+    STEERED_HZ,
+    YAW_BANDS,
+    blurred,
+    unseen,
+)
 from groundstation.identification.body.setup import GAINS
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER
@@ -83,7 +89,8 @@ def unconfirmed(problem: Problem, fit: Fit) -> Group | None:
     against it.
     """
     found: list[tuple[float, str]] = []
-    gains_hz = STEERED_HZ if blurred(problem.flights) else EVERY_HZ
+    told = not (blurred(problem.flights) or unseen(problem.flights))
+    gains_hz = EVERY_HZ if told else STEERED_HZ
     for axis, key in enumerate(BODY_KEYS[:3]):
         if key in fit.keys and fit.point[key] != problem.start[key]:
             bands = (gains_hz,) if key in GAINS else (EVERY_HZ, *YAW_ENDS_HZ)

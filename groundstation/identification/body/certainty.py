@@ -68,7 +68,7 @@ what a minute's flight tells."""
 
 
 def certain(setup: Setup, free: FreeFit, noisy: bool) -> Certainty:
-    """The estimates and how certain they are. noisy: whether what turns the rotors is ``blurred``.
+    """The estimates and how certain they are. noisy: whether what turns the rotors is not told.
 
     All frequencies together know most, and are right in closed loop, where what drives the rotors
     is known at each of them. Where noisy speeds or slow rows do not tell it, c0 and c1 are those of
@@ -108,12 +108,11 @@ def _steered(setup: Setup, free: FreeFit, whole: Certainty) -> Certainty:
 
 
 def blurred(flights: Sequence[Flight]) -> bool:
-    """Whether what turns the rotors may not be told above ``STEERED_HZ``: measured speeds of which
-    more than 1 / ``NOISY`` is noise there, readings so slow that noise cannot be told from motion,
-    or settings of the motors that no row shows.
+    """Whether rotor speeds are measured ones that may not tell what is above ``STEERED_HZ``: more
+    than 1 / ``NOISY`` of it is noise, or readings so slow that noise cannot be told from motion.
     """
     if not all(one.rotor_measured for one in flights):
-        return any(unseen_delay_s(one.run) > 0.0 for one in flights)
+        return False
     fast, noise = 0.0, 0.0
     for flight in flights:
         seen = speed_spectrum(flight)
@@ -123,6 +122,12 @@ def blurred(flights: Sequence[Flight]) -> bool:
         fast += float(np.mean(seen.power[above]))
         noise += seen.noise
     return fast < NOISY * noise
+
+
+def unseen(flights: Sequence[Flight]) -> bool:
+    """Whether rotors are driven by settings of the motors that no row shows."""
+    driven = not all(one.rotor_measured for one in flights)
+    return driven and any(unseen_delay_s(one.run) > 0.0 for one in flights)
 
 
 def _in_band(setup: Setup, free: FreeFit, band: tuple[float, float]) -> Known:

@@ -25,6 +25,7 @@ from groundstation.identification.body.certainty import (
     blurred,
     certain,
     is_fast,
+    unseen,
     unseen_delay_s,
 )
 from groundstation.identification.body.judgement import (
@@ -139,7 +140,7 @@ def fit_body(
     acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
     pace, doubt = 0.0, 0.0
     if not motor_known and stretches[0].motor is not None:
-        pace, doubt = believed_pace(stretches, vehicle)
+        pace, doubt = _believed_pace(stretches, vehicle)
         stretches = [paced(one, math.exp(pace)) for one in stretches]
     rotors = range(4 if "rotor_mismatch" in effects else 1)
     plain = set_up(stretches, vehicle, vehicle.thrust_per_mass, ())
@@ -159,13 +160,13 @@ def fit_body(
     if doubt:
         motor = np.array([free.point[key] for key in MOTOR_KEYS])
         motor_covariance = doubt**2 * np.outer(motor, motor)
-    # Slow rows of a known motor tell at all frequencies.
-    noisy = blurred(setup.problem.flights) and not (motor_known and stretches[0].motor is not None)
+    flights = setup.problem.flights  # slow rows of a known motor tell at all frequencies
+    noisy = blurred(flights) or (not motor_known and unseen(flights))
     outcome = _outcome(setup, free, acting, motor_covariance, noisy)
     return replace(outcome, pace=(math.exp(pace), doubt))
 
 
-def believed_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
+def _believed_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
     """What of ``motor_pace`` is believed, and its standard error.
 
     Where rows show every setting of the motors it is the estimate, if that is clearly another.
@@ -173,10 +174,10 @@ def believed_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float
     beside the profile's by what either is worth.
     """
     pace, doubt = motor_pace(stretches, vehicle)
-    unseen = unseen_delay_s(stretches[0].run)
-    if not unseen:
+    unseen_s = unseen_delay_s(stretches[0].run)
+    if not unseen_s:
         return pace if abs(pace) > PACE_ERRORS * doubt else 0.0, doubt
-    variance = doubt**2 + (PACE_PER_UNSEEN_S * unseen) ** 2
+    variance = doubt**2 + (PACE_PER_UNSEEN_S * unseen_s) ** 2
     share = PACE_OF_CRAFTS**2 / (PACE_OF_CRAFTS**2 + variance)
     return share * pace, math.sqrt(share * variance)
 

@@ -86,7 +86,7 @@ def require_told(setup: Setup, point: Point, variances: Array) -> None:
         unclear = not np.isfinite(found) or error > UNKNOWN * abs(found)
         if unclear and key == "c2":
             continue  # figures of eight hardly turn the craft about yaw: not identified
-        if unclear and setup.problem.flights[0].rotor_measured and blurred(setup.problem.flights):
+        if unclear and blurred(setup.problem.flights):
             raise BadInputError(
                 f"{names}: torque does not show in the rate about {axis} (its constant is"
                 f" {found:.3g} +- {error:.2g}): measured rotor speeds are noisy; fly longer and"

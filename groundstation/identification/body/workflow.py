@@ -14,7 +14,7 @@ from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_moto
 from groundstation.dynamics.registry import EFFECTS, at_stage
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import unseen_delay_s
+from groundstation.identification.body.certainty import unseen
 from groundstation.identification.body.fit import BodyFit, fit_body, vertical
 from groundstation.identification.body.groups import fit_groups, require_grouping
 from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
@@ -160,8 +160,8 @@ def _of_the_motors(fit: BodyFit, exact: bool) -> Iterator[str]:
     """Warnings of what was done with the motor's constants, or not known of them."""
     if fit.pace[0] != 1.0:
         percent, doubt = 100.0 * (fit.pace[0] - 1.0), 100.0 * fit.pace[1]
-        unseen = unseen_delay_s(fit.setup.problem.flights[0].run) > 0.0
-        beside = ", which counts as well where rows do not show every setting" if unseen else ""
+        both = unseen(fit.setup.problem.flights)
+        beside = ", which counts as well where rows do not show every setting" if both else ""
         yield (
             f"the motors answer {abs(percent):.0f} +- {doubt:.1f} %"
             f" {'faster' if percent > 0 else 'slower'} than the profile's{beside}: a0, a1, a2 of"
