@@ -54,13 +54,14 @@ class Windows:
     speed of a rotor that turned faster by a share; the latest are kept, for a rotor's share is
     tried beside the others as they were.
     power: (6, w, k) of gyro and accelerometer in the bins that are used, over that of noise, less
-    what a bin has at all times and what a window has in all bins. noise: (w, k, 6).
+    what a bin has at all times and what a window has in all bins. weight: (6, w, k), one over the
+    noise's power.
     per_size: (w, 2, 6, 4), what one squared unit of each size adds to a channel's power, over that
     of noise, spread over bins by the line. block: (w,)."""
 
     line: Callable[[int, float], Array]
     power: Array
-    noise: Array
+    weight: Array
     per_size: Array
     block: NDArray[np.int64]
     measured: bool
@@ -133,10 +134,10 @@ def windows_of(
     turned = np.concatenate([np.zeros((len(at), 1, 4)), np.cumsum(steps, axis=1)], axis=1)
     per_size = _per_size(craft, speed[at].mean(axis=1), corners) * told[None, None, :, None]
     block = np.asarray((starts - starts[0]) * period // BLOCK_S, np.int64)
-    power = np.where(told, power, 0.0) / noise
-    power = np.array([_without_means(channel) for channel in np.moveaxis(power, 2, 0)])
+    weight = np.ascontiguousarray(np.moveaxis(1.0 / noise, 2, 0))
+    power = _without_means(np.moveaxis(np.where(told, power, 0.0), 2, 0) * weight)
     line = lru_cache(LINES_KEPT)(partial(_line, turned, taper, bins))
-    return Windows(line, power, noise, per_size, block, flight.rotor_measured)
+    return Windows(line, power, weight, per_size, block, flight.rotor_measured)
 
 
 def shares_of(flights: Sequence[Windows], worth: float) -> Array:
@@ -174,8 +175,8 @@ def shaking_of(flights: Sequence[Windows], shares: Array) -> Shaking:
     for one in flights:
         scores = np.zeros((one.block[-1] + 1, *squares.shape))
         for kind, lines, power in _regressed(one, shares):
-            left = power - lines @ squares[kind]
-            np.add.at(scores[:, kind], one.block, np.einsum("wki,wk->wi", lines, left))
+            left = power - np.tensordot(squares[kind], lines, 1)
+            np.add.at(scores[:, kind], one.block, np.einsum("iwk,wk->wi", lines, left))
         spread += np.einsum("bpi,bpj->pij", scores, scores)
     inverse = np.linalg.pinv(normal)
     # One number for how much more than noise alone scores differ: of four lines that lie close,
@@ -207,19 +208,19 @@ def _summed(flights: Sequence[Windows], shares: Array) -> tuple[Array, Array]:
     normal, right = np.zeros((len(SIZES), 4, 4)), np.zeros((len(SIZES), 4))
     for one in flights:
         for kind, lines, power in _regressed(one, shares):
-            flat = lines.reshape(-1, 4)
-            normal[kind] += flat.T @ flat
-            right[kind] += flat.T @ power.ravel()
+            flat = lines.reshape(4, -1)
+            normal[kind] += flat @ flat.T
+            right[kind] += flat @ power.ravel()
     return normal, right
 
 
 def _regressed(one: Windows, shares: Array) -> list[tuple[int, Array, Array]]:
-    """(kind of size, lines (w, k, 4), power (w, k)) of each channel that shows that kind; what a
+    """(kind of size, lines (4, w, k), power (w, k)) of each channel that shows that kind; what a
     bin has at all times and what a window has in all bins is taken out of both."""
-    line = np.stack([one.line(rotor, share) for rotor, share in enumerate(shares.tolist())], axis=2)
+    line = np.stack([one.line(rotor, share) for rotor, share in enumerate(shares.tolist())])
     found = []
     for kind, channel in zip(*np.nonzero(one.per_size.any(axis=(0, 3))), strict=True):
-        lines = line * one.per_size[:, None, kind, channel] / one.noise[:, :, channel, None]
+        lines = line * one.per_size[:, kind, channel].T[:, :, None] * one.weight[channel]
         found.append((int(kind), _without_means(lines), one.power[channel]))
     return found
 
@@ -234,8 +235,10 @@ def _line(turned: Array, taper: Array, bins: NDArray[np.intp], rotor: int, share
 
 
 def _without_means(values: Array) -> Array:
-    left = values - values.mean(axis=0, keepdims=True)
-    return np.asarray(left - left.mean(axis=1, keepdims=True), np.float64)
+    """Values (..., w, k) less what a bin has at all times and what a window has in all bins."""
+    values = values - values.mean(axis=-2, keepdims=True)
+    values -= values.mean(axis=-1, keepdims=True)
+    return values
 
 
 def _noise(power: Array) -> Array:

@@ -199,7 +199,7 @@ def test_without_attitude_the_names_that_need_it_are_listed_as_lost():
 
 
 def test_a_hover_shows_which_effects_it_cannot_show():
-    runs, held = flights(7, {}, program="hover", span_s=60.0)
+    runs, held = flights(7, {}, count=1, program="hover", span_s=60.0)
     findings = find_effects(runs, base_model(), held)
     assert findings.effects == ()
     unseen = {one.name for one in findings.not_shown}
@@ -271,7 +271,7 @@ def test_measured_rotor_speeds_that_lag_are_told_and_leave_the_rotors_inertia_as
     millisecond, and no better: so much may be told as a delay."""
     true_inertia, shown = 8e-8, []
     for number in range(3):
-        run, truth = flown(60.0, 40 + number, "rotor_acceleration_torque")
+        run, truth = flown(30.0, 40 + number, "rotor_acceleration_torque")
         speeds = truth["rotor_rev_s"].astype(np.float64)
         rows = run.period_s / 0.005
         keep = np.exp(-rows)

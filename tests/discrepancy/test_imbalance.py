@@ -47,7 +47,7 @@ def windows(runs, every=1):
 
 
 def most(seed, effects=None, **more):
-    runs, held = flights(seed, effects, **more)
+    runs, held = flights(seed, effects, span_s=40.0, **more)
     return shaken_most(windows(runs), windows(held))
 
 
@@ -78,7 +78,7 @@ def test_the_rotor_is_the_one_and_both_sizes_are_right(rotor):
 def test_rows_half_as_fast_fold_it_elsewhere_and_tell_the_same():
     """At 250 rows a second a rotor of 250 rev/s is folded to nothing: what is faster is told."""
     hidden = {"rotor": 2.0, "imbalance_g_mm": 0.1, "couple_g_mm2": 1.0}
-    runs, held = flights(41, {"propeller_imbalance": hidden})
+    runs, held = flights(41, {"propeller_imbalance": hidden}, span_s=40.0)
     shaken = shaken_most(windows(runs, every=2), windows(held, every=2))
     assert told(shaken)["rotor"] == 2.0
     assert told(shaken) == pytest.approx(hidden, rel=0.25)

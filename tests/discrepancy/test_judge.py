@@ -26,7 +26,7 @@ def findings_of(c2):
 
 def looked_at(seed, effects):
     """(what is slow in stand-in flights, held-out rows of theirs)."""
-    runs, held = flights(seed, effects)
+    runs, held = flights(seed, effects, span_s=40.0)
     fitted = compare(runs, base_model())
     return to_follow(fitted), HeldOut(compare(held, base_model(), fitted.black_box))
 
