@@ -12,7 +12,7 @@ import pytest
 
 from bench.sealed.cases import named
 from bench.sealed.flights import Generator
-from bench.sealed.judge import LOUD, judge
+from bench.sealed.judge import judge
 from bench.sealed.run import Search
 from bench.sealed.worker import command, main
 
@@ -63,19 +63,6 @@ def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(generator, 
     assert report["gap"]["validation"]["after"] == pytest.approx(1.0, abs=0.05)
     for one in line["parameters"]:
         assert one["value"] == pytest.approx(one["truth"], abs=4.0 * one["stderr"])
-
-
-def test_what_no_name_describes_is_called_unexplained_in_its_own_channel(
-    generator, search, tmp_path
-):
-    name = "outside:side_gust:0:clean"
-    sealed = made(generator, name, tmp_path / "seen")
-    assert search(tmp_path / "seen")["error"] == ""
-    line, report = opened(name, sealed, tmp_path / "seen")
-    assert line["found"] == []
-    assert line["loudness"] > LOUD
-    assert report["verdict"] == "unexplained"
-    assert line["where_right"], line["where"]
 
 
 def test_the_worker_answers_a_refusal_in_one_line(tmp_path, monkeypatch, capsys):

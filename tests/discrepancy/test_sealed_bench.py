@@ -394,7 +394,9 @@ def test_of_two_rotor_torques_the_visible_ones_are_asked_for():
 
 def test_outside_the_list_any_name_is_wrong():
     case = Case("outside", ("side_gust",), 0)
-    assert judge(case, sealed({}), report(verdict="unexplained"))["right"]
+    line = judge(case, sealed({}), report(verdict="unexplained", gyro_x=(3.0, 3.0, 1.5)))
+    assert line["right"]
+    assert line["loudness"] == pytest.approx(2.0)
     assert not judge(case, sealed({}), report(("rotor_drag", {}, [])))["right"]
     assert points_at(case.names, "accelerometer_y")
     assert not points_at(case.names, "gyro z")

@@ -42,7 +42,7 @@ def searched(tmp_path_factory):
     save_model(BASE, folder / "base.json")
     for number in (1, 2):
         samples, _ = recorded(
-            40.0, **SETTINGS, seed=number, craft=str(folder / "hidden.json"), copies=1
+            25.0, **SETTINGS, seed=number, craft=str(folder / "hidden.json"), copies=1
         )
         out = RecordingFile(
             folder / f"flight{number}.mcap", {"session": session_metadata("stand-in")}
