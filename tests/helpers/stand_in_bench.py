@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
+from firmware_sim.compiled import source_stamp
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.layout import STATE
 from firmware_sim.physics import parameters
@@ -17,11 +19,20 @@ from firmware_sim.plant import derivative, integrate
 from groundstation.telemetry.packet import decode, motor_counts
 
 
+class _Stamped(FunctionCache):
+    """Compiled anew with any change of the stand-in's compiled code."""
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return (*super()._index_key(sig, codegen), source_stamp())
+
+
 @functools.cache
 def callable_piece(piece: Any) -> Callable[..., Any]:
     """A piece of a kernel, compiled so that a test can call it by itself."""
-    function: Callable[..., Any] = njit(error_model="numpy")(piece.py_func)
-    return function
+    function: Any = njit(error_model="numpy")(piece.py_func)
+    function._cache = _Stamped(piece.py_func)
+    called: Callable[..., Any] = function
+    return called
 
 
 def plant(**settings: Any) -> tuple[NDArray[np.void], NDArray[np.void]]:
