@@ -44,11 +44,30 @@ def with_station(tmp_path_factory, monkeypatch):
             running_station(tmp_path_factory.mktemp("station")) as daemon,
             monkeypatch.context() as m,
         ):
-            m.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
-            m.setenv("XDG_RUNTIME_DIR", str(daemon.folder))
+            find_it(daemon, m)
             yield
 
     return begin
+
+
+@pytest.fixture(scope="module")
+def lasting_station(tmp_path_factory):
+    with running_station(tmp_path_factory.mktemp("station")) as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def station(lasting_station, monkeypatch):
+    """Commands find a daemon that records, the same for all tests of a module."""
+    find_it(lasting_station, monkeypatch)
+    if lasting_station.status()["recording"]["state"] != "recording":
+        lasting_station.ask("POST", "/record/start")
+    lasting_station.recording()
+
+
+def find_it(daemon, monkeypatch):
+    monkeypatch.setenv("GROUNDSTATION_SOCKET", str(daemon.socket))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(daemon.folder))
 
 
 @pytest.fixture

@@ -23,10 +23,10 @@ from groundstation.telemetry.samples import RawBatch
 HIDDEN = {"effects": {"velocity_moment": {"moment": 10.0}}}
 FLOWN = {
     "clean.mcap": (30.0, {"plant": "reduced", "seed": 1}),
-    "flight.mcap": (30.0, {"plant": "reduced", "seed": 5, **HIDDEN}),
-    "flight1.mcap": (30.0, {"plant": "reduced", "seed": 3, **HIDDEN}),
-    "flight2.mcap": (30.0, {"plant": "reduced", "seed": 4, **HIDDEN}),
-    "flight3.mcap": (30.0, {"plant": "reduced", "seed": 5, **HIDDEN}),
+    "flight.mcap": (20.0, {"plant": "reduced", "seed": 5, **HIDDEN}),
+    "flight1.mcap": (20.0, {"plant": "reduced", "seed": 3, **HIDDEN}),
+    "flight2.mcap": (20.0, {"plant": "reduced", "seed": 4, **HIDDEN}),
+    "flight3.mcap": (20.0, {"plant": "reduced", "seed": 5, **HIDDEN}),
     "bench.mcap": (30.0, {"program": "motor_bench"}),
     "motor_bench.mcap": (20.0, {"plant": "reduced", "program": "motor_bench"}),
 }
