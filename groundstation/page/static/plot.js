@@ -31,6 +31,7 @@ export class Plot {
     const { canvas, rows } = this;
     const scale = window.devicePixelRatio;
     const width = canvas.clientWidth, height = canvas.clientHeight;
+    if (!width) return; // another part of the page is looked at
     if (canvas.width !== Math.round(width * scale) || canvas.height !== Math.round(height * scale)) {
       canvas.width = Math.round(width * scale);
       canvas.height = Math.round(height * scale);
