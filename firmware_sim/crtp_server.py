@@ -38,10 +38,12 @@ class CrtpServer(asyncio.DatagramProtocol):
         self._clients: OrderedDict[Address, Conversation] = OrderedDict()
         self._transport: asyncio.DatagramTransport | None = None
         self._logging: asyncio.Task[None] | None = None
+        self._unbound = asyncio.Event()
 
     async def start(self) -> None:
         """Bind and serve. Raises OSError when the port is taken."""
         loop = asyncio.get_running_loop()
+        self._unbound.clear()
         self._transport, _ = await loop.create_datagram_endpoint(
             lambda: self, local_addr=self._address
         )
@@ -55,7 +57,7 @@ class CrtpServer(asyncio.DatagramProtocol):
         return int(self._transport.get_extra_info("sockname")[1])
 
     async def close(self) -> None:
-        """Stop serving."""
+        """Stop serving; the port is free behind it."""
         if self._logging is not None:
             self._logging.cancel()
             await asyncio.gather(self._logging, return_exceptions=True)
@@ -63,6 +65,10 @@ class CrtpServer(asyncio.DatagramProtocol):
         if self._transport is not None:
             self._transport.close()
             self._transport = None
+            await self._unbound.wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._unbound.set()
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         self.counts.received += 1

@@ -115,6 +115,7 @@ class CraftLinks:
                 port=self._port,
                 model=model,
             )
+            self._receiver.require_other(link)  # before anybody's port is given back
             before = self._receiver.link
             async with _port_of(before, link):
                 await self._receiver.switch(link)

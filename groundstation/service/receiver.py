@@ -123,8 +123,7 @@ class Receiver:
         """Go on with another link, from which nothing is lost and nothing attributed to the one
         before. Where it cannot be opened the present one stays, and LinkError or BadInputError
         says why."""
-        if link.name == self.link.name and not link.finite:
-            raise BadInputError(f"{link.name} is the link already")
+        self.require_other(link)
         if self._reading is None or self._incoming is not None:
             raise BadInputError("the link is being opened or switched; try again")
         self._incoming = link
@@ -140,6 +139,11 @@ class Receiver:
             raise
         self._reading.cancel()
         await self._swapped.wait()
+
+    def require_other(self, link: Link) -> None:
+        """Raise BadInputError for a link that is the present one."""
+        if link.name == self.link.name and not link.finite:
+            raise BadInputError(f"{link.name} is the link already")
 
     async def close(self) -> None:
         """Close the link and give out what is held."""

@@ -19,6 +19,7 @@ from cflib.crazyflie.log import LogConfig
 from served_craft import ServedCraft, served
 
 from firmware_sim.contents import PARAMETERS, VARIABLES
+from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
 
 
@@ -26,6 +27,20 @@ from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
 def flight() -> Iterator[ServedCraft]:
     with served() as running:
         yield running
+
+
+def test_a_port_that_is_given_back_can_be_served_at_once():
+    async def served_again():
+        server = CrtpServer(StandIn(StandInSettings()), port=0)
+        await server.start()
+        port = server.port
+        await server.close()
+        other = CrtpServer(StandIn(StandInSettings()), port=port)
+        await other.start()
+        assert other.port == port
+        await other.close()
+
+    asyncio.run(served_again())
 
 
 @contextmanager

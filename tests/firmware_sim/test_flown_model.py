@@ -142,7 +142,9 @@ def test_what_is_hidden_comes_on_top_of_the_model(tmp_path, craft, seed, capsys)
 def identified(craft, plant, seed, fitted_along, vehicle, **more):
     """A model and {name: (value, standard error)} from a flight of half a minute, or of a whole
     one, which it takes to tell the sign of every effect."""
-    samples, _ = recorded(60.0 if fitted_along else 30.0, craft=craft, plant=plant, seed=seed, truth=False, **more)
+    samples, _ = recorded(
+        60.0 if fitted_along else 30.0, craft=craft, plant=plant, seed=seed, truth=False, **more
+    )
     before = vehicle_model(load_vehicle(vehicle))
     model = identify_body(
         runs_of(samples, f"flight {seed}"), [], before, load_vehicle(vehicle), fitted_along

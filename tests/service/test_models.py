@@ -97,5 +97,8 @@ def test_a_model_is_flown_by_the_stand_in_and_watches_the_craft(talk):
             with pytest.raises(GroundStationError, match=says):
                 ask("POST", path, body)
         until(lambda: connected(ask), "the command link, after a craft that could not take over")
+        with pytest.raises(GroundStationError, match="stand-in is the link already"):
+            ask("POST", "/link", {"name": "stand-in"})
+        assert connected(ask), "a refused switch costs nobody the command link"
 
     talk(conversation)
