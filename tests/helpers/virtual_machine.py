@@ -15,9 +15,11 @@ from __future__ import annotations
 import argparse
 import gzip
 import io
+import lzma
 import os
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
@@ -86,7 +88,7 @@ def run(
             "setpriv", "--pdeathsig", "KILL",
             "qemu-system-x86_64", "-M", "q35,accel=tcg", "-cpu", "max", "-smp", "1",
             "-m", str(MEMORY_MB), "-nodefaults", "-no-user-config", "-display", "none",
-            "-no-reboot", "-kernel", str(kernel / "boot" / f"vmlinuz-{version}"),
+            "-no-reboot", "-kernel", str(_unpacked_kernel(kernel, Path(folder), version)),
             "-initrd", str(image),
             "-virtfs", _share("/", "hostroot", readonly=True),
             "-virtfs", _share(str(out), "out", readonly=False),
@@ -140,6 +142,24 @@ def _kernel_package() -> str:
 def _version(root: Path) -> str:
     (image,) = (root / "boot").glob("vmlinuz-*")
     return image.name.removeprefix("vmlinuz-")
+
+
+def _unpacked_kernel(root: Path, folder: Path, version: str) -> Path:
+    """What the kernel's image unpacks when it starts, unpacked here, where it takes less time.
+
+    Offsets: Documentation/x86/boot.rst of the Linux kernel, "The Real-Mode Kernel Header".
+    """
+    image = root / "boot" / f"vmlinuz-{version}"
+    packed = image.read_bytes()
+    offset, length = struct.unpack_from("<II", packed, 0x248)
+    start = (packed[0x1F1] + 1) * 512 + offset
+    payload = packed[start : start + length]
+    if not payload.startswith(b"\xfd7zXZ"):
+        return image
+    kernel = folder / "vmlinux"
+    # the payload's last word is no part of the packed stream, but its unpacked size
+    kernel.write_bytes(lzma.LZMADecompressor().decompress(payload))
+    return kernel
 
 
 def _initramfs(root: Path, version: str) -> bytes:
