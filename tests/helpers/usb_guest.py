@@ -31,6 +31,7 @@ def run_guest(out, chosen=".", flights=None):
         np.savez(out / f"{name}.npz", packets=flight.packets, arrival_s=flight.arrival_s)
     (out / "sound_flight.toml").write_text(SOUND_RADIO)
     _compile_for_the_guest(out)
+    _leave_byte_code()
     command = [
         # plugins that nothing here uses take longer to load than some tests to run
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
@@ -56,6 +57,14 @@ def _compile_for_the_guest(out):
         timeout=COMPILING_S, check=True, cwd=PROJECT, env={**os.environ, **generic},
     )  # fmt: skip
     shutil.copytree(compiled, out / "numba")
+
+
+def _leave_byte_code():
+    """The guest may not write it: each of its programs would compile all that it imports."""
+    run_program(
+        [sys.executable, "-m", "compileall", "-q", "groundstation", "firmware_sim", HELPERS, GUEST],
+        timeout=COMPILING_S, check=True, cwd=PROJECT,
+    )  # fmt: skip
 
 
 def table(out):
