@@ -41,12 +41,13 @@ async def read_to_end(link):
 
 async def packets_read(link, count):
     """Read until ``count`` packets have come; all of them."""
-    batches = []
+    batches, came = [], 0
     async with asyncio.timeout(PATIENCE_S):
-        while sum(map(len, batches)) < count:
+        while came < count:
             batch = await link.read()
             if batch is not None:
                 batches.append(batch)
+                came += len(batch)
     return joined(batches)
 
 

@@ -13,11 +13,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "helpers"))
 
 
 @pytest.fixture(scope="session")
-def flight():
+def flight(tmp_path_factory):
     """Packets without loss on the radio: every frame of the bus is full."""
-    from emulated_bridge import OUT
+    from emulated_bridge import OUT, unpacked
 
-    return OUT / "sound_flight.npz"
+    return unpacked(OUT / "sound_flight.npz", tmp_path_factory.mktemp("flight"))
 
 
 @pytest.fixture

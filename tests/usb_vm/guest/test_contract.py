@@ -4,7 +4,7 @@ import asyncio
 
 import numpy as np
 import pytest
-from emulated_bridge import OUT, EmulatedBridge, open_when_there
+from emulated_bridge import OUT, EmulatedBridge, RecordedFlight, open_when_there, unpacked
 from link_contract import LinkContract, packets_read
 
 from groundstation.links.factory import make_link
@@ -36,14 +36,13 @@ class TestUsb(LinkContract):
 
 
 @pytest.mark.parametrize("name", ["copies", "no copies", "flight", "bench"])
-def test_a_flight_arrives_whole_and_is_left_for_the_host_to_compare(name):
+def test_a_flight_arrives_whole_and_is_left_for_the_host_to_compare(name, tmp_path):
     """Bridges that forward copies, and ones that remove them; short flights, and long ones."""
-    path = OUT / f"{name}.npz"
-    with np.load(path) as file:
-        sent = file["packets"]
+    flight = unpacked(OUT / f"{name}.npz", tmp_path)
+    sent = RecordedFlight(flight).packets
 
     async def fly():
-        with EmulatedBridge(path, awaited=True) as bridge:
+        with EmulatedBridge(flight, awaited=True) as bridge:
             bridge.plug()
             link = UsbLink()
             await open_when_there(link)
