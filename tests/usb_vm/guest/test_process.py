@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import psutil
-import pytest
 from installed import COMMAND, Daemon, until
 
 from groundstation.recording.open_recording import open_recording
@@ -23,14 +22,6 @@ PATIENCE_S = 6000.0
 LOOK_S = 0.05
 """Looking is work, and this machine has one slow core."""
 NOBODY = "65534"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loaded(tmp_path_factory):
-    """One short run: programs come from the host, in real time, while time here runs on."""
-    with Daemon(tmp_path_factory.mktemp("loaded"), "--link", "usb") as daemon:
-        until(daemon.status, "an answer", PATIENCE_S, LOOK_S)
-        assert daemon.stop() == 0
 
 
 def told(daemon, words):
@@ -65,6 +56,8 @@ def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a
 
     with Daemon(tmp_path, "--link", "usb") as daemon:
         told(daemon, "no USB device 0483:5741 is plugged in; waiting for one")
+        # loaded by then, from the host, in real time, while time here runs on
+        assert until(daemon.status, "an answer", PATIENCE_S, LOOK_S)["link"]["state"] == "opening"
         process = psutil.Process(daemon.process.pid)
         share = cpu_share(process, ABSENT_S)
         assert daemon.status()["link"]["state"] == "opening"
