@@ -1,8 +1,10 @@
 """The emulated bridge as a process of its own, plugged into this machine's kernel on command."""
 
+import contextlib
 import multiprocessing
 import socket
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,9 @@ from groundstation.telemetry.bridge_usb import FRAME_S
 
 OUT = Path("/mnt")
 """The folder that the host sees too."""
-
-
 COLUMNS = ("packets", "arrival_s")
+PATIENCE_S = 6000.0
+"""Virtual: it runs on while anything is loaded from the host, which may be busy."""
 
 
 def unpacked(path, folder):
@@ -85,6 +87,7 @@ class EmulatedBridge:
         # a server that has imported everything forks: starting costs no files, thus no time
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["emulated_bridge"])
+        self._serial = serial
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
             target=run_bridge, args=(theirs, flight, list(faults), serial, awaited), daemon=True
@@ -97,9 +100,14 @@ class EmulatedBridge:
         return self
 
     def __exit__(self, *_):
+        """Returns when it has left the bus too: the next bridge would be taken for this one."""
         self._pipe.close()
-        self._process.join(10)
+        self._process.join(PATIENCE_S)
         self._process.close()
+        deadline_s = time.monotonic() + PATIENCE_S
+        while self._serial in serials_on_the_bus():
+            assert time.monotonic() < deadline_s, "a bridge that was unplugged is still there"
+            time.sleep(0.05)
 
     def plug(self):
         self._ask("plug")
@@ -113,6 +121,14 @@ class EmulatedBridge:
     def _ask(self, word):
         self._pipe.send(word)
         return self._pipe.recv()
+
+
+def serials_on_the_bus():
+    found = set()
+    for path in Path("/sys/bus/usb/devices").glob("*/serial"):
+        with contextlib.suppress(OSError):  # it left meanwhile
+            found.add(path.read_text().strip())
+    return found
 
 
 def run_bridge(pipe, flight, faults, serial, awaited):
