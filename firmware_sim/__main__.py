@@ -20,7 +20,6 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.output import write_csv, write_npz, write_truth
 from firmware_sim.settings import load_settings
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.kernel_cache import provide_cache
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -51,7 +50,6 @@ decoded samples in the telemetry layout (Timestamp in ticks of 73/72 us). Both a
 def main(arguments: list[str] | None = None) -> int:
     """Run the stand-in. Returns 0, or 1 after one line on stderr."""
     options = _parser().parse_args(arguments)
-    provide_cache()
     try:
         settings = _settings(options)
         craft = StandIn(settings)

@@ -25,7 +25,6 @@ from firmware_sim.monte_carlo import fly_many
 from firmware_sim.output import write_npz
 from firmware_sim.settings import Sensor
 from groundstation.dynamics.vehicle import Vehicle, load_vehicle
-from groundstation.kernel_cache import provide_cache
 from groundstation.telemetry.packet import Packets
 from groundstation.text import printable
 
@@ -55,7 +54,6 @@ class Fate:
 def main(arguments: list[str] | None = None) -> int:
     """Fly and write. Returns 0, or 1 after one line on stderr."""
     options = _parser().parse_args(arguments)
-    provide_cache()
     try:
         _require(options)
         random = np.random.default_rng(options.seed)
