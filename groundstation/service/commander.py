@@ -31,6 +31,7 @@ from groundstation.service.dead_man import Standstill, watch
 from groundstation.service.lease import Lease
 from groundstation.service.limits import RateLimit
 from groundstation.service.motor_stop import (
+    BY_OPERATOR,
     SEEN_S,
     STOPPED,
     Motors,
@@ -47,7 +48,6 @@ SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 WATCH_S = 0.05
 """How often the dead man looks, and repeats what it sends."""
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
-BY_OPERATOR = "the operator has stopped the motors"
 DEAD_MAN = "dead man"
 OPERATOR = "operator"
 

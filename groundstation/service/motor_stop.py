@@ -21,6 +21,8 @@ firmware's emergency stop, again and again."""
 UNSEEN_S, SEEN_S = 2.0, 2.5
 """Without telemetry for so long nobody knows whether they have stopped; how long an operator is
 kept waiting for what becomes of them."""
+BY_OPERATOR = "the operator has stopped the motors"
+"""Why a lease ended, as its client is told."""
 STOPPED = "stopped"
 STILL_TURN = "asked to stop, motors still turn"
 NOT_TOLD = "asked to stop; no telemetry says whether the motors still turn"

@@ -6,6 +6,7 @@ firmware; time is what the test says. ``SAFETY_STEPS`` says how many steps at le
 """
 
 import asyncio
+import contextlib
 import os
 
 from craft_in_hand import World
@@ -45,13 +46,16 @@ class AnyOrder(RuleBasedStateMachine):
         )
         self.tokens, self.tasks = [], []
         self.stop_s = self.made_s = self.arm_asked_s = -1.0
-        self.seen = {craft: 0 for craft in self.crafts}
+        self.seen = dict.fromkeys(self.crafts, 0)
         self.turning(0.3)
 
     def teardown(self):
-        for task in self.tasks:
-            task.cancel()
-        self.world.run_until_complete(asyncio.gather(*self.tasks, return_exceptions=True))
+        async def end():
+            for task in self.tasks:
+                task.cancel()
+            await asyncio.gather(*self.tasks, return_exceptions=True)
+
+        self.world.run_until_complete(end())
         self.world.close()
 
     # -- what is done, in any order ----------------------------------------------------------
@@ -61,11 +65,13 @@ class AnyOrder(RuleBasedStateMachine):
         self.turning(seconds)
 
     @rule()
-    def begin(self):
+    def second_client(self):
         self.try_it(lambda: self.tokens.append(self.commander.acquire("a client").token))
 
-    @rule(thrust=st.sampled_from([0, 0, 20000, 45000]), count=st.integers(1, 6))
+    @rule(thrust=st.sampled_from([20000, 45000]), count=st.integers(1, 6))
     def fly(self, thrust, count):
+        self.second_client()
+        self.setpoint(0, self.world.now_s)
         for _ in range(count):
             self.setpoint(thrust, self.world.now_s)
             self.turning(WATCH_S)
@@ -140,24 +146,21 @@ class AnyOrder(RuleBasedStateMachine):
             self.seen[craft] = len(craft.delivered)
 
     def take_note(self, kind, text):
+        """Told at the moment at which a stop ends: of the only craft that was commanded."""
         if text.startswith("motors stopped"):
-            self.stands()
-
-    def stands(self):
-        counted["stopped"] += 1
-        assert not self.stopping.turns, "said to have stopped, and a rotor turns"
+            counted["stopped"] += 1
+            assert not self.commander.link.turns, "said to have stopped, and a rotor turns"
 
     # -- helpers -----------------------------------------------------------------------------
 
     async def pressed(self):
         link, asked_s = self.commander.link, self.world.now_s
-        self.stopping = link
         if link.state.value == "connected":
             self.stop_s = asked_s
             counted["stops"] += 1
         told = await self.commander.stop()
-        if told == STOPPED and self.stop_s == asked_s and self.stopping is link:
-            assert not link.turns or self.made_s > asked_s or self.arm_asked_s > asked_s
+        if told == STOPPED and max(self.made_s, self.arm_asked_s) < asked_s:
+            assert not link.turns, "said to have stopped, and a rotor turns"
 
     async def switched(self, other):
         await self.commander.leave()
@@ -179,10 +182,8 @@ class AnyOrder(RuleBasedStateMachine):
             self.try_it(send)
 
     def try_it(self, work):
-        try:
+        with contextlib.suppress(GroundStationError):
             work()
-        except GroundStationError:
-            pass
 
     def start(self, work):
         self.tasks.append(self.world.create_task(work))
