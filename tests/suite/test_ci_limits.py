@@ -13,7 +13,8 @@ from programs import Program, run_program
 LIMIT_S = 0.3
 CONFTEST = f"import ci_limits\nci_limits.LIMIT_S = {LIMIT_S}\n"
 TESTS = """
-import subprocess, sys, time
+import sys, time
+from subprocess import run
 import pytest
 
 COMPUTE = "from time import process_time as s; end_s = s() + 0.35\\nwhile s() < end_s: pass"
@@ -28,7 +29,7 @@ def test_computes():
     exec(COMPUTE, {})
 
 def test_lets_compute():
-    subprocess.run([sys.executable, "-c", COMPUTE], check=True)
+    run([sys.executable, "-c", COMPUTE], check=True)
 
 @pytest.mark.parametrize("what", ["one", "two"])
 def test_skips(what):
