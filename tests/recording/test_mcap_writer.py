@@ -472,6 +472,32 @@ def test_a_failing_sync_is_a_fault(path, faults, monkeypatch):
     assert "Input/output error" in faults[0]
 
 
+def test_the_name_of_a_new_file_and_the_whole_of_a_finished_one_are_on_the_disk(path, monkeypatch):
+    synced, sync = [], os.fsync
+
+    def noting_sync(fd):
+        status = os.fstat(fd)
+        synced.append((status.st_ino, status.st_size))
+        sync(fd)
+
+    monkeypatch.setattr(os, "fsync", noting_sync)
+    recorder = McapRecorder(path, METADATA)
+    assert [inode for inode, _ in synced] == [path.parent.stat().st_ino]
+    record_flight(recorder, 100)
+    recorder.finish()
+    assert synced[1:] == [(path.stat().st_ino, path.stat().st_size)]
+
+
+def test_what_the_system_takes_in_pieces_is_written_whole(path, monkeypatch):
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:1000]))
+    with McapRecorder(path, METADATA) as recorder:
+        record_flight(recorder, 100)
+    recording = read_mcap(path)
+    assert recording.damage == []
+    assert_same_samples(recording.samples, flight(0, 100)[1])
+
+
 def test_samples_of_another_clock_start_a_new_message(path):
     first = flight(0, 50)[1]
     other = flight(50, 50)[1]
