@@ -7,6 +7,7 @@ _SOCKET = "groundstation/service/control_socket.py"
 _CONTROL = "groundstation/service/control.py"
 _PAGE = "groundstation/page/access.py"
 _PAGE_TESTS = "tests/page/test_access.py"
+_RULES = "tests/page/test_access_rules.py"
 _LIMITS = "tests/service/test_control_limits.py"
 
 FAULTS = (
@@ -86,7 +87,7 @@ FAULTS = (
         "groundstation/service/page.py",
         "                self._tokens.remove(known)\n",
         "",
-        (_PAGE_TESTS, "tests/service/test_connect.py"),
+        (_RULES,),
     ),
     Fault(
         "page-token-any",
@@ -94,7 +95,7 @@ FAULTS = (
         "groundstation/service/page.py",
         "if secrets.compare_digest(known.encode(), token.encode()):",
         "if True:",
-        (f"{_PAGE_TESTS}::test_a_wrong_token_or_cookie_is_refused",),
+        (_RULES,),
     ),
     Fault(
         "page-key-for-all",
@@ -102,7 +103,7 @@ FAULTS = (
         "groundstation/service/page.py",
         "os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)",
         "os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)",
-        (f"{_PAGE_TESTS}::test_only_the_owner_can_read_the_key",),
+        (_RULES,),
     ),
     Fault(
         "cookie-unsigned",
@@ -110,7 +111,7 @@ FAULTS = (
         _PAGE,
         'return _same(signature, self._sign("session", name))',
         "return bool(signature)",
-        (f"{_PAGE_TESTS}::test_a_wrong_token_or_cookie_is_refused",),
+        (_RULES,),
     ),
     Fault(
         "host-not-compared",
@@ -118,7 +119,7 @@ FAULTS = (
         _PAGE,
         "return host.lower() in self._hosts",
         "return True",
-        (f"{_PAGE_TESTS}::test_another_name_for_this_machine_is_refused",),
+        (_RULES,),
     ),
     Fault(
         "origin-not-compared",
@@ -126,7 +127,7 @@ FAULTS = (
         _PAGE,
         'ours = self.knows_host(host) and origin.lower() == f"http://{host.lower()}"',
         "ours = self.knows_host(host)",
-        (f"{_PAGE_TESTS}::test_a_change_needs_the_page_s_own_origin_and_token",),
+        (_RULES,),
     ),
     Fault(
         "change-token-not-compared",
@@ -134,7 +135,7 @@ FAULTS = (
         _PAGE,
         'return ours and _same(headers.get("x-change-token", ""), self.change_token(cookie))',
         "return ours",
-        (f"{_PAGE_TESTS}::test_a_change_needs_the_page_s_own_origin_and_token",),
+        (_RULES,),
     ),
     Fault(
         "page-gives-any-file",
@@ -178,7 +179,7 @@ FAULTS = (
         "groundstation/trust.py",
         'if os.environ.get(CONSENT, "") not in (ALL, digest):',
         "if False:",
-        ("tests/attack/test_own_effects.py",),
+        ("tests/attack/test_own_effects.py::test_consent_is_asked_once_for_each_content",),
     ),
     Fault(
         "terminal-obeys",

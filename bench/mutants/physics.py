@@ -27,7 +27,7 @@ FAULTS = (
         "groundstation/telemetry/samples.py",
         "attitude[:, 1] *= -1  # the firmware's pitch is nose up positive",
         "attitude[:, 1] *= 1",
-        (_PACKET_TESTS,),
+        (f"{_PACKET_TESTS}::test_the_golden_packet_in_physical_units",),
     ),
     Fault(
         "tick",
@@ -35,7 +35,7 @@ FAULTS = (
         _PACKET,
         "TICK_S = 73e-6 / 72",
         "TICK_S = 1e-6",
-        (_PACKET_TESTS,),
+        (f"{_PACKET_TESTS}::test_a_sample_is_two_milliseconds_of_ticks",),
     ),
     Fault(
         "gyro-unit",
@@ -43,7 +43,7 @@ FAULTS = (
         _PACKET,
         "GYRO_RAD_S = math.radians(1 / 16.384)",
         "GYRO_RAD_S = math.radians(1 / 16.4)",
-        (_PACKET_TESTS, "tests/recording/test_csv_file.py"),
+        (f"{_PACKET_TESTS}::test_the_golden_packet_in_physical_units",),
     ),
     Fault(
         "accelerometer-in-g",
@@ -51,7 +51,7 @@ FAULTS = (
         _PACKET,
         "ACCELEROMETER_M_S2 = STANDARD_GRAVITY / 4096",
         "ACCELEROMETER_M_S2 = 1.0 / 4096",
-        (_PACKET_TESTS,),
+        (f"{_PACKET_TESTS}::test_the_golden_packet_in_physical_units",),
     ),
     Fault(
         "motors-of-the-packet",
@@ -59,7 +59,7 @@ FAULTS = (
         _PACKET,
         "counts[:, 0::2] = low | ((middle & 0x0F) << 8)",
         "counts[:, 0::2] = low | ((middle >> 4) << 8)",
-        (_PACKET_TESTS,),
+        (f"{_PACKET_TESTS}::test_the_golden_packet_decodes_to_the_fields_of_the_real_log",),
     ),
     Fault(
         "armature-in-volts",
@@ -111,7 +111,7 @@ FAULTS = (
         _ROTATIONS,
         "q * cr - r * sr, across",
         "q * cr + r * sr, across",
-        (_ROTATION_TESTS,),
+        (f"{_ROTATION_TESTS}::test_euler_rates_invert_body_rates",),
     ),
     Fault(
         "rotation-matrix",
@@ -119,7 +119,10 @@ FAULTS = (
         _ROTATIONS,
         "        (-sp, cp * sr, cp * cr),",
         "        (sp, cp * sr, cp * cr),",
-        (_ROTATION_TESTS,),
+        (
+            f"{_ROTATION_TESTS}::test_nose_down_is_a_positive_pitch_and_left_up_a_positive_roll",
+            f"{_ROTATION_TESTS}::test_quaternion_and_matrix_are_the_same_rotation",
+        ),
     ),
     Fault(
         "gyroscopic-sign",
@@ -167,7 +170,7 @@ FAULTS = (
         _MAP,
         "scales = [_scale(key, quantity, one.unit, path) * one.sign for one in listed]",
         "scales = [_scale(key, quantity, one.unit, path) for one in listed]",
-        (_MAPPED,),
+        (f"{_MAPPED}::test_a_foreign_log_in_its_own_units_axes_and_signs",),
     ),
     Fault(
         "map-with-swapped-motors",
@@ -176,8 +179,8 @@ FAULTS = (
         'yield f"{quantity}.{name}", quantity, field, index, column',
         'yield f"{quantity}.{name}", quantity, field, index ^ (quantity == "duty"), column',
         (
-            _MAPPED,
-            "tests/recording/test_other_programs.py::test_a_flight_is_recognised_and_read_as_what_it_was",
+            f"{_MAPPED}::test_a_foreign_log_in_its_own_units_axes_and_signs",
+            f"{_MAPPED}::test_the_thesis_s_own_layout_through_a_map_is_what_the_csv_reader_says",
         ),
     ),
     Fault(
@@ -187,7 +190,6 @@ FAULTS = (
         "np.remainder(yaw + 1.5 * np.pi, math.tau) - np.pi",
         "np.remainder(yaw + 0.5 * np.pi, math.tau) - np.pi",
         (
-            _MAPPED,
             "tests/recording/test_other_programs.py::test_a_flight_is_recognised_and_read_as_what_it_was",
         ),
     ),
@@ -197,7 +199,9 @@ FAULTS = (
         "groundstation/recording/microsd_channels.py",
         'samples.gyro[:] = np.radians(gyro) if unit == "deg/s" else gyro',
         "samples.gyro[:] = gyro",
-        ("tests/links/test_log_rows.py", "tests/recording/test_microsd.py"),
+        (
+            "tests/links/test_log_rows.py::test_blocks_of_the_same_moment_make_one_row_in_the_units_of_a_sample",
+        ),
     ),
     Fault(
         "motors-a-row-late",
@@ -205,7 +209,7 @@ FAULTS = (
         "groundstation/links/log_rows.py",
         "        samples.duty[follows] = duty[follows]\n",
         "",
-        ("tests/links/test_log_rows.py",),
+        ("tests/links/test_log_rows.py::test_the_motors_of_a_row_are_those_that_acted_before_it",),
     ),
     Fault(
         "accelerometer-pitch",
@@ -213,6 +217,6 @@ FAULTS = (
         "groundstation/attitude/sensors.py",
         "np.arctan2(-x, np.hypot(y, z))",
         "np.arctan2(x, np.hypot(y, z))",
-        ("tests/attitude/test_sensors.py",),
+        ("tests/attitude/test_sensors.py::test_gravity_shows_roll_and_pitch_whatever_the_yaw",),
     ),
 )

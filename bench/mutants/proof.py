@@ -47,7 +47,6 @@ FAULTS = (
         "variance = 0.5 * left / max(rows - len(chosen), 1)",
         (
             "tests/identification/arx/test_fit.py::test_coefficients_come_with_a_covariance_that_holds",
-            "tests/identification/arx/test_fit.py::test_one_gram_matrix_gives_the_least_squares_of_every_structure",
         ),
     ),
     Fault(
@@ -64,7 +63,7 @@ FAULTS = (
         _DIVISION,
         "        fit_on += [run[a:b] for a, b in fitted]\n",
         "        fit_on += [run for _ in fitted]\n",
-        (_DIVISIONS,),
+        (f"{_DIVISIONS}::test_the_last_third_of_several_runs_cuts_one_of_them",),
     ),
     Fault(
         "search-sees-the-proof",
@@ -72,7 +71,7 @@ FAULTS = (
         _JUDGED,
         "fit_on += [one.run[a:b] for a, b in one.with_ground(fitted)]",
         "fit_on += [one.run for a, b in one.with_ground(fitted)]",
-        (_JUDGED_TESTS,),
+        (f"{_JUDGED_TESTS}::test_the_last_third_is_held_out_where_it_serves",),
     ),
     Fault(
         "short-flight-fitted-whole",
@@ -80,7 +79,9 @@ FAULTS = (
         _JUDGED,
         "return Division([*fit_on, run[:edge]], [run[edge:]]",
         "return Division([*fit_on, run], [run[edge:]]",
-        (_JUDGED_TESTS,),
+        (
+            f"{_JUDGED_TESTS}::test_of_one_flight_that_is_no_three_pieces_long_the_last_seconds_are_held_out",
+        ),
     ),
     Fault(
         "gate-of-significance",
@@ -88,7 +89,7 @@ FAULTS = (
         _GATES,
         "enough = evidence.drop >= least and evidence.t >= LEAST_T",
         "enough = evidence.drop >= least or evidence.t >= LEAST_T",
-        (_GATE_TESTS,),
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
     ),
     Fault(
         "gate-of-held-out-rows",
@@ -96,7 +97,7 @@ FAULTS = (
         _GATES,
         "enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)",
         "enough = True",
-        (_GATE_TESTS,),
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
     ),
     Fault(
         "gate-of-plausible-sizes",
@@ -104,7 +105,7 @@ FAULTS = (
         _GATES,
         "if not ends and plausible(trial.variant, point):",
         "if not ends:",
-        (_GATE_TESTS,),
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
     ),
     Fault(
         "gate-of-the-superfluous",
@@ -112,7 +113,7 @@ FAULTS = (
         _GATES,
         'return "superfluous once another effect had joined" if trial.removal < KEEP else ""',
         'return ""',
-        (_GATE_TESTS,),
+        (f"{_GATE_TESTS}::test_what_the_others_do_as_well_without_leaves",),
     ),
     Fault(
         "gate-of-the-drowned",
@@ -120,7 +121,7 @@ FAULTS = (
         _GATES,
         'return "small beside a structure that nothing explains" if small else ""',
         'return ""',
-        (_GATE_TESTS,),
+        (f"{_GATE_TESTS}::test_a_name_for_a_hundredth_of_what_is_wrong_is_no_explanation",),
     ),
     Fault(
         "gap-of-the-mean",
@@ -128,6 +129,8 @@ FAULTS = (
         "groundstation/comparison/gap.py",
         "return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any()",
         "return float(np.min(ratio[known])) if known.any()",
-        ("tests/comparison/test_gap.py",),
+        (
+            "tests/comparison/test_gap.py::test_all_channels_in_one_number_leave_out_what_is_not_there",
+        ),
     ),
 )
