@@ -19,8 +19,9 @@ from bench.mutants.fault import ROOT, Fault
 from bench.mutants.hook.sitecustomize import VARIABLE, install
 
 HOOK = Path(__file__).with_name("hook")
-TEST_S, WHOLE_S = 60, 600.0
-"""What one test may take before it counts as failed, and all tests of one run."""
+TEST_S, WHOLE_S = 20, 600.0
+"""What one test may take before it counts as failed, with a fault or without one: tests of the
+short suite take a tenth of that. And what all tests of one run may take."""
 TESTS_FAILED = 1
 """pytest's status where tests ran, and one failed at least."""
 

@@ -6,8 +6,7 @@ Rotors 1 and 3 turn counter-clockwise seen from above, so that their angular mom
 import numpy as np
 import pytest
 
-from groundstation.dynamics.law import FAR_M, SPIN, Body, Craft, rotor_wrench
-from groundstation.dynamics.mixer import MIXERS
+from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
 
@@ -64,9 +63,3 @@ def test_rotors_lift_where_they_are_and_their_drag_turns_the_other_way(profile):
         expected = np.cross(arm, [0.0, 0.0, lift])
         expected[2] = -COUNTER_CLOCKWISE[rotor] * one.drag * 300.0**2
         np.testing.assert_allclose(moments, expected, atol=1e-15)
-
-
-@pytest.mark.parametrize("configuration", MIXERS)
-def test_every_mixer_yaws_against_the_rotors_turn(configuration):
-    np.testing.assert_array_equal(MIXERS[configuration][2], -COUNTER_CLOCKWISE)
-    np.testing.assert_array_equal(MIXERS[configuration][2], SPIN)
