@@ -177,7 +177,7 @@ FAULTS = (
         'if name.startswith("pid_") and not 0 <= value <= GAIN_MOST:',
         "if False:",
         (
-            "tests/links/test_crazyflie.py::test_unknown_parameters_and_values_that_are_no_numbers_are_refused",
+            "tests/links/test_crazyflie.py::test_unknown_parameters_and_values_that_no_craft_should_get_are_refused",
         ),
     ),
     Fault(
@@ -187,7 +187,7 @@ FAULTS = (
         "if on and link.supervisor.trouble:",
         "if False:",
         (
-            "tests/service/test_craft_link.py::test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told",
+            "tests/service/test_arming.py::test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm",
         ),
     ),
     Fault(

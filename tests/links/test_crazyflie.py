@@ -84,12 +84,15 @@ def test_a_setpoint_is_recorded_as_sent() -> None:
     on_a_stand_in(scenario)
 
 
-def test_unknown_parameters_and_values_that_are_no_numbers_are_refused() -> None:
+def test_unknown_parameters_and_values_that_no_craft_should_get_are_refused() -> None:
     async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
         with pytest.raises(BadInputError, match="no parameter"):
             await link.write_parameter("pid_rate.nonsense", 1.0)
         with pytest.raises(BadInputError, match="finite"):
             await link.write_parameter("pid_rate.roll_kp", math.nan)
+        for value in (-1.0, 1000.5):
+            with pytest.raises(BadInputError, match=r"outside 0\.\.1000"):
+                await link.write_parameter("pid_rate.roll_kp", value)
         assert entries == []
 
     on_a_stand_in(scenario)
