@@ -4,6 +4,7 @@ from bench.mutants.fault import Fault
 
 _COMMANDER = "groundstation/service/commander.py"
 _STOP = "groundstation/service/motor_stop.py"
+_STOPPING = "tests/service/test_commander.py::test_an_operator_stops_the_motors_of_whoever_commands"
 _LINK = "groundstation/links/command.py"
 _CRAZYFLIE = "groundstation/links/crazyflie.py"
 
@@ -108,7 +109,7 @@ FAULTS = (
         _STOP,
         "if repeat and self._settles(now_s):",
         "if False:",
-        ("tests/service/test_commander.py", "tests/service/test_craft_link.py"),
+        (_STOPPING,),
     ),
     Fault(
         "escalation-never-comes",
@@ -116,7 +117,7 @@ FAULTS = (
         _STOP,
         "elif said_s > STILL_S * (stop.forced + 1):",
         "elif False:",
-        ("tests/service/test_commander.py", "tests/service/test_craft_link.py"),
+        (_STOPPING,),
     ),
     Fault(
         "escalation-without-disarm",
@@ -124,7 +125,7 @@ FAULTS = (
         _STOP,
         "if stop.forced == 1 and link.arm(False):",
         "if False:",
-        ("tests/service/test_commander.py", "tests/service/test_craft_link.py"),
+        (_STOPPING,),
     ),
     Fault(
         "escalation-without-emergency-stop",
@@ -132,7 +133,7 @@ FAULTS = (
         _STOP,
         "if stop.forced > 1 and link.emergency_stop():",
         "if False:",
-        ("tests/service/test_commander.py", "tests/service/test_craft_link.py"),
+        (_STOPPING,),
     ),
     Fault(
         "stopped-too-early",
@@ -140,7 +141,7 @@ FAULTS = (
         _STOP,
         "if said is not None and said_s > 0.0 and said.duty <= 0.0:",
         "if said is not None and said.duty <= 0.0:",
-        ("tests/service/test_commander.py", "tests/service/test_craft_link.py"),
+        (_STOPPING,),
     ),
     Fault(
         "emergency-stop-on-another-port",
@@ -148,7 +149,9 @@ FAULTS = (
         _CRAZYFLIE,
         "EMERGENCY if self._connection.protocol < SUPERVISED else SUPERVISED_STOP",
         "EMERGENCY if self._connection.protocol >= SUPERVISED else SUPERVISED_STOP",
-        ("tests/links/test_crazyflie.py",),
+        (
+            "tests/links/test_crazyflie.py::test_an_emergency_stop_locks_the_craft_of_either_supervisor",
+        ),
     ),
     Fault(
         "thrust-without-limit",
