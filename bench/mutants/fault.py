@@ -35,7 +35,7 @@ class Fault:
     def is_compiled(self) -> bool:
         """Whether kernels are made of this file: then what is cached of them must not be used."""
         text = self.path.read_text()
-        return "dynamics.compiled import" in text or self.path.parent.name == "effects"
+        return ".compiled import" in text or self.path.parent.name == "effects"
 
     def require_true(self) -> None:
         """Raises ValueError where the table and the sources differ."""

@@ -16,7 +16,7 @@ _HEAD = """\
 `make mutants` puts faults into the program, one at a time and in memory only, and runs the few
 tests of the short suite that should notice. A fault that survives fails the command, as does a
 test that fails without one. The table is in `bench/mutants`; a row there says which text of which
-file is replaced by what. "Noticed by" counts failed tests of those that ran.
+file is replaced by what. "Noticed by" says where, and how many tests of those that ran.
 """
 
 
@@ -36,7 +36,8 @@ def _row(outcome: Outcome) -> str:
     fault = outcome.fault
     assert fault is not None
     ran = len(outcome.failed) + outcome.passed
-    noticed = f"{len(outcome.failed)} of {ran}" if outcome.is_good else "**nothing**"
+    files = ", ".join(sorted({f"`{test.partition('::')[0]}`" for test in outcome.failed}))
+    noticed = f"{files}, {len(outcome.failed)} of {ran}" if outcome.is_good else "**nothing**"
     return f"| {fault.name} | {fault.breaks} | {noticed} | {outcome.seconds:.1f} |"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import signal
@@ -22,6 +23,10 @@ HOOK = Path(__file__).with_name("hook")
 TEST_S, WHOLE_S = 20, 600.0
 """What one test may take before it counts as failed, with a fault or without one: tests of the
 short suite take a tenth of that. And what all tests of one run may take."""
+_LONG = (
+    *("pytest", "hypothesis", "_hypothesis_pytestplugin", "numpy", "numba", "scipy.signal"),
+    *("scipy.optimize", "mcap.reader", "starlette.routing", "typer", "uvicorn"),
+)
 TESTS_FAILED = 1
 """pytest's status where tests ran, and one failed at least."""
 
@@ -65,20 +70,8 @@ def run_all(faults: Iterable[tuple[Fault | None, Sequence[str]]], jobs: int) -> 
 def _import_what_takes_long() -> None:
     """Nothing of ours: it has to be imported with the fault in it."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for name in (
-        "pytest",
-        "hypothesis",
-        "_hypothesis_pytestplugin",
-        "numpy",
-        "scipy.signal",
-        "scipy.optimize",
-        "numba",
-        "mcap.reader",
-        "starlette.routing",
-        "typer",
-        "uvicorn",
-    ):
-        __import__(name)
+    for name in _LONG:
+        importlib.import_module(name)
 
 
 class _Fork:
@@ -86,7 +79,7 @@ class _Fork:
 
     def __init__(self, fault: Fault | None, tests: Sequence[str]) -> None:
         self._fault, self._began_s = fault, time.monotonic()
-        self._folder = tempfile.TemporaryDirectory(prefix="mutant-")
+        self._folder = tempfile.TemporaryDirectory(prefix="mutant-", ignore_cleanup_errors=True)
         self._place = Path(self._folder.name)
         sys.stdout.flush()
         self._pid = os.fork()
@@ -149,6 +142,7 @@ def _test(fault: Fault | None, tests: Sequence[str], folder: Path) -> None:
     for stream in (1, 2):
         os.dup2(log, stream)
     tempfile.tempdir = os.environ["TMPDIR"] = str(folder)
+    os.environ.pop("CI", None)  # its limits are another matter
     os.environ["PYTHONPATH"] = f"{HOOK}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     if fault is not None:
         os.environ[VARIABLE] = fault.as_variable()
@@ -156,16 +150,8 @@ def _test(fault: Fault | None, tests: Sequence[str], folder: Path) -> None:
         if fault.is_compiled:
             _keep_kernels_apart(folder / "numba")
     # plain: what was imported before cannot be rewritten, and nobody reads these failures
-    quiet = [
-        "-q",
-        "--assert=plain",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:xdist",
-        f"--timeout={TEST_S}",
-    ]
-    options = [*quiet, f"--basetemp={folder / 't'}"]
+    options = ["-q", "--assert=plain", f"--timeout={TEST_S}", f"--basetemp={folder / 't'}"]
+    options += ["-p", "no:cacheprovider", "-p", "no:xdist"]
     pytest.main([*options, *tests], plugins=[_Recorder(folder / "told.json")])
 
 
