@@ -35,11 +35,9 @@ def main() -> int:
     if unknown:
         parser.error(f"no fault is called {', '.join(unknown)}; there are {', '.join(known)}")
     chosen = [known[name] for name in arguments.names or known]
-    try:
-        for fault in chosen:
-            fault.require_true()
-    except ValueError as error:
-        print(error, file=sys.stderr)
+    untrue = [words for fault in chosen if (words := fault.untrue())]
+    if untrue:
+        print("\n".join(untrue), file=sys.stderr)
         return 1
     outcomes = []
     for outcome in run_all(_runs(arguments.names), arguments.jobs):

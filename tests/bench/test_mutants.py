@@ -1,6 +1,7 @@
 """The table of faults is true, a fault gets in everywhere, and one that survives is told."""
 
 import os
+import re
 import sys
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ TICK = next(fault for fault in EVERY if fault.name == "tick")
 
 @pytest.mark.parametrize("fault", EVERY, ids=lambda fault: fault.name)
 def test_a_fault_names_text_and_tests_that_are_there_and_leaves_a_program(fault):
-    fault.require_true()
+    assert fault.untrue() == ""
     compile(fault.path.read_text().replace(fault.old, fault.new), fault.file, "exec")
 
 
@@ -41,9 +42,8 @@ def test_the_tests_that_should_notice_are_in_the_short_suite():
         ({"tests": ("tests/bench/test_mutants.py::test_of_nothing",)}, "no test"),
     ],
 )
-def test_a_table_that_is_not_true_any_more_is_refused(changes, says):
-    with pytest.raises(ValueError, match=f"^tick: .*{says}"):
-        replace(TICK, **changes).require_true()
+def test_a_row_that_is_not_true_any_more_says_what_to_do(changes, says):
+    assert re.search(f"^tick: .*{says}", replace(TICK, **changes).untrue())
 
 
 def test_a_program_that_a_test_starts_has_the_fault_and_the_file_does_not():
