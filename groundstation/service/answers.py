@@ -108,7 +108,8 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
     client: who commands. armed: what the craft last said, None where it does not say. hindrance:
     what, as the craft says, keeps it from flying, or empty. crashed: whether it calls itself that.
-    held_level: by the operator. interventions: of the dead man."""
+    held_level: by the operator. interventions: of the dead man. out_of_reach: why the craft that is
+    heard cannot be stopped from here, or empty."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
@@ -122,6 +123,7 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     superseded: int
     refused: int
     interventions: int
+    out_of_reach: str
 
 
 class StreamStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -175,8 +175,9 @@ def _command(station: Station) -> list[Operation]:
 
     async def setpoint(body: requests.Setpoint) -> Any:
         time_ns = commander.setpoint(
-            body.token, body.roll_deg, body.pitch_deg, body.yaw_dps, body.thrust, body.height_m
-        )
+            body.token, body.roll_deg, body.pitch_deg, body.yaw_dps, body.thrust, body.height_m,
+            body.made_s,
+        )  # fmt: skip
         return requests.Sent(
             time_ns=time_ns,
             telemetry=station.newest.telemetry(),
