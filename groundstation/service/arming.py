@@ -6,7 +6,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
@@ -64,9 +63,9 @@ async def ask_to_arm(link: CommandLink, on: bool, turn: Turn = contextlib.nullco
     word = "arm" if on else "disarm"
     if on and link.supervisor.trouble:
         raise LinkError(f"the craft refuses to arm its motors: {link.supervisor.trouble}")
-    asked_s = time.monotonic()
+    asked_s = _now_s()
     while not (await _armed(link, on, turn) and await _is_seen(link, on)):
-        waited_s = time.monotonic() - asked_s
+        waited_s = _now_s() - asked_s
         await asyncio.sleep(STATE_S)  # its state may not be known yet, or be about to pass
         if link.supervisor.trouble or waited_s > CHECKS_S:
             why = link.supervisor.refusal
@@ -84,11 +83,11 @@ async def ask_to_recover(link: CommandLink, turn: Turn = contextlib.nullcontext)
     Raises BadInputError for one that has not crashed, LinkError where it does not recover."""
     if not link.supervisor.crashed:
         raise BadInputError("the craft does not say that it has crashed: nothing to recover from")
-    asked_s = time.monotonic()
+    asked_s = _now_s()
     while (said := link.supervisor).crashed:
         if said.tumbled:
             raise LinkError(TUMBLED)
-        if time.monotonic() - asked_s > ANSWER_S:
+        if _now_s() - asked_s > ANSWER_S:
             raise LinkError("the craft still calls itself crashed: switch it off and on")
         with turn():
             link.recover()  # again, for a request may be lost
@@ -103,8 +102,8 @@ async def _armed(link: CommandLink, on: bool, turn: Turn) -> bool:
         is_known = link.arm(on)
     if not is_known:
         raise BadInputError("this craft's firmware knows no arming: thrust starts its motors")
-    asked_s = time.monotonic()
-    while link.armed is None and time.monotonic() - asked_s < ANSWER_S:
+    asked_s = _now_s()
+    while link.armed is None and _now_s() - asked_s < ANSWER_S:
         await asyncio.sleep(LOOK_S)
     if link.armed is None:
         word = "arm" if on else "disarm"
@@ -118,3 +117,7 @@ async def _is_seen(link: CommandLink, on: bool) -> bool:
     if on and link.supervisor.bits is not None:
         await asyncio.sleep(2 * STATE_S)
     return link.armed is on
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -217,9 +217,10 @@ class Commander:
     async def leave(self) -> None:
         """Wait until nothing of the present craft is left to be done, before another is chosen.
         Raises TakenError while a client commands or motors are not known to have stopped."""
-        self.require_free()
         end_s = self._clock() + SEEN_S
-        while self._stopping.goes_on(self._clock()) and self._clock() < end_s:
+        while (
+            self.client is None and self._stopping.goes_on(self._clock()) and self._clock() < end_s
+        ):
             await asyncio.sleep(WATCH_S / 5)
         self.require_free()
 
@@ -271,9 +272,9 @@ class Commander:
                 raise BadInputError(
                     "setpoints come faster than 100 a second; this one was not sent"
                 )
-            made_s = now_s if made_s is None else min(made_s, now_s)
+            stamped, made_s = made_s is not None, min(now_s if made_s is None else made_s, now_s)
             if thrust or height_m is not None:
-                self._require_calm("the setpoint was not sent", stamped=made_s < now_s)
+                self._require_calm("the setpoint was not sent", stamped=stamped)
                 if now_s > made_s + LIFE_S:
                     self.refused += 1
                     raise LinkError(

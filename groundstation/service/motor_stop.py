@@ -150,8 +150,9 @@ class Stopping:
 async def outcome(stop: Stop) -> str:
     """What the craft says of motors that were asked to stop, in words, as soon as it does and after
     ``SEEN_S`` at the latest: ``STOPPED`` where they stand."""
-    end_s = time.monotonic() + SEEN_S
-    while not stop.over and time.monotonic() < end_s:
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + SEEN_S
+    while not stop.over and loop.time() < end_s:
         await asyncio.sleep(LOOK_S)
     return stop.told
 
@@ -166,8 +167,11 @@ def _is_disarmed(stop: Stop, waited_s: float) -> bool:
 def _forced(stop: Stop) -> str:
     """More than zero thrust; what."""
     with contextlib.suppress(LinkError):
-        # disarmed first, for an emergency stop ends the flying
-        if stop.forced == 1 and stop.link.arm(False):
+        # disarmed first, for an emergency stop ends the flying; one that arms itself would only
+        # stand for a moment
+        arms_itself = stop.link.supervisor.arms_itself
+        if stop.forced == 1 and not arms_itself and stop.link.arm(False):
+            stop.disarms = True
             return "disarmed"
         if stop.forced > 1 and stop.link.emergency_stop():
             return "emergency stop"
