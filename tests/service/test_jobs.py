@@ -8,9 +8,10 @@ import pytest
 from installed import RECORDINGS, until
 from served_station import serve
 
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
+from groundstation.service.jobs import Jobs
 
 FLIGHT = "stand_in_flight.mcap"
 ENDED = ("done", "failed", "cancelled")
@@ -112,6 +113,22 @@ def test_a_job_whose_folder_is_deleted_has_failed_and_the_next_one_runs(talk, tm
         assert {when_ended(ask, name)["state"] for name in (first, last)} == {"done"}
 
     talk(conversation)
+
+
+@pytest.mark.parametrize("name", ["../secret.mcap", "{outside}", "jobs/../../secret.mcap", "."])
+@pytest.mark.parametrize("which", ["recordings", "validate"])
+def test_no_name_leads_out_of_the_recordings_folder(tmp_path, name, which):
+    folder, secret = tmp_path / "sessions", tmp_path / "secret.mcap"
+    (folder / "jobs").mkdir(parents=True)
+    for path in (secret, folder / "own.mcap"):
+        path.write_bytes(b"")
+    jobs = Jobs(lambda: folder, lambda kind, text: None)
+    named = {"recordings": ["own.mcap"], "validate": []}
+    jobs.add("fit", **named, model="")
+    named[which] = [name.format(outside=secret)]
+    with pytest.raises(BadInputError, match="no such recording"):
+        jobs.add("fit", **named, model="")
+    assert len(jobs.entries()) == 1
 
 
 @pytest.mark.parametrize(
