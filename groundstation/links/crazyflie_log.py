@@ -29,8 +29,6 @@ SILENT_S = 2.0
 forgets its log blocks."""
 QUEUE_PACKETS = 50_000
 """A minute and more at any rate; the oldest are dropped and counted."""
-CONSOLE_LINES = 200
-"""Of the craft's console, until the link is read."""
 RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 """Whole ms, and not below what identification needs."""
 WATCH_S, MOST_LOST = 2.5, 0.1
@@ -95,8 +93,6 @@ class CrazyflieTelemetry(Link):
             )
         self._connection = Connection(uri)
         self._connection.on_lost.append(self._lose)
-        self._console: deque[str] = deque(maxlen=CONSOLE_LINES)
-        self._connection.on_console = self._console.append
         self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
         self._period_ms = self._asked_ms = 1000 // (rate_hz or MOST_HZ)
         self._measures = rate_hz == 0
@@ -183,8 +179,8 @@ class CrazyflieTelemetry(Link):
         assert loop is not None
         assert rows is not None
         while True:
-            while self._console:
-                self.emit("console", self._console.popleft())
+            for line in self._connection.console.take():
+                self.emit("console", line)
             while not self._arrival.is_set():
                 self._require_heard(loop.time())
                 try:
