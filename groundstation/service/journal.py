@@ -29,6 +29,7 @@ _WARNINGS = frozenset(
         "dead man",
         "stop",
         "deleted",
+        "held up",
         BEGAN,
     }
 )
