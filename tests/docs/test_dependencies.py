@@ -28,9 +28,20 @@ def test_every_dependency_has_a_version_that_is_installed():
         assert re.split(r"[<>=]", one)[0].lower().replace("_", "-") in fixed
 
 
-FACES_STRANGERS = frozenset(
-    """mcap zstandard lz4 pyarrow msgspec starlette uvicorn h11 prometheus_client cflib rosbags pyulog
-    distributed""".split()
+FACES_STRANGERS = (
+    "mcap",
+    "zstandard",
+    "lz4",
+    "pyarrow",
+    "msgspec",
+    "starlette",
+    "uvicorn",
+    "h11",
+    "prometheus_client",
+    "cflib",
+    "rosbags",
+    "pyulog",
+    "distributed",
 )
 """What takes apart requests, or packets and files of others."""
 
@@ -75,4 +86,4 @@ MODULES = {
 }
 """Package -> what it is imported as."""
 BROUGHT = frozenset({"dask", "fsspec", "llvmlite", "apsw"})
-"""Of these the program uses what belongs to distributed, numba and rosbags: without those, nothing."""
+"""Parts of what distributed, numba and rosbags are: used with those alone."""
