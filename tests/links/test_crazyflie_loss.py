@@ -152,10 +152,11 @@ def test_one_of_two_log_blocks_that_ceases_is_asked_for_again_on_the_same_connec
                 return False
 
             radio.loses = loses
-            while not asked:
-                await link.read()
-            while await link.read() is None:
-                pass
+            async with asyncio.timeout(20.0):
+                while not asked:
+                    await link.read()
+                while await link.read() is None:
+                    pass
             assert link._connection.craft is craft
             counts = link.sample_counts()
             assert counts is not None

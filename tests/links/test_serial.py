@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from eventually import until
 from flights import flight
 from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
 from one_flight import BRIDGES, OneFlight, require_same_on_this_machine
@@ -243,8 +244,7 @@ def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
     async def session():
         async with link:
             line.send(packets_of(5))
-            while not link._waiting:
-                await asyncio.sleep(0)
+            await until(lambda: link._waiting)
             line.close()
             got = await packets_read(link, 20)
             for _ in range(2):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eventually import PATIENCE_S
 from flights import (
     COPIES,
     START_NS,
@@ -269,8 +270,9 @@ def test_under_the_low_space_mark_the_file_is_finished_cleanly(small_disk, fault
     listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
     recorder = McapRecorder(path, METADATA, low_space_bytes=300_000, flush_s=0.01, on_fault=listen)
-    given = 0
+    given, deadline_s = 0, time.monotonic() + PATIENCE_S
     while not heard.is_set():
+        assert time.monotonic() < deadline_s, "the disk never filled up"
         record_flight(recorder, 100, first=given)
         given += 100
         heard.wait(0.01)
@@ -291,12 +293,15 @@ def test_a_full_disk_keeps_every_whole_chunk_and_says_so_once(small_disk, faults
     path = small_disk / "flight.mcap"
     recorder = McapRecorder(path, METADATA, low_space_bytes=0, flush_s=0.01, on_fault=listen)
     given = 0
+    deadline_s = time.monotonic() + PATIENCE_S
     while recorder.status().samples < 500:
+        assert time.monotonic() < deadline_s, "nothing was written"
         record_flight(recorder, 100, first=given)
         given += 100
         heard.wait(0.01)
     fill(small_disk / "something_else")
     while not heard.is_set():
+        assert time.monotonic() < deadline_s, "the full disk was never noticed"
         record_flight(recorder, 100, first=given)
         given += 100
         heard.wait(0.01)
@@ -497,7 +502,9 @@ def test_a_failing_sync_is_a_fault(path, faults, monkeypatch):
     listen, heard = fault_event(faults)
     recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
     record_flight(recorder, 100)
+    deadline_s = time.monotonic() + PATIENCE_S
     while not heard.is_set():
+        assert time.monotonic() < deadline_s, "the fault was never told"
         recorder.event({"time_ns": START_NS})
         heard.wait(0.01)
     assert recorder.finish().state == "failed"
