@@ -135,7 +135,13 @@ class Parts:
                     for one in self._schema()
                     if columns is None or one.name in columns or one.name == self._key
                 ]
+                if self._key not in there:
+                    raise pa.ArrowInvalid(f"it has no column {self._key!r}: not a part of this")
                 table = file.read([one.name for one in wanted if one.name in there])
+            known = pa.schema([one for one in wanted if one.name in there])
+            table = table.select(known.names).cast(known)
+            if table.column(self._key).null_count:
+                raise pa.ArrowInvalid(f"rows without {self._key!r}")
         except FileNotFoundError:
             raise
         except (OSError, pa.ArrowException) as error:

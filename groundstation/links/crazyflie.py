@@ -12,7 +12,7 @@ from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
-from groundstation.links.cflib_calls import resolve
+from groundstation.links.cflib_calls import newest_only, resolve
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
@@ -111,14 +111,10 @@ class CrazyflieLink(CommandLink):
         watched = [(name, listed[name]) for name in STATE if name in listed]
         if not watched or self._connection.protocol < TODAY:
             return
-        loop, self._told = asyncio.get_running_loop(), asyncio.Event()
-
-        def tell(values: dict[str, float]) -> None:
-            with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
-                loop.call_soon_threadsafe(self._take_state, Supervisor.of(values))
-
+        self._told = asyncio.Event()
+        tell = newest_only(asyncio.get_running_loop(), self._take_state)
         try:
-            await self._connection.blocks.watch(watched, tell)
+            await self._connection.blocks.watch(watched, lambda said: tell(Supervisor.of(said)))
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(FIRST_S):
                     await self._told.wait()

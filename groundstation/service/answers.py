@@ -141,12 +141,13 @@ class TaskStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """healthy, and why not. loop_lag_ms: worst delay of the event loop in a minute; what the
-    process uses."""
+    """healthy, and why not. loop_lag_ms: worst delay of the event loop in a minute; held_up_by: its
+    cause, empty below half a second; what the process uses."""
 
     healthy: bool
     problems: list[str]
     loop_lag_ms: float
+    held_up_by: str
     cpu_s: float
     memory_mb: float
     descriptors: int

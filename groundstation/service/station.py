@@ -139,7 +139,7 @@ class Station:
             show=self._show_twin,
         )
         self.supervisor = Supervisor(lambda text, name: self.journal.fault(text, source=name))
-        self.health = Health()
+        self.health = Health(self._noting("daemon"))
         listening = self.sessions.event, self.viewer.show_event, self.stream.event
         self.journal.listeners.extend(listening)
         self._recording_ended = False  # with a replay, not by an operator
@@ -239,7 +239,7 @@ class Station:
         await self.craft.switch(name, model)
         if self._recording_ended:
             self._recording_ended = False
-            await self.recordings.start()
+            await self.recordings.ensure()
 
     def reload(self) -> dict[str, list[str]]:
         """Take over what can be from the configuration: the keys that were, and those that need
@@ -288,7 +288,7 @@ class Station:
     async def _link_opened(self) -> None:
         self.craft.tell()
         if self.config.recording.enabled:
-            await self.recordings.start()
+            await self.recordings.ensure()  # an operator may have begun one before
 
     async def _linger(self) -> None:
         """The end of a replay: what there is to see stays on view until the operator stops."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eventually import PATIENCE_S
 from flights import (
     COPIES,
     START_NS,
@@ -29,8 +30,9 @@ from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_reader import read_mcap
 from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import session_metadata
+from groundstation.recording.recording_file import session_metadata, write_mcap
 from groundstation.recording.recover import recover
+from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import quaternion
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
 
@@ -361,6 +363,37 @@ def assert_holds_the_beginning(path, rows):
     assert "not finished" in recording.damage[0]
     assert_same_samples(recording.samples, flight(0, kept)[1])
     assert_same_packets(recording.raw, flight(0, len(recording.raw) // COPIES)[0])
+
+
+@pytest.mark.parametrize("left", [0, 1000])
+def test_a_file_that_another_program_cuts_is_a_fault_and_has_no_hole(path, faults, left):
+    """``> flight.mcap`` in a shell, say: what is written behind it would stand after zeros."""
+    raw, samples = flight(0, 500)
+    recorder = McapRecorder(path, METADATA, on_fault=faults.append, flush_s=0.02)
+    recorder.raw(raw)
+    recorder.samples(samples)
+    deadline_s = time.monotonic() + 20.0
+    while recorder.status().samples < 500:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    os.truncate(path, left)
+    while recorder.status().state == "recording":
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    recorder.finish()
+    assert faults == [f"{path}: recording stopped: another program cut the file to {left} bytes"]
+    assert path.stat().st_size == left
+
+
+def test_one_damage_in_a_converted_recording_costs_a_second_or_two(path):
+    _, samples = flight(0, 10_000)  # 20 s in one piece
+    write_mcap(Recording(path=path, kind="csv", samples=samples), path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    report = recover(path)
+    assert report.chunks_skipped == 1
+    assert 0.0 < report.seconds_lost < 3.0
 
 
 def test_a_removed_file_is_a_fault(path, faults):
