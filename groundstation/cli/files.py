@@ -213,6 +213,15 @@ def _packets_line(report: dict[str, Any]) -> str:
     return line
 
 
+def _renewed(report: dict[str, Any], channel: str) -> str:
+    """How often a channel's values are renewed, where that could be measured."""
+    from groundstation.recording.channels import CHANNELS
+
+    field = next(one.field for one in CHANNELS if one.name == channel)
+    hz = report["renewed_hz"].get(field)
+    return "" if hz is None else f"{hz:.4g}"
+
+
 def _print_report(report: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -242,11 +251,14 @@ def _print_report(report: dict[str, Any]) -> None:
         line = Text(f"{printable(name):<14}", "bold").append(printable(text), "not bold")
         console.print(line, highlight=False, soft_wrap=True)
     table = Table("channel", "unit", box=None, header_style="bold")
-    for heading in ("min", "mean", "max", "clipped"):
+    counted = [("clipped", report["clipping"]), ("missing", report["missing_values"])]
+    counted = [(name, counts) for name, counts in counted if counts]
+    for heading in ("min", "mean", "max", *(name for name, _ in counted), "new, Hz"):
         table.add_column(heading, justify="right")
     for name, values in report["ranges"].items():
         numbers = (f"{values[key]:.4g}" for key in ("min", "mean", "max"))
-        table.add_row(name, values["unit"], *numbers, str(report["clipping"].get(name, 0)))
+        counts = (str(those.get(name, 0)) for _, those in counted)
+        table.add_row(name, values["unit"], *numbers, *counts, _renewed(report, name))
     console.print(table)
     if report["missing"]:
         missing = ", ".join(report["missing"])

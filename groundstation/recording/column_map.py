@@ -15,7 +15,7 @@ from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.errors import BadInputError
 from groundstation.recording.craft_family import family_of
 from groundstation.recording.delimited import TextTable, open_table
-from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
+from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
 from groundstation.recording.map_document import (
     NAMED,
     UNITS,
@@ -26,6 +26,7 @@ from groundstation.recording.map_document import (
     Kind,
     load_column_map,
 )
+from groundstation.recording.row_order import ROWS_METADATA, in_order
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import SampleBatch, empty_samples
@@ -103,9 +104,12 @@ def mapped_recording(
 ) -> Recording:
     """What a map makes of a file: samples with their clock, tables from the columns that are kept
     (n, len(plan.kept)), and metadata. names: every column of the file."""
-    samples.segment[:] = segments_of(samples.ticks)
+    samples, order = in_order(samples, [kept])
+    kept = order.of(kept)
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, plan.tick_s, samples.segment)
     metadata = {"host_time": dict(SYNTHESISED), "column_map": plan.text}
+    if order.notes:
+        metadata[ROWS_METADATA] = order.notes
     if column_map.vehicle is not None:
         metadata["vehicle"] = {"profile": column_map.vehicle}
     elif column_map.family is not None:
