@@ -12,7 +12,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, DamagedRecordingError
+from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -71,6 +71,8 @@ def inspect(
     else:
         _print_report(report)
     _raise_damage(recording)
+    if not recording.being_written:
+        _require_samples(recording)
 
 
 def convert(
@@ -105,6 +107,8 @@ def convert(
     writer = writer_of(target, physical=physical, ros2_hz=ros2)
     require_new(target)
     recording = _open(source, columns)
+    if not recording.tables:
+        _require_samples(recording)
     if supply_v is not None:
         _give_supply(recording, supply_v)
     with _progress(f"writing {target}"):
@@ -182,6 +186,13 @@ def _warn_of_zeros(recording: Recording) -> None:
             "--physical leaves them out",
             error=True,
         )
+
+
+def _require_samples(recording: Recording) -> None:
+    """Raises RecordingError for a recording of nothing, once what there is has been told."""
+    if not len(recording.samples):
+        _raise_damage(recording)
+        raise RecordingError(f"{recording.path}: no samples, so there is nothing to judge or write")
 
 
 def _raise_damage(recording: Recording) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
 from groundstation.identification.supply_answer import at_the_rows_voltage
+from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -98,12 +99,13 @@ CHANNELS = tuple(f.name for f in fields(Run) if f.name not in SCALARS)
 def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[Run]:
     """The runs of a recording that last at least ``least_s`` seconds, in order of time.
 
-    A row with an impossible duty counts as lost. Raises BadInputError where no run is long enough,
+    A row with an impossible duty counts as lost, and rows that a host stamped stand where their
+    craft took them. Raises BadInputError where no run is long enough,
     or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
     start = float(samples.time_s[0]) if len(samples) else 0.0
-    samples = with_possible_duty(samples, label)
+    samples = on_even_grid(with_possible_duty(samples, label))
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]

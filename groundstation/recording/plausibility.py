@@ -7,14 +7,17 @@ the craft lies still or flies. Every format is judged alike, after it was read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import body_rates
+from groundstation.errors import BadInputError
 from groundstation.recording.channels import CHANNELS, Channel
+from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
 
@@ -44,6 +47,11 @@ KINDS = {
 }
 """By field. One cell nearly empty to fourteen full; gyros end at 2000 or 4000 deg/s, accelerometers
 at 2 to 32 g; the smallest rotors that fly stay below 80 000 rev/min. Yaw may count turns."""
+FITTED = ("battery_v", "duty", "gyro", "accelerometer", "rotor_rev_s")
+"""Fields that fits take."""
+REFUSED = 0.1
+"""Share of impossible samples from which a unit or a scale is wrong, and no fit is worth its while;
+fewer are spikes."""
 SLOWEST_HZ, FASTEST_HZ = 20.0, 10_000.0
 """Samples a second between which telemetry of a flight is: else the clock's unit is another."""
 MISSING = 0.02
@@ -70,6 +78,20 @@ IDLE, BARELY = 0.25, 0.05
 """Duty above which no motor idles on the ground, and below which none flies."""
 
 
+def require_possible(recording: Recording, fields: Collection[str] = FITTED) -> None:
+    """Raises BadInputError where much of what a fit needs cannot be: a unit or a scale is wrong."""
+    samples = recording.samples
+    ranges = {name: (one["min"], one["max"]) for name, one in ranges_of(samples)[0].items()}
+    for field in fields:
+        channels = [one for one in CHANNELS if one.field == field and one.name in ranges]
+        for count, line in _beyond(samples, KINDS[field], channels, ranges):
+            if count > REFUSED * len(samples):
+                raise BadInputError(
+                    f"{recording.path.name}: {line}; 'groundstation inspect' shows every channel,"
+                    " a column map says another unit"
+                )
+
+
 def impossible(
     samples: SampleBatch, known: dict[str, int], ranges: dict[str, tuple[float, float]]
 ) -> Iterator[str]:
@@ -77,7 +99,7 @@ def impossible(
     channel -> least and largest in its shown unit."""
     for field, kind in KINDS.items():
         channels = [one for one in CHANNELS if one.field == field and one.name in ranges]
-        yield from _beyond(samples, kind, channels, ranges)
+        yield from (line for _, line in _beyond(samples, kind, channels, ranges))
         absent = {one.name: len(samples) - known[one.name] for one in channels}
         for count in sorted(set(absent.values())):
             if count > MISSING * len(samples):
@@ -93,8 +115,8 @@ def _beyond(
     kind: Kind,
     channels: Sequence[Channel],
     ranges: dict[str, tuple[float, float]],
-) -> Iterator[str]:
-    """One line for the channels of a kind that hold what it cannot."""
+) -> Iterator[tuple[int, str]]:
+    """Samples in which channels of a kind hold what it cannot, and a line that says so."""
     rows = np.zeros(len(samples), np.bool_)
     worst, names = (0.0, 0.0, ""), []
     for channel in channels:
@@ -107,10 +129,31 @@ def _beyond(
             names.append(channel.name)
     if names:
         value = f"{worst[1]:.4g} {worst[2]}".removesuffix(" 1")
+        count = int(rows.sum())
         yield (
-            f"{', '.join(names)} up to {value}, which cannot be, in {int(rows.sum())} of"
-            f" {len(samples)} samples: check unit and scale"
+            count,
+            f"{', '.join(names)} up to {value}, which cannot be, in {count} of"
+            f" {len(samples)} samples: check unit and scale",
         )
+
+
+def ranges_of(samples: SampleBatch) -> tuple[dict[str, dict[str, Any]], dict[str, int]]:
+    """Least, largest and mean of each channel that is there, and in how many samples it is."""
+    ranges, known = {}, {}
+    for channel in CHANNELS:
+        values = channel.of(samples)
+        there = np.isfinite(values)
+        count = int(np.count_nonzero(there))
+        if count:
+            known[channel.name] = count
+            shown = (values if count == len(values) else values[there]).astype(np.float64)
+            ranges[channel.name] = {
+                "unit": channel.unit,
+                "min": float(shown.min()) * channel.scale,
+                "max": float(shown.max()) * channel.scale,
+                "mean": float(shown.mean()) * channel.scale,
+            }
+    return ranges, known
 
 
 def motionless(
@@ -268,4 +311,4 @@ def _idle(samples: SampleBatch, blocks: Sequence[SampleBatch]) -> Iterator[str]:
 def _flies(samples: SampleBatch) -> bool:
     """Whether it turns like nothing that stands on the ground."""
     moving = [np.sqrt(np.mean(one.gyro.astype(np.float64) ** 2)) for one in _blocks(samples)]
-    return bool(len(moving) and np.median(moving) > 4 * TURNS_RAD_S)
+    return bool(len(moving) and np.median(moving) > TURNS_RAD_S)

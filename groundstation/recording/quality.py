@@ -16,6 +16,7 @@ from groundstation.recording.plausibility import (
     contradictions,
     impossible,
     motionless,
+    ranges_of,
 )
 from groundstation.recording.row_order import ROWS_METADATA
 from groundstation.recording.session import Recording
@@ -75,7 +76,8 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     steps = row_steps(samples)
     changes = _changes(samples)
     held = _held(changes)
-    ranges, known = _ranges(samples)
+    ranges, known = ranges_of(samples)
+    rows = recording.metadata.get(ROWS_METADATA, {})
     raw_packets = _raw_packets(recording)
     segments = len(np.unique(samples.segment))
     duration_s = float(steps.step_s.sum()) + segments * steps.period_s
@@ -93,7 +95,8 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "gap_count": int(np.count_nonzero(steps.lost)),
         **_packet_counts(recording),
         "repeated_times": int(np.count_nonzero(steps.step_s == 0)),
-        "out_of_order": int(recording.metadata.get(ROWS_METADATA, {}).get("out_of_order", 0)),
+        "out_of_order": int(rows.get("out_of_order", 0)),
+        "row_copies": int(rows.get("copies", 0)),
         "clock": "host" if steps.by_host else "craft",
         "segments": segments,
         "clipping": _clipping(samples),
@@ -187,8 +190,8 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"a gap of {longest['duration_s']:.3g} s at {longest['start_s']:.3f} s"
     if report["out_of_order"]:
         yield f"{report['out_of_order']} samples were out of order, and sorted"
-    if report["duplicates"] and report["kind"] != "mcap":
-        yield f"{report['duplicates']} rows are copies of others, and left out"
+    if report["row_copies"]:
+        yield f"{report['row_copies']} rows were copies of others, and left out"
     if report["repeated_times"]:
         yield f"{report['repeated_times']} samples repeat the time of the one before"
     if report["segments"] > 1:
@@ -339,25 +342,6 @@ def _battery(samples: SampleBatch) -> dict[str, float] | None:
         "min_v": float(volts.min()),
         "max_v": float(volts.max()),
     }
-
-
-def _ranges(samples: SampleBatch) -> tuple[dict[str, dict[str, Any]], dict[str, int]]:
-    """Least, largest and mean of each channel that is there, and in how many samples it is."""
-    ranges, known = {}, {}
-    for channel in CHANNELS:
-        values = channel.of(samples)
-        there = np.isfinite(values)
-        count = int(np.count_nonzero(there))
-        if count:
-            known[channel.name] = count
-            shown = (values if count == len(values) else values[there]).astype(np.float64)
-            ranges[channel.name] = {
-                "unit": channel.unit,
-                "min": float(shown.min()) * channel.scale,
-                "max": float(shown.max()) * channel.scale,
-                "mean": float(shown.mean()) * channel.scale,
-            }
-    return ranges, known
 
 
 def _changes(samples: SampleBatch) -> dict[str, list[NDArray[np.intp]]]:
