@@ -26,7 +26,7 @@ TABLE_WIDTH = 72
 def _list_columns(asked: bool) -> None:
     if not asked:
         return
-    from groundstation.recording.column_map import NAMED, load_column_map
+    from groundstation.recording.map_document import NAMED, load_column_map
 
     for name, path in NAMED.items():
         show(f"{name:<16}{load_column_map(path).title}")

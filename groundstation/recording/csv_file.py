@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
 from groundstation.recording.channels import CHANNELS
-from groundstation.recording.column_map import map_of_header, read_mapped_csv
+from groundstation.recording.column_map import read_mapped_csv
 from groundstation.recording.delimited import Block, TextTable, open_table
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
+from groundstation.recording.map_plan import map_of_header
 from groundstation.recording.row_order import ROWS_METADATA, in_order, order_of
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import (

@@ -169,7 +169,8 @@ def motionless(
             others = [one for k, one in enumerate(parts) if k != index and len(one) > 1]
             if not len(rows) or not others:
                 continue
-            value = float(channel.of(samples)[rows[0]])
+            first = int(rows[0])
+            value = float(channel.of(samples)[first]) * channel.scale
             if len(rows) == 1:
                 if max(map(len, others)) > STUCK_ROWS:
                     yield f"{channel.name} is {value:g} throughout while the others change: dead?"

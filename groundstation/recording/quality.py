@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.recording.channels import CHANNELS, Channel
+from groundstation.recording.column_map import UNCLEAR_METADATA
 from groundstation.recording.device_time import SYNTHESISED
 from groundstation.recording.plausibility import (
     FASTEST_HZ,
@@ -120,6 +121,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
         "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
+        "unclear": dict(recording.metadata.get(UNCLEAR_METADATA, {})),
         "being_written": recording.being_written,
     }
     faults = [*_faults(report, samples), *_content(report, samples, changes, held)]
@@ -157,6 +159,7 @@ def _content(
         hz = report["renewed_hz"].get(name, np.inf)
         if held.get(name, 1.0) > HELD and hz < SETTINGS_HZ:
             yield f"{what} {hz:.3g} times a second in {1 / report['period_s']:.3g} samples"
+    yield from report["unclear"].values()
     yield from contradictions(samples)
 
 

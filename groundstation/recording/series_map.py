@@ -17,15 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.recording.column_map import (
-    NAMED,
-    Plan,
-    load_column_map,
-    map_of_series,
-    mapped_recording,
-    plan_of,
-    samples_of,
-)
+from groundstation.recording.column_map import mapped_recording, samples_of
+from groundstation.recording.map_document import NAMED, load_column_map
+from groundstation.recording.map_plan import Plan, map_of_series, plan_of
 from groundstation.recording.session import Recording
 
 

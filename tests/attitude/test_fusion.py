@@ -18,7 +18,9 @@ def turning(rows=2000, dps=5.0):
     return samples
 
 
-@pytest.mark.parametrize("unknown", [slice(0, 0), slice(0, 20), slice(900, 1000), slice(1990, 2000)])
+@pytest.mark.parametrize(
+    "unknown", [slice(0, 0), slice(0, 20), slice(900, 1000), slice(1990, 2000)]
+)
 def test_rows_without_angles_take_nothing_from_what_the_others_say(unknown):
     samples = turning()
     samples.attitude[unknown] = np.nan

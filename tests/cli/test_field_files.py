@@ -74,9 +74,7 @@ def test_motors_of_100_hz_in_rows_of_500_are_fitted_as_what_they_are(flight, tmp
 
 def test_motors_of_10_hz_are_refused_for_what_they_are(flight, tmp_path):
     slow = flight.duty[np.arange(len(flight)) // 50 * 50]
-    with pytest.raises(
-        BadInputError, match=r"set to is renewed 10 times a second in 500"
-    ):
+    with pytest.raises(BadInputError, match=r"set to is renewed 10 times a second in 500"):
         fit_body(written(tmp_path / "slow.csv", flight, duty=slow), tmp_path)
 
 

@@ -60,7 +60,9 @@ def test_a_prediction_worse_than_the_mean_is_said_and_one_of_twice_its_error_is_
     assert [len(one) for one in judged(validation=percents)] == [0, 1]
     percents["accelerometer_z_fit_percent"] = -751.0
     (reason,), _ = judged(validation=percents)
-    assert "accelerometer z on unseen data is predicted worse than by its mean (fit -751 %)" in reason
+    assert (
+        "accelerometer z on unseen data is predicted worse than by its mean (fit -751 %)" in reason
+    )
     rotors = [{"recording": "a", "rotor_fit_percent": -120.0, "rotor_rms_rev_s": 9.0}]
     (reason,), _ = judged(validation=rotors)
     assert "rotor speed of a" in reason

@@ -17,6 +17,7 @@ from programs import run_program
 
 from groundstation.errors import BadInputError
 from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recording_file import write_mcap
 
 GROUNDSTATION = Path(sys.executable).parent / "groundstation"
@@ -101,11 +102,39 @@ def test_a_file_of_a_bag_reads_like_its_folder(flight, tmp_path):
         assert np.array_equal(open_recording(file).samples.gyro, whole.samples.gyro)
 
 
-def test_pulses_look_like_dshot_and_are_read_where_they_are_asked_for(flight, tmp_path):
+def test_pulses_that_never_rest_may_be_dshot_and_are_asked_for(flight, tmp_path):
     write_betaflight(tmp_path / "log.csv", flight, pwm=True)
-    pulses = open_recording(tmp_path / "log.csv", column_map="betaflight_pwm").samples
-    assert np.abs(pulses.duty - flight.duty).max() < 1e-3
-    assert np.abs(open_recording(tmp_path / "log.csv").samples.duty - flight.duty).max() > 0.1
+    pulses = open_recording(tmp_path / "log.csv", column_map="betaflight_pwm")
+    assert np.abs(pulses.samples.duty - flight.duty).max() < 1e-3
+    assert "may be" not in inspect_recording(pulses)["verdict"]
+    unclear = open_recording(tmp_path / "log.csv")
+    assert np.abs(unclear.samples.duty - flight.duty).max() > 0.1
+    assert "may be dshot or pwm-us" in inspect_recording(unclear)["verdict"]
+
+
+@pytest.mark.parametrize("pwm", [False, True])
+def test_motors_that_rest_tell_pulses_from_dshot(pwm, flight, tmp_path):
+    flight = flight[:400]
+    flight.duty[:200] = 0.0
+    write_betaflight(tmp_path / "log.csv", flight, pwm=pwm)
+    found = open_recording(tmp_path / "log.csv")
+    assert np.abs(found.samples.duty - flight.duty).max() < 1e-3
+    assert found.metadata["column_map"]["duty.m1"].endswith("pwm-us" if pwm else "dshot")
+    assert "unclear" not in found.metadata
+
+
+@pytest.mark.parametrize("limits", ["48,2047", "1000,2000"])
+def test_what_the_explorer_says_before_its_header_holds(limits, flight, tmp_path):
+    low = 1000 if limits.startswith("1000") else 48
+    write_betaflight(tmp_path / "log.csv", flight, pwm=low == 1000)
+    header, *rows = (tmp_path / "log.csv").read_text().splitlines()
+    names = [one.strip().partition(" (")[0] for one in header.split(",")]
+    said = ['"Product","Blackbox"', '"acc_1G","1024"', f'"motorOutput","{limits}"']
+    lines = [*said, ",".join(f'"{name}"' for name in names), *rows]
+    (tmp_path / "explorer.csv").write_text("\n".join(lines))
+    found = open_recording(tmp_path / "explorer.csv").samples
+    assert np.abs(found.duty - flight.duty).max() < 1e-3
+    assert found.accelerometer[:, 2] == pytest.approx(2 * flight.accelerometer[:, 2], abs=0.006)
 
 
 def test_one_log_block_alone_is_read_for_what_it_has(flight, tmp_path):
