@@ -52,7 +52,10 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
         raise BadInputError(f"{path}: a CSV file, and {source} is a map of {column_map.kind} files")
     table = open_table(path, column_map.skip)
     plan = plan_of(column_map, map_path, called(table.names), said_by(table, str(source) in NAMED))
-    places = [_place(table, channel, map_path) for channel in (*plan.channels, *plan.kept)]
+    places = [
+        place_of(path, table.names, table.width, one, map_path)
+        for one in (*plan.channels, *plan.kept)
+    ]
     batches: list[SampleBatch] = []
     rest = [np.empty((0, len(plan.kept)))]
     unclear: dict[str, str] = {}
@@ -126,37 +129,40 @@ def _tables(
     return tables
 
 
-def _place(table: TextTable, channel: Channel, map_path: Path) -> int:
-    """Position in a row of the column that a channel names."""
+def place_of(path: Path, names: Sequence[str], width: int, channel: Channel, map_path: Path) -> int:
+    """Position in a row of the column that a channel names. names: of the file's columns, empty
+    without a header. width: how many there are.
+
+    Raises BadInputError where there is no such column, or more than one.
+    """
     if isinstance(channel.column, int):
-        if channel.column > table.width:
+        if channel.column > width:
             raise BadInputError(
-                f"{map_path}: {channel.key}.column is {channel.column}, but {table.path} has "
-                f"{table.width} columns"
+                f"{map_path}: {channel.key}.column is {channel.column}, but {path} has "
+                f"{width} columns"
             )
         return channel.column - 1
-    names = table.names
-    if channel.column not in names:
-        names = [base_name(one)[0] for one in names]
-    found = names.count(channel.column)
+    given = list(names)
+    if channel.column not in given:
+        given = [base_name(one)[0] for one in given]
+    found = given.count(channel.column)
     if found == 1:
-        return names.index(channel.column)
+        return given.index(channel.column)
     if found > 1:
         raise BadInputError(
-            f"{table.path}: {found} columns are named {channel.column!r} "
+            f"{path}: {found} columns are named {channel.column!r} "
             f"({channel.key} in {map_path}); give the column's number instead"
         )
-    if not table.names:
+    if not names:
         raise BadInputError(
-            f"{table.path}: no header line, so {channel.key}.column in {map_path} must be a number"
+            f"{path}: no header line, so {channel.key}.column in {map_path} must be a number"
         )
-    near = difflib.get_close_matches(channel.column, table.names, n=1)
+    near = difflib.get_close_matches(channel.column, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise BadInputError(
-        f"{table.path}: no column {channel.column!r} ({channel.key} in {map_path}){hint}"
-    )
+    raise BadInputError(f"{path}: no column {channel.column!r} ({channel.key} in {map_path}){hint}")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # beyond what a channel holds is no value
 def samples_of(
     plan: Plan,
     values: NDArray[np.float64],

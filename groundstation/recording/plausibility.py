@@ -191,6 +191,7 @@ def motionless(
                 )
 
 
+@np.errstate(all="ignore")  # values of nonsense have been told, and count for nothing here
 def contradictions(samples: SampleBatch) -> list[str]:
     """What is measured twice and does not agree, on ``BLOCKS`` of a recording."""
     blocks = list(_blocks(samples))

@@ -47,7 +47,12 @@ def read_ulog(path: Path, source: str | Path | None = None) -> Recording:
         series.append(Series(name, time_ns[order], columns))
     damage = ["the log is damaged; what was in order was read"] if log.file_corruption else []
     damage += _dropped([int(one.duration) for one in log.dropouts])
-    return read_mapped_series(path, "ulog", series, source, damage)
+    parameters = {
+        name: float(value)
+        for name, value in log.initial_parameters.items()
+        if isinstance(value, (int, float))
+    }
+    return read_mapped_series(path, "ulog", series, source, damage, parameters=parameters)
 
 
 def _dropped(durations_ms: list[int]) -> list[str]:
