@@ -26,7 +26,7 @@ from groundstation.identification.runs import (
     uninterrupted,
     with_possible_duty,
 )
-from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, rows_held
+from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, slower_than_rows
 from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
@@ -107,8 +107,8 @@ def renewal_notes(samples: SampleBatch, name: str) -> list[str]:
 def _slowest(samples: SampleBatch) -> tuple[str, float]:
     """The slower of what drives a flight and the gyro, and how many rows its values stand."""
     driven = "rotor_rev_s" if np.isfinite(samples.rotor_rev_s).any() else "duty"
-    found = {name: rows_held(renewals(getattr(samples, name))) for name in (driven, "gyro")}
-    return max(found.items(), key=lambda one: np.nan_to_num(one[1], nan=1.0))
+    found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in (driven, "gyro")}
+    return max(found.items(), key=lambda one: one[1])
 
 
 def flights_of_each(

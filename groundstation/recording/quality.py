@@ -29,7 +29,14 @@ from groundstation.telemetry.packet import (
     STANDARD_GRAVITY,
     TICK_S,
 )
-from groundstation.telemetry.renewal import FIELDS, HELD, SETTINGS_HZ, renewals, rows_held
+from groundstation.telemetry.renewal import (
+    FIELDS,
+    HELD,
+    SETTINGS_HZ,
+    renewals,
+    rows_held,
+    slower_than_rows,
+)
 from groundstation.telemetry.row_clock import RowSteps, row_steps
 from groundstation.telemetry.samples import SampleBatch
 
@@ -76,7 +83,8 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     samples = recording.samples
     steps = row_steps(samples)
     changes = _changes(samples)
-    held = _held(changes)
+    renewed = _together(changes)
+    held = {name: rows_held(rows) for name, rows in renewed.items()}
     ranges, known = ranges_of(samples)
     rows = recording.metadata.get(ROWS_METADATA, {})
     raw_packets = _raw_packets(recording)
@@ -111,7 +119,9 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
             name: len(samples) - count for name, count in known.items() if count < len(samples)
         },
         "renewed_hz": {
-            name: 1 / (rows * steps.period_s) for name, rows in held.items() if steps.period_s > 0
+            name: 1 / (hold * steps.period_s)
+            for name, hold in held.items()
+            if steps.period_s > 0 and np.isfinite(hold)
         },
         "missing": [
             channel.name
@@ -124,7 +134,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "unclear": dict(recording.metadata.get(UNCLEAR_METADATA, {})),
         "being_written": recording.being_written,
     }
-    faults = [*_faults(report, samples), *_content(report, samples, changes, held)]
+    faults = [*_faults(report, samples), *_content(report, samples, changes, renewed)]
     verdict = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
     report["verdict"] = f"being recorded, so far {verdict}" if recording.being_written else verdict
     return report
@@ -140,7 +150,7 @@ def _content(
     report: dict[str, Any],
     samples: SampleBatch,
     changes: Mapping[str, Sequence[NDArray[np.intp]]],
-    held: Mapping[str, float],
+    renewed: Mapping[str, NDArray[np.intp]],
 ) -> Iterator[str]:
     """What cannot be in the numbers themselves, or does not agree with the rest."""
     if report["samples"] < FEW:
@@ -157,7 +167,7 @@ def _content(
     yield from motionless(samples, report["period_s"], changes)
     for name, what in RENEWED.items():
         hz = report["renewed_hz"].get(name, np.inf)
-        if held.get(name, 1.0) > HELD and hz < SETTINGS_HZ:
+        if hz < SETTINGS_HZ and slower_than_rows(renewed[name]) > HELD:
             yield f"{what} {hz:.3g} times a second in {1 / report['period_s']:.3g} samples"
     yield from report["unclear"].values()
     yield from contradictions(samples)
@@ -357,12 +367,7 @@ def _changes(samples: SampleBatch) -> dict[str, list[NDArray[np.intp]]]:
     return found
 
 
-def _held(changes: Mapping[str, Sequence[NDArray[np.intp]]]) -> dict[str, float]:
-    """Field -> mean rows that its values stand."""
-    found = {}
-    for name, parts in changes.items():
-        busy = [one for one in parts if len(one)]
-        rows = rows_held(np.unique(np.concatenate(busy))) if busy else float("nan")
-        if np.isfinite(rows):
-            found[name] = rows
-    return found
+def _together(changes: Mapping[str, Sequence[NDArray[np.intp]]]) -> dict[str, NDArray[np.intp]]:
+    """Field -> rows at which any of its channels has a new value."""
+    busy = {name: [one for one in parts if len(one)] for name, parts in changes.items()}
+    return {name: np.unique(np.concatenate(parts)) for name, parts in busy.items() if parts}

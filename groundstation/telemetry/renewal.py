@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.telemetry.samples import SampleBatch
-
 FIELDS = ("battery_v", "duty", "gyro", "accelerometer", "attitude", "rotor_rev_s")
 PAUSE = 4.0
 """Times the usual distance between two changes from which a channel rests and is not slow."""
@@ -20,6 +18,8 @@ LEAST_CHANGES = 8
 SETTINGS_HZ = 400.0
 """Below it a channel that is renewed more slowly than its rows lacks something: controllers set the
 motors 500 times a second."""
+EVEN, EVEN_SHARE = 0.25, 0.6
+"""Share of a hold by which distances of changes may differ, and share of them that do not."""
 HELD = 1.5
 """Mean rows that a value stands from which the rows are faster than the channel."""
 
@@ -48,7 +48,12 @@ def rows_held(rows: NDArray[np.intp]) -> float:
     return float(apart[apart <= PAUSE * np.median(apart)].mean())
 
 
-def held(samples: SampleBatch) -> dict[str, float]:
-    """Field -> mean number of rows that a value stands; those whose changes tell."""
-    found = {name: rows_held(renewals(getattr(samples, name))) for name in FIELDS}
-    return {name: rows for name, rows in found.items() if np.isfinite(rows)}
+def slower_than_rows(rows: NDArray[np.intp]) -> float:
+    """The same where a source is slower than the rows that repeat it, else 1: then its values stand
+    for nearly equal numbers of rows; what changes now and then does not."""
+    apart = np.diff(rows)
+    hold = rows_held(rows)
+    if not hold > HELD:
+        return 1.0
+    even = np.abs(apart - np.median(apart)) <= max(1.0, EVEN * hold)
+    return hold if even.mean() > EVEN_SHARE else 1.0

@@ -111,8 +111,7 @@ def test_any_log_of_px4(tmp_path_factory, data):
     width = {"float[3] gyro_rad": 12, "float x": 4, "int32_t[4] q": 16, "float[12] control": 48}
     text = ";".join(["uint64_t timestamp", *fields]) + ";"
     size = 8 + sum(width[one] for one in fields)
-    for name in topics:
-        out.append(message("F", f"{name}:{text}".encode()))
+    out += [message("F", f"{name}:{text}".encode()) for name in topics]
     for number, name in enumerate(topics):
         out.append(message("A", struct.pack("<BH", 0, number) + name.encode()))
     for _ in range(data.draw(st.integers(0, 6)) if topics else 0):
