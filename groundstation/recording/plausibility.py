@@ -7,7 +7,7 @@ the craft lies still or flies. Every format is judged alike, after it was read.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from groundstation.errors import BadInputError
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from groundstation.telemetry.renewal import renewals
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ STUCK_S, STUCK_ROWS, OTHERS_MOVE = 0.5, 50, 0.2
 others of its kind change."""
 RESTS, FULL = 0.01, 0.99
 """Duties at which a motor may stand for long: off, and saturated."""
-BLOCKS, BLOCK_ROWS = 24, 1500
+BLOCKS, BLOCK_ROWS = 16, 1500
 """Samples that redundancy is judged on: blocks spread evenly over a recording."""
 WINDOW_S = 0.04
 """Between two attitudes whose difference is a rate: above the noise of their last digit."""
@@ -156,14 +157,14 @@ def ranges_of(samples: SampleBatch) -> tuple[dict[str, dict[str, Any]], dict[str
     return ranges, known
 
 
-def motionless(
-    samples: SampleBatch, period_s: float, changes: Mapping[str, Sequence[NDArray[np.intp]]]
-) -> Iterator[str]:
-    """Channels that keep one value while others of their kind change. changes: field -> rows at
-    which each of its channels has a new value."""
-    for field, parts in changes.items():
-        if not KINDS[field].moves or len(parts) < 2:
+def motionless(samples: SampleBatch, period_s: float) -> Iterator[str]:
+    """Channels that keep one value while others of their kind change."""
+    least = max(STUCK_ROWS, round(STUCK_S / max(period_s, 1e-6)))
+    for field, kind in KINDS.items():
+        values = getattr(samples, field)
+        if not kind.moves or not _stands(values, least):
             continue
+        parts = [renewals(values[:, k]) for k in range(values.shape[1])]
         channels = [one for one in CHANNELS if one.field == field]
         for index, (channel, rows) in enumerate(zip(channels, parts, strict=True)):
             others = [one for k, one in enumerate(parts) if k != index and len(one) > 1]
@@ -179,9 +180,7 @@ def motionless(
             place = int(np.argmax(apart))
             first, long = int(rows[place]), int(apart[place])
             value = float(channel.of(samples)[first])
-            if long < max(STUCK_ROWS, STUCK_S / max(period_s, 1e-9)) or (
-                field == "duty" and not RESTS < value < FULL
-            ):
+            if long < least or (field == "duty" and not RESTS < value < FULL):
                 continue
             moved = min(np.count_nonzero((one >= first) & (one < first + long)) for one in others)
             if moved > OTHERS_MOVE * long:
@@ -189,6 +188,13 @@ def motionless(
                     f"{channel.name} is stuck for {long} samples from number {first + 1} on, while"
                     " the others change"
                 )
+
+
+def _stands(values: NDArray[np.float32], least: int) -> bool:
+    """Whether any of the channels (n, k) may keep a value for ``least`` rows, by a few of them."""
+    few = values[:: max(1, min(least, len(values) // 8) // 4)]
+    same = few[1:] == few[:-1]
+    return bool((same[2:] & same[1:-1] & same[:-2]).any())
 
 
 @np.errstate(all="ignore")  # values of nonsense have been told, and count for nothing here

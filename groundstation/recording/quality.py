@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,8 @@ from groundstation.telemetry.samples import SampleBatch
 
 GAPS_LISTED = 100
 """The report lists this many of the longest gaps; ``gap_count`` counts all."""
+RENEWAL_ROWS = 100_000
+"""Samples by which it is measured how often channels are renewed."""
 LOSS_TOLERATED = 0.01
 GAP_TOLERATED_S = 0.05
 FEW = 10
@@ -82,8 +84,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     """
     samples = recording.samples
     steps = row_steps(samples)
-    changes = _changes(samples)
-    renewed = _together(changes)
+    renewed = _renewed(samples)
     held = {name: rows_held(rows) for name, rows in renewed.items()}
     ranges, known = ranges_of(samples)
     rows = recording.metadata.get(ROWS_METADATA, {})
@@ -134,7 +135,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "unclear": dict(recording.metadata.get(UNCLEAR_METADATA, {})),
         "being_written": recording.being_written,
     }
-    faults = [*_faults(report, samples), *_content(report, samples, changes, renewed)]
+    faults = [*_faults(report, samples), *_content(report, samples, renewed)]
     verdict = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
     report["verdict"] = f"being recorded, so far {verdict}" if recording.being_written else verdict
     return report
@@ -149,7 +150,6 @@ def _grade(report: dict[str, Any], faults: list[str]) -> str:
 def _content(
     report: dict[str, Any],
     samples: SampleBatch,
-    changes: Mapping[str, Sequence[NDArray[np.intp]]],
     renewed: Mapping[str, NDArray[np.intp]],
 ) -> Iterator[str]:
     """What cannot be in the numbers themselves, or does not agree with the rest."""
@@ -164,7 +164,7 @@ def _content(
     ranges = {name: (one["min"], one["max"]) for name, one in report["ranges"].items()}
     known = {name: len(samples) - report["missing_values"].get(name, 0) for name in ranges}
     yield from impossible(samples, known, ranges)
-    yield from motionless(samples, report["period_s"], changes)
+    yield from motionless(samples, report["period_s"])
     for name, what in RENEWED.items():
         hz = report["renewed_hz"].get(name, np.inf)
         if hz < SETTINGS_HZ and slower_than_rows(renewed[name]) > HELD:
@@ -357,17 +357,16 @@ def _battery(samples: SampleBatch) -> dict[str, float] | None:
     }
 
 
-def _changes(samples: SampleBatch) -> dict[str, list[NDArray[np.intp]]]:
-    """Field -> rows at which each of its channels has a new value, none where it is not there."""
+def _renewed(samples: SampleBatch) -> dict[str, NDArray[np.intp]]:
+    """Field -> rows with a new value, of at most ``RENEWAL_ROWS`` in the middle of a recording."""
+    first = max(0, (len(samples) - RENEWAL_ROWS) // 2)
+    middle = slice(first, first + RENEWAL_ROWS)
     found = {}
     for name in FIELDS:
-        values = getattr(samples, name)
-        parts = values[:, None] if values.ndim == 1 else values
-        found[name] = [renewals(parts[:, k]) for k in range(parts.shape[1])]
+        values = getattr(samples, name)[middle]
+        if values.ndim > 1:  # a channel that is not there at all hides no other
+            values = values[:, np.isfinite(values).any(axis=0)]
+        rows = renewals(values) if values.size else np.empty(0, np.intp)
+        if len(rows):
+            found[name] = rows
     return found
-
-
-def _together(changes: Mapping[str, Sequence[NDArray[np.intp]]]) -> dict[str, NDArray[np.intp]]:
-    """Field -> rows at which any of its channels has a new value."""
-    busy = {name: [one for one in parts if len(one)] for name, parts in changes.items()}
-    return {name: np.unique(np.concatenate(parts)) for name, parts in busy.items() if parts}

@@ -53,7 +53,7 @@ def slower_than_rows(rows: NDArray[np.intp]) -> float:
     for nearly equal numbers of rows; what changes now and then does not."""
     apart = np.diff(rows)
     hold = rows_held(rows)
-    if not hold > HELD:
-        return 1.0
+    if not hold > HELD or np.median(apart) < 2.0:
+        return 1.0  # in most places new in every row
     even = np.abs(apart - np.median(apart)) <= max(1.0, EVEN * hold)
     return hold if even.mean() > EVEN_SHARE else 1.0
