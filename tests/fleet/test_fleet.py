@@ -162,21 +162,15 @@ def test_a_flight_that_is_too_short_is_left_out_by_name_and_the_others_are_searc
     assert any("short.mcap" in words and "left out" in words for words in told["warnings"])
 
 
-def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sound):
+def test_the_page_says_effects_and_what_is_otherwise_since_a_date(sound):
     folder, row = sound
-    (folder / "found.json").write_text(row["model"])
-    watched = answer_here(folder, "twin", "one", "--model", "found.json", "--workers", "1")
-    assert watched["watched"] == FLIGHTS
-    told = answer_here(folder, "twin", "one", "--model", "thesis", "--workers", "1")
-    assert (told["watched"], told["disagreeing"]) == (FLIGHTS, FLIGHTS)
     report = answer_here(
         folder, "report", "one", "--compare-before", "2026-01-06", "--html", "one.html"
     )
     assert [one["craft"] for one in report["effects"]] == [row["craft"]]
-    assert len(report["twin"]) == FLIGHTS
     assert set(report["to_fly"]) <= {row["craft"]}
     page = (folder / "one.html").read_text()
-    for heading in ("Effects", "Beside the model", "Before and after 2026-01-06"):
+    for heading in ("Effects", "Before and after 2026-01-06"):
         assert f">{heading}</h2>" in page
     refused = fleet(folder, "report", "one", "--compare-before", "yesterday")
     assert "not a date" in require_failure(refused)
