@@ -22,10 +22,7 @@ from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from groundstation.control.pid import PidGains
-    from groundstation.dynamics.model import Model
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -54,12 +51,6 @@ def evaluate(
     firmware: str | None = FIRMWARE,
     attitude: str | None = ATTITUDE,
     seconds: float = typer.Option(1.5, help="Window of the step response."),
-    inputs: Path | None = typer.Option(
-        None,
-        "--inputs",
-        help="Whole loop: a joystick instead of steps, a recorded flight or a CSV of time_s,"
-        " roll_deg, pitch_deg, yaw_deg, and if wanted thrust (0..1) and battery_v.",
-    ),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -99,9 +90,6 @@ def evaluate(
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
     loaded = fitted_model(model, attitude=chosen != "firmware" and attitude != "body")
     loaded, turning = turned_model(loaded, attitude, chosen == "firmware")
-    if inputs is not None:
-        _evaluate_inputs(loaded, given, chosen, inputs, delay, html, as_json, model)
-        return
     release = release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
@@ -115,46 +103,6 @@ def evaluate(
         return
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
         show(line)
-    say_written(html)
-
-
-def _evaluate_inputs(
-    loaded: Model,
-    gains: Mapping[str, PidGains] | Mapping[str, float],
-    loop: str,
-    inputs: Path,
-    delay: int | None,
-    html: Path | None,
-    as_json: bool,
-    name: str,
-) -> None:
-    from groundstation.cli.model_files import open_one
-    from groundstation.control.joystick import follow, joystick_of_recording, load_joystick
-    from groundstation.control.pid import PidGains
-    from groundstation.control.whole_report import inputs_page
-
-    by_axis = {axis: g for axis, g in gains.items() if isinstance(g, PidGains)}
-    if loop != "whole" or not by_axis:
-        raise BadInputError("--inputs: a joystick flies --loop whole with gains by axis")
-    sticks = (
-        load_joystick(inputs)
-        if inputs.suffix == ".csv"
-        else joystick_of_recording(open_one(inputs))
-    )
-    followed = follow(loaded, by_axis, sticks, delay)
-    if html is not None:
-        inputs_page(followed, ", ".join(by_axis), name).write(html)
-    told = followed.as_dict()
-    if as_json:
-        show_json({"loop": loop, "model": name, **told})
-        return
-    low, high = told["battery_v"]
-    show(
-        f"{told['inputs']}: {told['seconds']:.1f} s, battery {low:.2f} to {high:.2f} V, motors at a"
-        f" stop {told['at_stops_pct']:.1f} % of it"
-    )
-    for axis, one in told["axes"].items():
-        show(f"{axis}: RMS error {one['rms_deg']:.2f} deg, largest {one['largest_deg']:.2f} deg")
     say_written(html)
 
 
