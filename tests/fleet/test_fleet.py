@@ -13,6 +13,7 @@ from installed import COMMAND, require_failure
 from programs import run_program
 from typer.testing import CliRunner
 
+from bench.fleet import make
 from groundstation.cli.app import app
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -56,7 +57,7 @@ def fits(catalogue):
 def flown(tmp_path_factory):
     """A folder with ``flights`` of four crafts, two of which change, and ``truth.json``."""
     folder = tmp_path_factory.mktemp("fleet")
-    command = [sys.executable, "-m", "firmware_sim.fleet", "--crafts", CRAFTS, "--flights", FLIGHTS]
+    command = [sys.executable, make.__file__, "--crafts", CRAFTS, "--flights", FLIGHTS]
     command += ["--for", 16, "--seed", 0, "--wear", 2, "-o", "flights", "--truth", "truth.json"]
     done = run_program([str(one) for one in command], cwd=folder, timeout=PATIENCE_S)
     assert done.returncode == 0, done
@@ -186,8 +187,7 @@ def test_a_report_of_what_is_not_fitted_says_what_to_do(flown, tmp_path):
 def test_the_truth_never_lies_among_the_recordings_and_nothing_is_overwritten(flown):
     command = [
         sys.executable,
-        "-m",
-        "firmware_sim.fleet",
+        make.__file__,
         "-o",
         "others",
         "--truth",
@@ -196,6 +196,6 @@ def test_the_truth_never_lies_among_the_recordings_and_nothing_is_overwritten(fl
     done = run_program(command, cwd=flown)
     assert done.returncode == 1
     assert "must not lie among the recordings" in done.stderr
-    again = run_program([*command[:3], "-o", "flights"], cwd=flown)
+    again = run_program([*command[:2], "-o", "flights"], cwd=flown)
     assert again.returncode == 1
     assert "flights: exists already" in again.stderr
