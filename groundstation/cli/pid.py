@@ -76,7 +76,11 @@ def evaluate(
     if html is not None:
         require_new(html)
     if thesis:
-        _evaluate_thesis(delay, html, as_json)
+        if html is not None:
+            raise BadInputError(
+                "--thesis: its figures are drawn by 'groundstation thesis -o FOLDER'"
+            )
+        _evaluate_thesis(delay, as_json)
         return
     if not 0.1 <= seconds <= 60.0:
         raise BadInputError(f"--seconds {seconds}: must be 0.1..60")
@@ -106,31 +110,16 @@ def evaluate(
     say_written(html)
 
 
-def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
-    import numpy as np
-
-    from groundstation.control.linear_loop import run_direct
-    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
+def _evaluate_thesis(delay: int | None, as_json: bool) -> None:
+    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_rows
     from groundstation.control.thesis_tables import (
         DELAYS,
         FINDING,
-        GAINS,
         printed_cases,
-        printed_plant,
-        window_s,
     )
 
     delays = DELAYS if delay is None else (delay,)
     cases = printed_cases(delays)
-    if html is not None:
-        responses = {}
-        for case in cases:
-            plant = printed_plant(case.axis, case.delay)
-            rows = round(window_s(case.axis) / plant.ts)
-            gains = GAINS[case.controller][case.axis.split(",")[0]]
-            key = case.controller, case.axis, case.delay
-            responses[key] = run_direct(plant, gains, np.ones(rows)).y
-        thesis_page(cases, responses).write(html)
     if as_json:
         show_json(
             {
@@ -160,4 +149,3 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         show(line)
     show()
     show(FINDING)
-    say_written(html)
