@@ -20,7 +20,6 @@ SCHEDULER = typer.Option(
 VEHICLE = typer.Option(
     None, "--vehicle", help="Profile of all crafts (default: what each recording says)."
 )
-RERUN = typer.Option(None, "--rerun", help="Write crafts and their trends to this new .rrd.")
 CATALOGUE = typer.Argument(metavar="CATALOGUE", help="The folder that fleet index made.")
 
 
@@ -180,7 +179,6 @@ def report(
         None, "--compare-before", metavar="DATE", help="Did it help: all crafts before and since."
     ),
     html: Path | None = HTML,
-    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Say what changed since when, which craft differs from the others, and what to fly next.
@@ -198,8 +196,8 @@ def report(
     from groundstation.fleet.report_sections import to_fly
     from groundstation.fleet.search import effects_table
 
-    for new in filter(None, (html, rerun)):
-        require_new(new)
+    if html is not None:
+        require_new(html)
     date = None if compare_before is None else parse_date(compare_before)
     columns = ("craft", "begun", "state", "reason", "reader", "sha256", *PERCENT.values())
     recordings = recordings_of(catalogue, columns)
@@ -217,10 +215,6 @@ def report(
 
         more = More(effects, expected, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
-    if rerun is not None:
-        from groundstation.fleet.rrd import write_rrd
-
-        write_rrd(fleet, effects, catalogue.name, rerun)
     if as_json:
         known = {"effects": list(effects.values())}
         compared = None if date is None else [asdict(one) for one in since]
@@ -243,4 +237,4 @@ def report(
         show(f"  {craft} lacks {', '.join(row['effects'] or ()) or 'nothing that has a name'}")
     for craft, lines in needed.items():
         show(f"  to fly with {craft}: {'; '.join(lines)}")
-    say_written(html, rerun)
+    say_written(html)
