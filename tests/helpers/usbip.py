@@ -1,5 +1,9 @@
 """The bridge on a USB bus over USB/IP: attached to this machine's kernel, or served on TCP.
 
+    python tests/helpers/usbip.py vhci|HOST:PORT [--settings FILE]
+
+flies the software craft behind it until Ctrl-C.
+
 The kernel's virtual host controller (``modprobe vhci-hcd``) then has a real device, which every
 USB program sees. Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, all fields
 big-endian.
@@ -7,14 +11,20 @@ big-endian.
 
 from __future__ import annotations
 
+import argparse
 import errno
 import select
+import signal
 import socket
 import struct
+import sys
 import time
 from pathlib import Path
 
-from firmware_sim.usb_device import Completion, UsbBridge
+from usb_device import Completion, UsbBridge
+
+from firmware_sim.craft import StandIn
+from firmware_sim.settings import StandInSettings, load_settings
 from groundstation.telemetry.bridge_usb import PRODUCT_ID, VENDOR_ID
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
@@ -29,6 +39,28 @@ _SUBMIT, _UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _HEADER_BYTES = 48
 _ISO_BYTES = 16
 _PORT_FREE = "004"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Returns 0, or 1 after one line on stderr."""
+    parser = argparse.ArgumentParser(prog="python tests/helpers/usbip.py", description=__doc__)
+    parser.add_argument("where", metavar="vhci|HOST:PORT")
+    parser.add_argument("--settings", type=Path, help="of the craft (docs/stand_in.md)")
+    options = parser.parse_args(arguments)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        for sign in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(sign, lambda *_: ours.send(b"x"))
+        try:
+            settings = load_settings(options.settings) if options.settings else StandInSettings()
+            craft = StandIn(settings)
+            craft.advance(0.0)  # compiles on a machine's first run; what is announced answers
+            print(f"USB bridge on {options.where}", flush=True)
+            run(UsbBridge(craft), options.where, theirs)
+        except (ValueError, OSError) as error:
+            print(f"usbip: {error}", file=sys.stderr)
+            return 1
+    return 0
 
 
 class UsbIpSession:
@@ -122,7 +154,7 @@ def run(bridge: UsbBridge, where: str, stop: socket.socket) -> None:
         return
     host, _, port = where.rpartition(":")
     if not host or not port.isdigit() or int(port) > 65535:
-        raise ValueError(f"--usb {where}: give vhci, or HOST:PORT (usually 127.0.0.1:{PORT})")
+        raise ValueError(f"{where}: give vhci, or HOST:PORT (usually 127.0.0.1:{PORT})")
     with socket.create_server((host, int(port))) as listener:
         serve_tcp(bridge, listener, stop)
 
@@ -238,3 +270,7 @@ def _exactly(connection: socket.socket, size: int) -> bytes:
             raise ConnectionError("the host left during the greeting")
         data += more
     return data
+
+
+if __name__ == "__main__":
+    sys.exit(main())

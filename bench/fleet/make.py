@@ -1,4 +1,4 @@
-"""``python -m firmware_sim.fleet``: flights of many crafts, some of which wear, age or crash.
+"""``python -m bench.fleet.make``: flights of many crafts, some of which wear, age or crash.
 
 Crafts are drawn from a population; what becomes of one is written to a file apart, never into a
 recording. Flights are in folders by craft, named as the daemon names them.
@@ -29,7 +29,7 @@ from groundstation.telemetry.packet import Packets
 from groundstation.text import printable
 
 EXAMPLE = """example:
-  python -m firmware_sim.fleet --crafts 4 --flights 12 --for 30 -o flights --truth sealed.json
+  python -m bench.fleet.make --crafts 4 --flights 12 --for 30 -o flights --truth sealed.json
 """
 FIRST = datetime(2026, 1, 5, 9, tzinfo=UTC)
 BETWEEN = timedelta(hours=7)
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
                 json.dump([asdict(one) for one in fates], file, indent=1)
         _fly_all(options, crafts, fates)
     except (ValueError, OSError) as error:
-        print(f"firmware_sim: {printable(str(error))}", file=sys.stderr)
+        print(f"bench.fleet.make: {printable(str(error))}", file=sys.stderr)
         return 1
     print(f"{options.output}: {options.flights} flights each of {options.crafts} crafts")
     return 0
@@ -74,7 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m firmware_sim.fleet",
+        prog="python -m bench.fleet.make",
         description="Flights of many crafts, some of which wear, age or crash.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
