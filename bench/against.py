@@ -60,9 +60,8 @@ except ImportError:  # where it stood before
 from groundstation.dynamics.model import load_model
 from groundstation.recording.open_recording import open_recording
 folder = Path(sys.argv[1])
-flights, held = ([run for path in sorted(folder.glob(pattern))
-                  for run in flights_of(open_recording(path).samples, path.name)]
-                 for pattern in ("fit*.mcap", "validate.mcap"))
+flights = [run for path in sorted(folder.glob("fit*.mcap"))
+           for run in flights_of(open_recording(path).samples, path.name)]
 marks = {}
 
 
@@ -73,7 +72,7 @@ def progress(what, share):
         raise SystemExit
 
 
-find_effects(flights, load_model(folder / "model.json"), held, progress=progress)
+find_effects(flights, load_model(folder / "model.json"), progress=progress)
 print(time.process_time() - marks["screening"])  # nothing was worth a fit
 """
 

@@ -31,11 +31,10 @@ from groundstation.identification.recordings import flights_of
 from groundstation.dynamics.model import load_model
 from groundstation.recording.open_recording import open_recording
 folder = Path(sys.argv[1])
-flights, held = ([run for path in sorted(folder.glob(pattern))
-                  for run in flights_of(open_recording(path).samples, path.name)]
-                 for pattern in ("fit*.mcap", "validate.mcap"))
+flights = [run for path in sorted(folder.glob("fit*.mcap"))
+           for run in flights_of(open_recording(path).samples, path.name)]
 marks = {}
-find_effects(flights, load_model(folder / "model.json"), held,
+find_effects(flights, load_model(folder / "model.json"),
              progress=lambda what, share: marks.setdefault(what.split()[0], time.perf_counter()))
 print(marks["fitting"] - marks["screening"])
 """

@@ -65,13 +65,14 @@ def names_alone(arguments: list[str]) -> None:
     from groundstation.identification.recordings import flights_of
     from groundstation.recording.open_recording import open_recording
 
-    at = {key: arguments.index(key) for key in ("--model", "--validate", "--json")}
+    at = {key: arguments.index(key) for key in ("--model", "--json")}
     given = {key: Path(arguments[place + 1]) for key, place in at.items()}
-    fit_on, held = (
-        [run for path in paths for run in flights_of(open_recording(path).samples, path.name)]
-        for paths in (map(Path, arguments[1 : at["--model"]]), [given["--validate"]])
-    )
-    found = find_effects(fit_on, load_model(given["--model"]), held)
+    fit_on = [
+        run
+        for path in map(Path, arguments[1 : at["--model"]])
+        for run in flights_of(open_recording(path).samples, path.name)
+    ]
+    found = find_effects(fit_on, load_model(given["--model"]))
     effects = [
         {
             "name": effect.name,

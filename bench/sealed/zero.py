@@ -51,11 +51,12 @@ def _estimates(folder: Path) -> dict[str, float]:
     from groundstation.identification.recordings import flights_of
     from groundstation.recording.open_recording import open_recording
 
-    flights, held = (
-        [run for path in sorted(folder.glob(p)) for run in flights_of(open_recording(path).samples)]
-        for p in ("fit*.mcap", "validate.mcap")
-    )
-    findings = find_effects(flights, load_model(folder / "model.json"), held)
+    flights = [
+        run
+        for path in sorted(folder.glob("fit*.mcap"))
+        for run in flights_of(open_recording(path).samples)
+    ]
+    findings = find_effects(flights, load_model(folder / "model.json"))
     out = {}
     for one in findings.candidates:
         for key, estimate in one.parameters.items():

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from groundstation.identification.likelihood.parameters import Variant
 
 VALIDATE = typer.Option(
-    None, "--validate", help="Recordings that no fit sees (default: a third of each REC)."
+    None,
+    "--validate",
+    help="Recordings that are the proof and decide nothing (default: a third of each REC).",
 )
 OUTPUT = typer.Option(None, "-o", "--output", help="Write the improved model to this new file.")
 EFFECTS = typer.Option(
@@ -73,13 +75,12 @@ def discrepancy(
     effects: Path | None = EFFECTS,
     stretch: list[str] | None = STRETCH,
     marked: bool = MARKED,
-    seed: int = typer.Option(0, min=0, help="Of whatever the search draws."),
     output: Path | None = OUTPUT,
     json: Path | None = JSON,
     html: Path | None = HTML,
     rerun: Path | None = RERUN,
 ) -> None:
-    """Find which physical effects a model is missing, add them, and prove it on held-out flights.
+    """Find which physical effects a model is missing, add them, and prove it on other flights.
 
     Example: [bold]groundstation discrepancy flight1.mcap flight2.mcap --model body.json
     --validate flight3.mcap -o improved.json --html report.html[/bold]
@@ -113,7 +114,6 @@ def discrepancy(
             recordings=[path.name for path in recordings],
             validation=[path.name for path in validate] if validate else found.held_out,
             model=model,
-            seed=seed,
             created_by=f"groundstation {__version__}",
         )
         _write(files, found, report)
@@ -195,6 +195,8 @@ def _say(report: DiscrepancyReport) -> None:
         "unexplained": "unexplained: something acts that no effect in the list describes",
     }[report.verdict]
     show(verdict)
+    if report.explained is not None:
+        show(report.explained.words(report.disturbance))
     for change in report.base_changes:
         show(f"changed: {change.words}")
     for effect in report.effects:

@@ -36,8 +36,8 @@ LEAST_T = 4.5
 LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
 """The same as a drop of -2 log L for one parameter, and the quantile's growth with each more."""
 LEAST_HELD_OUT = 3.0
-"""Drop of -2 log L on held-out rows: more than chance gives (95 % of chi-squared with one degree
-of freedom is 3.8, for a size that is not fitted to them half of it)."""
+"""Drop of -2 log L on flights that are left out: more than chance gives (95 % of chi-squared with
+one degree of freedom is 3.8, for a size that is not fitted to them half of it)."""
 BEYOND_SHARE = 0.5
 """Where rows do not show every setting of the motors: most of what an effect explains has to be
 more than the others can do."""
@@ -66,7 +66,7 @@ class Stage(Enum):
     FITTED = auto()
     """It has been fitted jointly with what was accepted."""
     WEIGHED = auto()
-    """Its evidence has been gathered, on held-out rows too."""
+    """Its evidence has been gathered, on flights that are left out too."""
     JOINED = auto()
     """Another effect has joined since."""
     STABLE = auto()
@@ -77,8 +77,6 @@ class Stage(Enum):
     """Nothing leaves any more, and no fit comes after."""
     NAMED = auto()
     """The last one."""
-    FOLLOWED = auto()
-    """An observer follows it, and held-out rows have been predicted with that."""
 
 
 @dataclass(slots=True)
@@ -89,7 +87,7 @@ class Trial:
     best: (gain, name) of the strongest plausible candidate of the same turn. tried: whether this
     very set of effects was accepted before. removal: what -2 log L gains when it leaves. slow:
     channel -> structure that nothing explains, in -2 log L. predicted: share of the squared excess
-    of held-out predictions over noise that goes with it. open_s: delay that the rows leave open.
+    of predictions over noise that goes with it. open_s: delay that the rows leave open.
     """
 
     variant: Variant
@@ -109,15 +107,13 @@ class Trial:
 class Lasting:
     """An effect that noise drives, on its way through its gates.
 
-    t: standard errors of the surest channel, or of all together. drop: of -2 log L. predicted:
-    share of the squared excess of held-out predictions over noise that goes with it.
+    t: standard errors of the surest channel, or of all together. drop: of -2 log L.
     """
 
     effect: Effect
     parameters: Mapping[str, Estimate]
     t: float
     drop: float
-    predicted: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +121,8 @@ class Shaken:
     """A rotor that shakes the craft, on its way through its gates.
 
     t: standard errors by which its power is above none; alone: by which it is above that of the
-    three others together. drop: of -2 log L of the windows' spectra. held_out: the same on held-out
-    rows with this size, infinite where there are none; expected: what this size would drop there.
-    recordings: standard errors and share by which one flight tells another size. channels: that
-    show it.
+    three others together. drop: of -2 log L of the windows' spectra. recordings: standard errors
+    and share by which one flight tells another size. channels: that show it.
     """
 
     effect: Effect
@@ -136,8 +130,6 @@ class Shaken:
     t: float
     drop: float
     alone: float
-    held_out: float
-    expected: float
     recordings: tuple[float, float]
     channels: tuple[int, ...]
 
@@ -192,10 +184,10 @@ def insignificant(trial: Trial) -> str:
 
 
 def not_held_out(trial: Trial) -> str:
-    """Rows that no fit saw are not predicted better, one row ahead."""
+    """Flights that its size was not taken from are not explained better."""
     evidence = _evidence(trial)
     enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)
-    return "" if enough else "does not predict held-out rows better"
+    return "" if enough else "flights that its size was not taken from are not explained better"
 
 
 def unseen_settings(trial: Trial) -> str:
@@ -276,14 +268,6 @@ def implausible_spread(found: Lasting | Shaken) -> str:
     return f"not plausible: {_in_words(found.parameters)}"
 
 
-def predicts_little(lasting: Lasting) -> str:
-    """Following it hardly helps to predict."""
-    if lasting.predicted >= PREDICTED_SHARE:
-        return ""
-    percent = 100.0 * max(lasting.predicted, 0.0)
-    return f"explains {percent:.0f} % of what is wrong in predictions"
-
-
 def shakes_no_more(shaken: Shaken) -> str:
     """Every propeller is a little out of balance."""
     if shaken.alone >= LEAST_T:
@@ -292,12 +276,6 @@ def shakes_no_more(shaken: Shaken) -> str:
         f"{_in_words(shaken.parameters)} shakes most, but not clearly more than the three others"
         f" together: {shaken.alone:.1f} standard errors"
     )
-
-
-def shakes_fitted_rows(shaken: Shaken) -> str:
-    """Rows that no fit saw do not shake as it says."""
-    enough = shaken.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * shaken.expected)
-    return "" if enough else "held-out rows do not show it"
 
 
 def flights_disagree(shaken: Shaken) -> str:
@@ -326,14 +304,11 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
 LASTING_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Lasting], str]], ...] = (
     ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
-    ((Stage.FOLLOWED,), Reason.IMPLAUSIBLE, implausible_spread),
-    ((Stage.FOLLOWED,), Reason.DROWNED, predicts_little),
 )
 """The same for what noise drives."""
 SHAKEN_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Shaken], str]], ...] = (
     ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
     ((Stage.WEIGHED,), Reason.NOT_ALONE, shakes_no_more),
-    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, shakes_fitted_rows),
     ((Stage.WEIGHED,), Reason.RECORDINGS_DISAGREE, flights_disagree),
     ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible_spread),
 )

@@ -67,7 +67,7 @@ def drop_drowned(search: SearchState) -> Leftover:
     It stays in the fit: a centre of gravity that sits elsewhere in each flight, left out, took
     a third of the moment of velocity and a tenth of c1 with it on real flights.
     """
-    left, slow = leftover(search.problem, search.now, search.validation)
+    left, slow = leftover(search.problem, search.now)
     for one in list(search.accepted):
         trial = Trial(one.variant, evidence=one.evidence, slow=slow)
         why = refusal(Stage.LEFT, trial)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from groundstation.discrepancy.acceptance import KEEP, LEAST_HELD_OUT
+from groundstation.discrepancy.evidence import cross_validated
 from groundstation.discrepancy.findings import BaseChange
 from groundstation.discrepancy.screening import removal_cost
 from groundstation.dynamics.registry import ROTORS_TURN_BY
@@ -51,12 +52,13 @@ def groups(start: Point, known: Sequence[Group]) -> list[Group]:
 
 
 def not_improved(
-    problem: Problem, free: Fit, every: Sequence[Group], validation: Sequence[Flight]
+    problem: Problem, free: Fit, every: Sequence[Group], folds: Sequence[Flight]
 ) -> tuple[set[str], Point]:
     """The constants that these data do not improve, and where the others move without them.
 
     One stays as it was given where going back costs as little as an effect that leaves, or where
-    held-out rows are predicted no better with the change. free: the joint fit.
+    flights that the change was not taken from are explained no better with it (``folds``: each left
+    out once). free: the joint fit.
     """
     held: set[str] = set()
     rest, left = free, list(every)
@@ -67,14 +69,13 @@ def not_improved(
         rest = _gone_back(rest, group, problem.start)
         held.update(group)
         left.remove(group)
-    if validation:
-        changed, _, _ = problem.cost(rest.point, validation)
-        for group in left:
-            back = _gone_back(rest, group, problem.start)
-            given, _, _ = problem.cost(back.point, validation)
-            if given - changed < LEAST_HELD_OUT:
-                rest, changed = back, given
-                held.update(group)
+    for group in left if folds else ():
+        linear = problem.linear(rest.point, rest.keys, folds)
+        away = np.array([rest.point[k] - problem.start.get(k, absent(k)) for k in group])
+        gain, _ = cross_validated(problem, linear, group, away)
+        if gain < LEAST_HELD_OUT:
+            rest = _gone_back(rest, group, problem.start)
+            held.update(group)
     return held, rest.point
 
 

@@ -17,27 +17,25 @@ from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
     Alternative,
     Candidate,
-    ChannelResidual,
     Findings,
     FoundEffect,
     NotShown,
     Verdict,
 )
 from groundstation.discrepancy.imbalance import with_imbalance
-from groundstation.discrepancy.judge import Judge, beside_what_is_slow, to_follow
-from groundstation.discrepancy.proof import HeldOut, Predictions, Proof, prove
+from groundstation.discrepancy.judge import Judge, to_follow
+from groundstation.discrepancy.proof import LEFT, FittedRows, Predictions, Proof, bare, prove
 from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.second_way import or_with_given_constants
-from groundstation.discrepancy.slow_disturbance import Slow, with_wind
+from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
 from groundstation.discrepancy.usable import still_there, usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
-from groundstation.identification.division import hold_out
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import in_plane_hz
 from groundstation.identification.likelihood.parameters import (
@@ -64,6 +62,8 @@ AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
+LEAST_EXPLAINED = 0.1
+"""Of the given model's squared excess over noise: what explains less of it explains nothing."""
 HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 
@@ -72,7 +72,7 @@ HARDLY_MOVED = 0.5
 class Discrepancy:
     """What a model is missing, with the proof.
 
-    held_out: which rows no fit saw, in words; empty where whole recordings were given for it.
+    held_out: which samples are the proof, in words; empty where whole recordings were given for it.
     stretches: those that were asked for, with the given and the improved model on their recordings.
     """
 
@@ -92,24 +92,25 @@ def find_discrepancy(
     left_out: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Discrepancy:
-    """Find, name and add what ``model`` is missing, and prove it on rows that no fit saw.
+    """Find, name and add what ``model`` is missing, and prove it on samples that decided nothing.
 
-    recordings: the runs of each (``recordings.flights_of``). validation: recordings that no fit
-    sees; none: parts of the others (``division``). own: effects of the user's own as further
-    candidates. asked: stretches to look at. left_out: what of the recordings has no runs, in words
-    (``recordings.flights_of_each``).
+    recordings: the runs of each (``recordings.flights_of``). validation: recordings that are the
+    proof, and touch neither names nor sizes; none: parts of the others (``division``). own: effects
+    of the user's own as further candidates. asked: stretches to look at. left_out: what of the
+    recordings has no runs, in words (``recordings.flights_of_each``).
 
     Raises BadInputError where no recording has gyro, PWM and battery voltage, no flight, no motion,
     or where the model is of another craft.
     """
     report: Progress = progress or (lambda what, share: None)
     report("comparing", 0.05)
+    model = bare(model)  # what is slow is another on every day
     (recordings, validation), unused = usable((recordings, validation), model)
     asked, not_shown = still_there(asked, (recordings, validation))
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
     black_box = train.before.black_box
-    judged = HeldOut(compare(parts.judged, model, black_box))
+    proof_rows = Predictions(compare(parts.judged, model, black_box))
     names = {one.recording for one in asked}
     runs = [run for part in (*recordings, *validation) for run in part if run.name in names]
     given = compare(runs, model, black_box) if runs else None
@@ -120,17 +121,20 @@ def find_discrepancy(
     findings = find_effects(
         parts.fit_on,
         model,
-        parts.held_out,
-        judged=judged,
-        train=train,
+        judged=FittedRows(train.before, EVERY_S),
         own=own,
         progress=lambda what, share: report(what, 0.1 + 0.7 * max(share, 0.0)),
     )
-    report("proving it on held-out rows", 0.8)
-    driven = {**train.before.warnings, **judged.before.warnings}
+    report("proving it", 0.8)
+    driven = {**train.before.warnings, **proof_rows.before.warnings}
     said = (*left_out, *unused, *not_shown, *driven.values(), *findings.warnings)
-    findings = replace(findings, warnings=said)
-    findings, proof = prove(findings, train, judged)
+    findings = replace(
+        findings,
+        given=with_disturbance(model, train.before),
+        model=with_disturbance(findings.model, train.of(findings.model)),
+        warnings=said,
+    )
+    findings, proof = prove(findings, train, proof_rows)
     looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     if given is not None:
         better = given.with_model(findings.model)
@@ -141,44 +145,50 @@ def find_discrepancy(
 def find_effects(
     flights: Sequence[Run],
     model: Model,
-    validation: Sequence[Run] | None = None,
     *,
-    judged: HeldOut | None = None,
-    train: Predictions | None = None,
+    judged: FittedRows | None = None,
     own: Sequence[Variant] = (),
     progress: Progress | None = None,
 ) -> Findings:
     """Find, name and fit the effects that ``model`` is missing in ``flights``.
 
-    flights: to fit on; rows that were lost may be NaN (see ``recordings.flights_of``).
-    validation: rows that no fit sees; None: the last third of the flights. judged: the given model
-    on these rows; what makes its predictions worse is taken back. train: the same on the flights,
-    so that what is slow there is followed and may get its name; None: it is not. own: effects of
-    the user's own as further candidates.
+    flights: rows that were lost may be NaN (see ``recordings.flights_of``); each of them is left
+    out once, and has to agree with what the others say. judged: the given model's predictions of
+    them; what makes these worse is taken back; None: they are not asked. own: effects of the user's
+    own as further candidates.
 
     Raises BadInputError where there is no gyro, no flight, no motion, or the model is of another
     craft.
     """
     report: Progress = progress or (lambda what, share: None)
-    if validation is None:
-        flights, validation = hold_out(flights)
     report("preparing the flights", 0.0)
-    fit_on, held = prepare(flights), prepare(validation)
+    fit_on = prepare(flights)
     if judged is None:  # or else the comparison has asked
-        require_consistent([*flights, *validation], model)
+        require_consistent(list(flights), model)
 
     def found(steady: Collection[str]) -> Findings:
-        return _searched(fit_on, held, model, judged, train, own, report, steady)
+        return _searched(fit_on, model, judged, own, report, steady)
 
-    return or_with_given_constants(found, judged, report)
+    best = or_with_given_constants(found, judged, report)
+    return best if judged is None else replace(best, verdict=_verdict(best, judged))
+
+
+def _verdict(findings: Findings, judged: FittedRows) -> Verdict:
+    """Unexplained where predictions leave more than noise, and what was found explains hardly any
+    of it; no name is asked where nothing was left."""
+    given, found = judged.before.gap, judged.judge(findings.model).gap
+    if given <= LEFT or findings.verdict is Verdict.UNEXPLAINED:
+        return findings.verdict
+    explained = (given**2 - found**2) / (given**2 - 1.0)
+    if explained < LEAST_EXPLAINED or (not findings.effects and found > LEFT):
+        return Verdict.UNEXPLAINED
+    return findings.verdict
 
 
 def _searched(
     fit_on: Sequence[Flight],
-    held: Sequence[Flight],
     model: Model,
-    judged: HeldOut | None,
-    train: Predictions | None,
+    judged: FittedRows | None,
     own: Sequence[Variant],
     report: Progress,
     steady: Collection[str],
@@ -189,7 +199,7 @@ def _searched(
     every_own = joined(theirs, own)
     problem = Problem(fit_on, model, start, every_own)
     problem.settle_filters()
-    lost = _lost([*fit_on, *held])
+    lost = _lost(fit_on)
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
     known += theirs
     there = {v.effect for v in known}
@@ -198,7 +208,7 @@ def _searched(
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
-    search = SearchState(problem, held, known, candidates, report, steady)
+    search = SearchState(problem, known, candidates, report, steady)
     given = tuple(key for variant in known for key in variant.keys)
     tried = [*candidates, *(one for one in RENAMES if one not in known)]
 
@@ -206,25 +216,17 @@ def _searched(
         keys = (*given, *(key for one in tried for key in one.keys if key in point))
         return model_of(point, {}, keys, model, every_own)
 
-    def ended(judge: Judge | None) -> Findings:
-        end = search.copy()
-        if judge is not None:
-            end.judge, end.raises_plainly = judge, judge.raises_plainly
-        outcome = with_sensor_lag(concluded(end), end.problem, held)
-        warnings = _require_told(outcome, end.problem)
-        found = _findings(outcome, end.problem, held, model, known, lost, warnings)
-        return with_imbalance(found, end.problem, held, outcome.final.point)
-
     plain = search.judge = None if judged is None else Judge(judged, model_at)
     search_effects(search)
-    if judged is None or train is None:
-        return ended(plain)
-
-    def followed(slow: Slow | None) -> Findings:
-        return with_wind(ended(Judge(judged, model_at, slow)), train, judged)
-
-    slow = to_follow(train.of(model_at(search.named_point(search.now.point))))
-    return beside_what_is_slow(followed, slow, judged)
+    if judged is not None:
+        slow = to_follow(judged.of(model_at(search.named_point(search.now.point))))
+        search.judge = plain = Judge(judged, model_at, slow)
+    if plain is not None:
+        search.raises_plainly = plain.raises_plainly
+    outcome = with_sensor_lag(concluded(search), problem, search.folds)
+    warnings = _require_told(outcome, problem)
+    found = _findings(outcome, problem, model, known, lost, warnings)
+    return with_imbalance(found, problem, outcome.final.point)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:
@@ -264,7 +266,6 @@ def _require_told(outcome: Outcome, problem: Problem) -> list[str]:
 def _findings(
     outcome: Outcome,
     problem: Problem,
-    held: Sequence[Flight],
     model: Model,
     known: Sequence[Variant],
     lost: dict[str, str],
@@ -305,6 +306,7 @@ def _findings(
         verdict=verdict,
         effects=tuple(effects),
         base=model,
+        given=model,
         moved=model_of(final.point, errors, given, model, problem.frame.own),
         base_changes=base_changes(
             problem, final, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
@@ -313,7 +315,6 @@ def _findings(
         candidates=_candidates(outcome),
         not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
         lost=lost,
-        channels=_channels(problem, outcome, held),
         residual=residual,
         warnings=tuple(warnings),
     )
@@ -393,31 +394,3 @@ def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown
                     NotShown(effect.name, name, error, unknown.worth, unit, effect.excited_by)
                 )
     return found
-
-
-def _channels(
-    problem: Problem, outcome: Outcome, held: Sequence[Flight]
-) -> dict[str, ChannelResidual]:
-    """Whitened RMS on held-out rows (fitted ones where nothing was held out)."""
-    rows = held or problem.flights
-    _, before, freedom = problem.cost(problem.start, rows)
-    _, after, _ = problem.cost(outcome.final.point, rows)
-    floor = _saturated(problem, outcome, rows)
-    return {
-        CHANNELS[c]: ChannelResidual(
-            *(float(np.sqrt(part[c] / freedom[c])) for part in (before, after, floor))
-        )
-        for c in sorted(freedom)
-    }
-
-
-def _saturated(problem: Problem, outcome: Outcome, rows: Sequence[Flight]) -> dict[int, float]:
-    """Whitened power of each channel with every effect at once, as fitted to the fitted rows."""
-    change = outcome.last.best()
-    linear = problem.linear(outcome.last.point, outcome.last.linear.keys, rows)
-    power: dict[int, float] = {}
-    for s in linear.spectra:
-        left = s.residual - change[s.place] @ s.columns
-        own = float((s.weight / problem.noise[s.channel].at(s.hz) * left**2).sum())
-        power[s.channel] = power.get(s.channel, 0.0) + own
-    return power

@@ -1,36 +1,32 @@
-"""What speaks for one effect: likelihood, held-out rows, blocks of time, channels, recordings."""
+"""What speaks for one effect: likelihood, flights left out, blocks of time, channels, parts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.discrepancy.screening import sizes_at
-from groundstation.dynamics.registry import DELAY
+from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen_delay_s
 from groundstation.identification.estimate import inverse
-from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.free_spectra import reweighted, smoothed
+from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import BODY_KEYS, Variant, value
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.likelihood.spectra import Noise, Spectrum, quadratic
-from groundstation.identification.speed_noise import tells_up_to_hz
 
 Array = NDArray[np.float64]
 
 BLOCK_S = 1.0
 """Longer than any residual is correlated once it is whitened."""
 HELD_OUT_SHARE = 0.2
-"""Of what an effect promises on held-out rows, the least that they have to gain: it may be of
-another size there, and then gains nothing at half of it."""
-LATE_SHARE = 0.4
-"""Of a fitted delay, what held-out flights have of their own at least: a sensor's clock starts at
-any phase, so flights of one craft are up to a period more or less late (1.5 to 3.5 ms, the 1.0)."""
+"""Of what an effect promises on flights that are left out, the least that they have to gain: it
+may be of another size there, and then gains nothing at half of it."""
 INFORMED = 0.05
 """Least share of Fisher information for the homogeneity test: where an effect hardly shows, a
 small fault of a strong one looks like a disagreement."""
@@ -44,19 +40,16 @@ LEAST_INFORMATION = 9.0
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """drop: of -2 log L in the fit, the prior included; held_out: of that of held-out rows,
-    expected: what it is there, on average, for an effect of the fitted size (a flight may hardly do
-    what shows in another, and what was known before the flights promises nothing). information: of
-    held-out rows on the size, relative to the fitted one. t: by blocks.
-    parts: (flight, channel) -> size relative to the joint fit, and its standard error. gap:
-    whitened RMS on held-out rows before and after, over the channels it touches. recordings: names
-    by number of the flight. beyond: what it does (drop of -2 log L) more than settings of the
+    """drop: of -2 log L in the fit, the prior included; held_out: of that of flights that its size
+    was not taken from, each left out once, expected: what it is there for an effect of the fitted
+    size. t: by blocks. parts: (flight, channel) -> size relative to the joint fit, and its standard
+    error. gap: whitened RMS before and after, over the channels it touches. recordings: names by
+    number of the flight. beyond: what it does (drop of -2 log L) more than settings of the
     motors that no row shows can do; infinite where rows show all of them."""
 
     drop: float
     held_out: float
     expected: float
-    information: float
     t: float
     parts: dict[tuple[int, int], tuple[float, float]]
     gap: tuple[float, float]
@@ -75,8 +68,6 @@ class Evidence:
             weight = sum(error**-2 for _, error in parts)
             found[key] = sum(size * error**-2 for size, error in parts) / weight, weight
         every = sum(weight for _, weight in found.values())
-        if by == 0:  # flights that no fit saw may know it by far better
-            every += self.information
         return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
 
     def spread(self, by: int) -> list[tuple[float, float]]:
@@ -101,107 +92,99 @@ class Evidence:
 
 def gather(
     problem: Problem,
-    validation: Sequence[Flight],
+    folds: Sequence[Flight],
     before: Fit,
     after: Fit,
     variant: Variant,
     away: Linear | None = None,
 ) -> Evidence:
-    """What speaks for a variant: ``before`` and ``after`` it joined. away: held-out rows as the fit
-    before leaves them, where they have been evaluated."""
-    held, expected, information = 0.0, 0.0, 0.0
-    gap, drop = (1.0, 1.0), before.cost - after.cost
+    """What speaks for a variant: ``before`` and ``after`` it joined. folds: flights each of which
+    is left out once (``folds_of``). away: fitted flights as the fit before leaves them, where they
+    have been evaluated."""
+    drop = before.cost - after.cost
     linear = problem.linear(after.point, after.keys, problem.flights)
     channels = touched(problem, linear, variant)
-    if validation:
-        if away is None:
-            away = problem.linear(before.point, (), validation)
-        near = problem.linear(after.point, (), validation)
-        one, own, freedom = problem.cost_of(away)
-        other, better, _ = problem.cost_of(near)
-        held, expected = one - other, problem.apart(away, near)
-        information = expected
-        if held < HELD_OUT_SHARE * expected:
-            free = problem.linear(after.point, BODY_KEYS, validation)
-            held, expected = beside_own_constants(away, free, problem.noise)
-            information = expected
-        if held < HELD_OUT_SHARE * expected and variant.keys == (DELAY,):
-            late = problem.linear(after.point, (*BODY_KEYS, DELAY), validation)
-            if own_value(late, problem.noise, DELAY) >= LATE_SHARE * value(after.point, DELAY):
-                held, expected = beside_own_constants(away, late, problem.noise)
-        if held < HELD_OUT_SHARE * expected:
-            held, expected = by_own_noise(away, where_speeds_tell(free, validation))
-        count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
-        gap = (
-            float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
-            float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
+    if away is None:
+        away = problem.linear(before.point, (), problem.flights)
+    _, own, freedom = problem.cost_of(away)
+    _, better, _ = problem.cost_of(_residuals(linear))
+    count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
+    gap = (
+        float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
+        float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
+    )
+    held, expected = drop, drop
+    if folds:
+        alike = all(one is other for one, other in zip(folds, problem.flights, strict=False))
+        there = linear if alike else problem.linear(after.point, after.keys, folds)
+        held, expected = cross_validated(
+            problem, there, variant.keys, sizes_at(variant, after.point)
         )
     effect = separated(problem, linear, variant)
     t, parts = by_parts(problem, effect)
     names = tuple(flight.run.name for flight in problem.flights)
     beyond = beyond_unseen(problem, effect)
-    return Evidence(drop, held, expected, information, t, parts, gap, channels, names, beyond)
+    return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
 
 
-def beside_own_constants(
-    away: Linear, near: Linear, noises: Mapping[int, Noise]
+def folds_of(flights: Sequence[Flight]) -> list[Flight]:
+    """What is left out one by one: each flight, or the thirds of one that is alone; none where
+    these are too short to tell anything."""
+    if len(flights) > 1:
+        return list(flights)
+    (flight,) = flights
+    ends = np.linspace(flight.first, flight.last, 4).astype(int).tolist()
+    parts = [flight.run[a:b] for a, b in pairwise(ends)]
+    try:
+        found = [one for part in parts for one in prepare([part])]
+    except BadInputError:
+        return []
+    return found if len(found) > 1 else []
+
+
+def cross_validated(
+    problem: Problem, linear: Linear, keys: Sequence[str], sizes: Array
 ) -> tuple[float, float]:
-    """What -2 log L of the same flights falls by from one point to another, and by how much it
-    would where the other is the truth, whatever these flights' own c0..c2 and thrust are.
+    """(what -2 log L of each flight of ``linear`` falls by, summed, where ``keys`` are what the
+    other flights say, beside where they are absent; what it would fall by, were the fitted sizes
+    the truth).
 
-    near: with the columns of these constants. Flights of one craft differ in them (a brushed
-    craft's c2 by a factor of four with the air, docs/real_flights.md): an effect that foretells the
-    rest is not to be refused for that.
+    sizes: (k,) of the first of ``keys``, counted from absent; the others, shapes, stay. All other
+    numbers are at their best for the flight that is left out, on either side: flights of one craft
+    differ in them (a brushed craft's c2 by a factor of four with the air, docs/real_flights.md).
     """
-
-    def least(residuals: Iterable[Array]) -> float:
-        spectra = [replace(s, residual=one) for s, one in zip(near.spectra, residuals, strict=True)]
-        found = quadratic(spectra, noises, (), len(near.keys))
-        return found.value - float(found.gradient @ inverse(found.normal) @ found.gradient)
-
-    before, after = ([s.residual for s in one.spectra] for one in (away, near))
-    moved = (one - other for one, other in zip(before, after, strict=True))
-    return least(before) - least(after), least(moved)
-
-
-def own_value(near: Linear, noises: Mapping[int, Noise], key: str) -> float:
-    """The value of ``key`` that flights have of their own, beside their own c0..c2 and thrust."""
-    found = quadratic(near.spectra, noises, (), len(near.keys))
-    change = inverse(found.normal) @ found.gradient
-    return value(near.point, key) + float(change[near.keys.index(key)])
-
-
-def where_speeds_tell(linear: Linear, flights: Sequence[Flight]) -> Linear:
-    """The same of flights, where recorded rotor speeds are not mostly noise: a change of the model
-    makes more or less of their noise, and is not to be judged by that."""
-    return linear.within(0.0, [tells_up_to_hz(one) for one in flights])
-
-
-def by_own_noise(away: Linear, near: Linear) -> tuple[float, float]:
-    """``beside_own_constants`` with noise of these flights' own, free at every frequency, before
-    and after; weights are those of ``near``.
-
-    Of flights that are flown otherwise the fitted ones say neither how much slow air they meet nor
-    how they shake (a figure of eight beside turns on the spot: docs/real_flights.md). It is the
-    last question, for a spectrum that holds what is still missing hides what is small beside it.
-    """
-    anywhere = np.full(len(near.keys), np.inf)
-
-    def least(residuals: Iterable[Array]) -> list[Array]:
-        spectra = [replace(s, residual=one) for s, one in zip(near.spectra, residuals, strict=True)]
-        linear = replace(near, spectra=spectra, verticals=[])
-        change, _, _ = reweighted(linear, None, -anywhere, anywhere)
-        return [s.residual - change[s.place] @ s.columns for s in spectra]
-
-    before, after = (least(s.residual for s in one.spectra) for one in (away, near))
-    moved = [one - other for one, other in zip(before, after, strict=True)]
-    powers = (smoothed(near.spectra, values) for values in (before, after, moved))
+    own = linear.place(keys[: len(sizes)])
+    rest = [i for i, key in enumerate(linear.keys) if key not in keys]
+    prior = problem.with_prior(replace(linear, spectra=[], verticals=[]))
+    whole = problem.with_prior(linear)
     held = expected = 0.0
-    for s, one, other, apart in zip(near.spectra, *powers, strict=True):
-        weight = s.weight[: len(one)]
-        held += float(weight @ np.log(one / other))
-        expected += float(weight @ np.log1p(apart / other))
+    for number in sorted({s.flight for s in linear.spectra}):
+        spectra = [s for s in linear.spectra if s.flight == number]
+        verticals = [row for row in linear.verticals if row.flight == number]
+        one = quadratic(spectra, problem.noise, verticals, len(linear.keys))
+        others = inverse(whole.normal - one.normal) @ (whole.gradient - one.gradient)
+        normal, gradient = one.normal + prior.normal, one.gradient + prior.gradient
+        cross = normal[np.ix_(own, rest)]
+        pull = cross @ inverse(normal[np.ix_(rest, rest)])
+        inner = normal[np.ix_(own, own)] - pull @ cross.T
+        slope = gradient[own] - pull @ gradient[rest]
+
+        def rise(step: Array, inner: Array = inner, slope: Array = slope) -> float:
+            return float(step @ inner @ step - 2.0 * slope @ step)
+
+        held += rise(-sizes) - rise(others[own])
+        expected += float(sizes @ inner @ sizes)
     return held, expected
+
+
+def _residuals(linear: Linear) -> Linear:
+    """The same without columns."""
+    return replace(
+        linear,
+        keys=(),
+        spectra=[replace(s, columns=s.columns[:0], place=s.place[:0]) for s in linear.spectra],
+        verticals=[replace(row, slopes=row.slopes[:0]) for row in linear.verticals],
+    )
 
 
 def touched(problem: Problem, linear: Linear, variant: Variant) -> tuple[int, ...]:

@@ -43,7 +43,7 @@ class Reason(StrEnum):
     INSIGNIFICANT = "insignificant"
     """Chance can do it."""
     NOT_HELD_OUT = "not_held_out"
-    """Rows that no fit has seen are not predicted better."""
+    """Flights that its size was not taken from are not explained better."""
     NOT_ALONE = "not_alone"
     """Others of its kind do the same, none clearly more than the rest."""
     BETWEEN_ROWS = "between_rows"
@@ -59,7 +59,7 @@ class Reason(StrEnum):
     DROWNED = "drowned"
     """It is small beside a structure that nothing explains."""
     PREDICTS_WORSE = "predicts_worse"
-    """With it a held-out channel is predicted worse, 20 and 50 ms ahead, than without."""
+    """With it a channel is predicted worse, 20 and 50 ms ahead, than without."""
     NEGLIGIBLE = "negligible"
     """It is fitted along, and too small to be called an effect."""
 
@@ -91,13 +91,14 @@ class FoundEffect:
 
     order: 1 for the first one accepted. parameters: by name, in the model file's units, from
     the last joint fit. evidence: ``likelihood_ratio`` (drop of -2 log L when it joined), ``t``
-    (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on the validation
-    rows), ``axes`` and ``recordings`` (standard deviations by which parts disagree),
-    ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual on held-out
-    rows over the channels the effect touches, 1.0 being noise, before and after it joined;
+    (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on flights that its
+    size was not taken from), ``axes`` and ``recordings`` (standard deviations by which parts
+    disagree), ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual
+    over the channels the effect touches, 1.0 being noise, before and after it joined;
     ``over_others``: standard errors by which a rotor shakes more than the others together.
     model: final constants, with the effects up to this one. adds: its law in words. gap_before,
-    gap_after: the gap of predictions over all channels, as in the report; NaN until it is proven.
+    gap_after: of predictions of proof samples over all channels; NaN until it is proven. weight:
+    its share of what all names explain there.
     """
 
     name: str
@@ -110,6 +111,7 @@ class FoundEffect:
     adds: str = ""
     gap_before: float = math.nan
     gap_after: float = math.nan
+    weight: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +119,8 @@ class Candidate:
     """What came of one effect, accepted or not.
 
     score: drop of -2 log L when it alone joins the base (screening). t: its largest
-    parameter over its standard error. held_out: drop of -2 log L on held-out rows in
-    the last round it took part in. refused: why it is not named, None where it is.
+    parameter over its standard error. held_out: drop of -2 log L on flights that its size was not
+    taken from, in the last round it took part in. refused: why it is not named, None where it is.
     """
 
     name: str
@@ -144,19 +146,6 @@ class NotShown:
     plausible: float
     unit: str
     manoeuvre: str
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelResidual:
-    """One channel's one-step residual on held-out rows.
-
-    before, after: whitened RMS with the re-fitted base and with the improved model; floor: what
-    a fit of every candidate at once leaves (near 1).
-    """
-
-    before: float
-    after: float
-    floor: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,30 +184,31 @@ class Leftover:
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. base: the model as it was given. base_changes: constants of it
-    that moved; those that these data cannot improve have not. moved: the given model with these
-    changes alone. model: moved constants and effects, fitted jointly. candidates: every effect,
+    effects: accepted, in order. base: the model as it was given; given: the same with the
+    disturbance that it leaves. base_changes: constants of it that moved; those that these data
+    cannot improve have not. moved: the given model with these changes alone. model: moved constants
+    and effects, fitted jointly, and the disturbance that is left. candidates: every effect,
     strongest first. not_shown: excitation check. lost: effect name -> the channel that is missing
-    to show it. channels: by channel name. warnings: in words.
+    to show it. warnings: in words.
     """
 
     verdict: Verdict
     effects: tuple[FoundEffect, ...]
     base: Model
+    given: Model
     moved: Model
     model: Model
     base_changes: tuple[BaseChange, ...]
     candidates: tuple[Candidate, ...]
     not_shown: tuple[NotShown, ...]
     lost: dict[str, str]
-    channels: dict[str, ChannelResidual]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """gap: over all channels on held-out rows. worse: channel -> by how many standard errors it is
+    """gap: over all channels on fitted samples. worse: channel -> by how many standard errors it is
     predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent.
     blocks: what each second adds to the squared gap."""
 

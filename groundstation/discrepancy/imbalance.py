@@ -37,25 +37,21 @@ from groundstation.identification.likelihood.rotors import spin_rotors
 Array = NDArray[np.float64]
 
 
-def with_imbalance(
-    findings: Findings, problem: Problem, held: Sequence[Flight], point: Point
-) -> Findings:
+def with_imbalance(findings: Findings, problem: Problem, point: Point) -> Findings:
     """The findings, with ``propeller_imbalance`` as the last effect where one rotor shakes the
     craft. point: where the search ended, which says how fast rotors turned."""
     if any(term.name == IMBALANCE.name for term in findings.model.effects):
         return findings
-    fitted, others = (
-        _windows(flights, problem, point, findings.base) for flights in (problem.flights, held)
-    )
+    fitted = _windows(problem.flights, problem, point, findings.base)
     if not fitted:
         return findings
-    asked = shaken_most(fitted, others)
+    asked = shaken_most(fitted)
     why = shaken_refusal(Stage.WEIGHED, asked)
     found = replace(findings, candidates=(*findings.candidates, _candidate(asked, why)))
     return found if why else _joined(found, asked)
 
 
-def shaken_most(fitted: Sequence[Windows], held: Sequence[Windows]) -> Shaken:
+def shaken_most(fitted: Sequence[Windows]) -> Shaken:
     """The rotor that surely shakes the craft most, and what its gates are asked of."""
     shares = shares_of(fitted, LEAST_DROP)
     shaking = shaking_of(fitted, shares)
@@ -65,16 +61,13 @@ def shaken_most(fitted: Sequence[Windows], held: Sequence[Windows]) -> Shaken:
         alone = shaking.over_others(kind, rotor, most_of(fitted, shares))
     square = float(shaking.squares[kind, rotor])
     slope, curvature = shaking.beside_others(kind, rotor)
-    there = shaking_of(held, shares).beside_others(kind, rotor) if held else (math.inf, 0.0)
-    sizes = (shaking_of([one], shares).size(kind, rotor) for one in (*fitted, *held))
+    sizes = (shaking_of([one], shares).size(kind, rotor) for one in fitted)
     return Shaken(
         effect=IMBALANCE,
         parameters=_parameters(shaking, rotor),
         t=shaking.t(kind, rotor),
         drop=slope**2 / curvature if curvature > 0.0 else 0.0,
         alone=alone,
-        held_out=2.0 * square * there[0] - square**2 * there[1],
-        expected=square**2 * there[1],
         recordings=_apart(np.array(list(sizes)), math.sqrt(square)),
         channels=tuple(np.flatnonzero(fitted[0].per_size[0, :, :, rotor].any(axis=0)).tolist()),
     )
@@ -125,22 +118,16 @@ def _candidate(asked: Shaken, why: Refusal | None) -> Candidate:
         dict(asked.parameters),
         asked.drop,
         asked.t,
-        _number(asked.held_out),
+        0.0,
         why is None,
         why,
     )
-
-
-def _number(held_out: float) -> float:
-    return held_out if math.isfinite(held_out) else 0.0
 
 
 def _joined(findings: Findings, asked: Shaken) -> Findings:
     evidence = {
         "likelihood_ratio": asked.drop,
         "t": asked.t,
-        "held_out": _number(asked.held_out),
-        "held_out_expected": asked.expected,
         "axes": 0.0,
         "recordings": asked.recordings[0],
         "over_others": asked.alone,

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
-from groundstation.discrepancy.findings import Findings, Predicted
-from groundstation.discrepancy.proof import WORSE_ANYWHERE, HeldOut
+from groundstation.discrepancy.findings import Predicted
+from groundstation.discrepancy.proof import WORSE_ANYWHERE, FittedRows
 from groundstation.discrepancy.slow_disturbance import (
     Slow,
     best_followed,
-    has_wind,
+    is_followed,
     slow_part,
     with_term,
 )
@@ -35,11 +35,11 @@ class Judge:
     observer follows what is ``slow`` in both alike, where it is given."""
 
     def __init__(
-        self, held: HeldOut, model_at: Callable[[Point], Model], slow: Slow | None = None
+        self, held: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
     ) -> None:
         self._given, self._model_at, self._slow = held, model_at, slow
         given = held.before.model
-        self._held = HeldOut(held.of(with_term(given, slow))) if slow else held
+        self._held = FittedRows(held.of(with_term(given, slow))) if slow else held
 
     def __call__(self, point: Point) -> Predicted:
         model = self._model_at(point)
@@ -76,20 +76,7 @@ class Judge:
 def to_follow(fitted: Comparison) -> Slow | None:
     """What a model leaves of fitted rows that lasts, as predictions are best; None: nothing does,
     or the model says of itself what is slow."""
-    if has_wind(fitted.model):
+    if is_followed(fitted.model):
         return None
     slow = slow_part(fitted.errors)
     return None if lasting_refusal(Stage.WEIGHED, slow.asked()) else best_followed(slow, fitted)
-
-
-def beside_what_is_slow(
-    found: Callable[[Slow | None], Findings], slow: Slow | None, held: HeldOut
-) -> Findings:
-    """What is found where ``slow`` is followed; where that predicts a channel of held-out rows
-    worse than the given model, it was right only beside what has no name, and counts is what is
-    found without."""
-    findings = found(slow)
-    # Here nothing is excused: what was followed only to weigh effects is not in every model.
-    if slow is not None and held.judge(findings.model).worse:
-        return found(None)
-    return findings

@@ -1,4 +1,4 @@
-"""The last gate: what was found has to predict held-out rows, 20 and 50 ms ahead.
+"""The last gate: what was found has to predict fitted samples, 20 and 50 ms ahead.
 
 The search looks one row ahead, where torque shows best; what a model is for is further ahead. An
 effect or a changed constant with which a channel is predicted worse than by the given model, or
@@ -71,7 +71,7 @@ def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
 
 
 def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Without:
-    search.progress("asking predictions of held-out rows", 0.93)
+    search.progress("asking predictions of fitted samples", 0.93)
     rest = [one for one in search.accepted if one is not option]
     held = search.held.union(option) if isinstance(option, tuple) else search.held
     fit = search.refit(rest, held)
@@ -94,7 +94,7 @@ def drop_idle(search: SearchState, judge: Judge) -> bool:
             clear = not channels or min(now.gaps[c] for c in channels) < UNEXPLAINED
             if clear or one.variant.definition.stage != "sensor":
                 continue
-            search.progress("asking predictions of held-out rows", 0.95)
+            search.progress("asking predictions of fitted samples", 0.95)
             fit = search.refit(
                 [other for other in search.accepted if other is not one], search.held
             )
@@ -131,15 +131,15 @@ def lower(left: Predicted, now: Predicted) -> bool:
 def _refusal(now: Predicted, left: Predicted) -> Refusal:
     mended = [channel for channel in now.worse if channel not in left.worse]
     if mended:
-        words = f"predicts {_named(mended)} on held-out rows worse than the given model"
+        words = f"predicts {_named(mended)} on fitted samples worse than the given model"
     elif now.worse:
         words = (
-            f"{_named(now.worse)} on held-out rows would be predicted worse than by the given"
+            f"{_named(now.worse)} on fitted samples would be predicted worse than by the given"
             " model; it is what costs the least to take out"
         )
     else:
         words = (
-            f"held-out rows are predicted better without it: the gap of {now.gap:.2f} falls by"
+            f"fitted samples are predicted better without it: the gap of {now.gap:.2f} falls by"
             f" {100.0 * (1.0 - left.gap / now.gap):.1f} %"
         )
     return Refusal(Reason.PREDICTS_WORSE, words)

@@ -1,4 +1,4 @@
-"""The proof of a finding: gaps before and after on rows that no fit has seen."""
+"""The proof of a finding: gaps before and after on samples that decided nothing."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.findings import Findings, Predicted, Verdict
-from groundstation.dynamics.model import Model
+from groundstation.discrepancy.findings import Findings, Predicted
+from groundstation.dynamics.model import Disturbance, Model
 from groundstation.gaps import filled
 
 Array = NDArray[np.float64]
@@ -40,19 +40,46 @@ BANDS_HZ = (0.0, 0.5, 2.0, 8.0, 30.0, 1000.0)
 """Trim and drift, translation, attitude control, rotors and filters, vibration."""
 
 
+class Explained(msgspec.Struct, frozen=True):
+    """What the given model got wrong on proof samples, as shares (sum 1) of its squared excess over
+    noise: by what follows them it is explained, and what is left."""
+
+    named: float
+    constants: float
+    disturbance: float
+    left: float
+
+    def words(self, slow: Disturbance | None) -> str:
+        """The sum as a sentence."""
+
+        def percent(share: float) -> str:
+            return f"{100.0 * share:.0f} %"
+
+        without = "" if slow is None else f" ({slow})"
+        return (
+            f"of what the given model got wrong, named effects explain {percent(self.named)},"
+            f" changed constants {percent(self.constants)}, a slow disturbance without a name"
+            f" follows {percent(self.disturbance)}{without}, {percent(self.left)} is left"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """The given and the improved model, on the rows they were fitted to and on others.
+    """The given and the improved model, on the samples they were fitted to and on others.
 
-    steps: (what changed, the gap on held-out rows with it): the given model, the base constants
-    that the refit moved, if it moved any, then each effect in order.
+    before, after: without a disturbance; followed: (given, improved) each with its own. steps:
+    (what changed, the gap on proof samples with it): the given model, the constants that moved, if
+    any did, then each effect in order. explained: None where the given model leaves no more than
+    noise.
     """
 
     train_before: Comparison
     train_after: Comparison
     before: Comparison
     after: Comparison
+    followed: tuple[Comparison, Comparison]
     steps: tuple[tuple[str, float], ...]
+    explained: Explained | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +104,8 @@ class Left:
 class Predictions:
     """A given model on some rows, and others beside it; the last few are not predicted again."""
 
-    def __init__(self, before: Comparison) -> None:
-        self.before = before
+    def __init__(self, before: Comparison, every_s: float = 0.0) -> None:
+        self.before, self._every_s = before, every_s
         self._last: dict[bytes, Comparison] = {}
 
     def of(self, model: Model) -> Comparison:
@@ -86,18 +113,21 @@ class Predictions:
         key = _numbers(model)
         if key == _numbers(self.before.model):
             return self.before
-        found = self._last.pop(key, None) or self.before.with_model(model)
+        found = self._last.pop(key, None) or self.before.with_model(model, self._every_s)
         self._last[key] = found
         if len(self._last) > KEPT:
             del self._last[next(iter(self._last))]
         return found
 
 
-class HeldOut(Predictions):
-    """The same on rows that no fit saw."""
+class FittedRows(Predictions):
+    """The same, with what decides: the gap, and the channels that are predicted worse.
 
-    def __init__(self, before: Comparison) -> None:
-        super().__init__(before)
+    every_s: predictions start no more often than that.
+    """
+
+    def __init__(self, before: Comparison, every_s: float = 0.0) -> None:
+        super().__init__(before.with_model(before.model, every_s) if every_s else before, every_s)
         self._judged: dict[bytes, Predicted] = {}
 
     def judge(self, model: Model) -> Predicted:
@@ -126,29 +156,56 @@ def _numbers(model: Model) -> bytes:
         (term.name, sorted((key, one.value) for key, one in term.parameters.items()))
         for term in model.effects
     )
-    return msgspec.json.encode((model.motor, model.motors, model.body, effects))
+    return msgspec.json.encode((model.motor, model.motors, model.body, effects, model.disturbance))
 
 
-def prove(findings: Findings, train: Predictions, held: HeldOut) -> tuple[Findings, Proof]:
-    """Judge each step from the given model to the improved one; the findings with these gaps.
+def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Findings, Proof]:
+    """Predict proof samples with each step from the given model to the improved one; the findings
+    with these gaps, which decide nothing.
 
-    train: the model given on the rows that were fitted; the noise floor is learnt on them, and is
-    the same before and after.
+    train: the given model on the samples that were fitted; the noise floor is learnt on them, and
+    is the same before and after.
     """
-    before, after = held.before, held.of(findings.model)
+    before, plain = rows.before, bare(findings.model)
+    after = rows.of(plain)
     steps = [(GIVEN, before.gap)]
     if findings.base_changes:
-        steps.append((BASE, held.judge(findings.moved).gap))
-    effects = []
+        steps.append((BASE, rows.of(findings.moved).beside(before)))
+    first, effects = steps[-1][1], []
     for found in findings.effects:
-        gap = held.judge(found.model).gap
+        gap = rows.of(found.model).beside(before)
         effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
         steps.append((found.name, gap))
-    proof = Proof(train.before, train.of(findings.model), before, after, tuple(steps))
-    verdict = findings.verdict
-    if verdict is Verdict.NO_DISCREPANCY and steps[-1][1] > LEFT:
-        verdict = Verdict.UNEXPLAINED
-    return replace(findings, effects=tuple(effects), verdict=verdict), proof
+    whole = first**2 - after.beside(before) ** 2
+    weighed = [
+        replace(one, weight=(one.gap_before**2 - one.gap_after**2) / whole if whole else math.nan)
+        for one in effects
+    ]
+    followed = rows.of(findings.given), rows.of(findings.model)
+    ends = before.gap, first, after.beside(before), followed[1].beside(before)
+    proof = Proof(
+        *(train.before, train.of(plain), before, after, followed, tuple(steps)),
+        _explained(*ends),
+    )
+    return replace(findings, effects=tuple(weighed)), proof
+
+
+def bare(model: Model) -> Model:
+    """A model without its disturbance."""
+    return msgspec.structs.replace(model, disturbance=None)
+
+
+def _explained(given: float, moved: float, named: float, followed: float) -> Explained | None:
+    """The shares, from the gaps as given, with other constants, with names, with a disturbance."""
+    excess = given**2 - 1.0
+    if given < LEFT:
+        return None
+    return Explained(
+        (moved**2 - named**2) / excess,
+        (given**2 - moved**2) / excess,
+        (named**2 - followed**2) / excess,
+        (followed**2 - 1.0) / excess,
+    )
 
 
 def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:

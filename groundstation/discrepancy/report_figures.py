@@ -194,7 +194,7 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
 
 
 def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
-    """The gap on held-out rows, from the given model to the improved one, effect by effect."""
+    """The gap on proof samples, from the given model to the improved one, effect by effect."""
     made, (axis,) = figure(9.6, 1.1 + 0.36 * (len(steps) + 1))
     values = np.array([gap for _, gap in steps])
     place = np.arange(len(steps))
@@ -224,7 +224,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     axis.set_xlim(0.0, float(values.max()) * 1.2)
     axis.set_ylim(last + 0.6, -0.9)
     axis.grid(visible=False, axis="y")
-    axis.set_xlabel("gap over all channels, held-out rows (1: nothing left to explain)")
+    axis.set_xlabel("gap over all channels, proof samples (1: nothing left to explain)")
     return made
 
 

@@ -82,13 +82,15 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     _verdict(page, findings, report)
     _stretches(page, report.stretches)
     page.heading("What was found")
+    if report.explained is not None:
+        page.text(f"On proof samples, {report.explained.words(report.disturbance)}.")
     for change in report.base_changes:
         page.text(f"The given model's constants moved: {change.words}.")
     _effects(page, report)
     page.heading("The gap closes")
     page.figure(
         waterfall(proof.steps),
-        "Root mean square over the channels of error over noise, on rows that no fit has seen.",
+        "Root mean square over the channels of error over noise, on samples that decided nothing.",
     )
     _channels(page, report.gap)
     page.figure(by_horizon(proof.before, proof.after), "Each channel, before and after.")
@@ -106,27 +108,27 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
         " share evidence, and only what passes every test is accepted.",
     )
     page.table(
-        ["effect", "score", "t", "held out", "outcome"],
+        ["effect", "score", "t", "other flights", "outcome"],
         [
             (c.name, c.score, c.t, c.held_out or None, "accepted" if c.accepted else c.reason)
             for c in report.candidates
         ],
-        "score and held out: drop of -2 log likelihood on fitted and on held-out rows;"
-        " t: largest parameter over its standard error. Where held out is empty it was refused"
-        " before anything was asked of held-out rows.",
+        "score: drop of -2 log likelihood; other flights: the same of flights that its size was not"
+        " taken from, empty where it was refused before; t: largest parameter over its standard"
+        " error.",
     )
     _limits(page, report)
     page.heading("How it is measured")
     page.text(FLOOR_TEXT)
     held = report.validation if isinstance(report.validation, str) else ", ".join(report.validation)
-    page.text(f"Held out: {held}. Made by {report.created_by}, seed {report.seed}.")
+    page.text(f"Proof: {held}. Made by {report.created_by}.")
     return page
 
 
 def _verdict(page: Page, findings: Findings, report: DiscrepancyReport) -> None:
     level = report.gap.validation
     numbers = (
-        f"Gap on held-out rows {level.before:.2f} before, {level.after:.2f} after (1 is noise)."
+        f"Gap on proof samples {level.before:.2f} before, {level.after:.2f} after (1 is noise)."
     )
     if findings.verdict is Verdict.EFFECTS_FOUND:
         names = ", ".join(effect.name for effect in report.effects)

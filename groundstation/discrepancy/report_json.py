@@ -17,8 +17,8 @@ from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import Alternative, Candidate, Findings, NotShown, Reason
-from groundstation.discrepancy.proof import Proof, what_is_left
-from groundstation.dynamics.model import Estimate
+from groundstation.discrepancy.proof import Explained, Proof, what_is_left
+from groundstation.dynamics.model import Disturbance, Estimate
 
 WORST = 10
 WORSE, CLEARLY = 1.05, 1.1
@@ -33,6 +33,13 @@ class Level(msgspec.Struct, frozen=True):
     before: float
     after: float | None
     noise_floor: float
+
+
+class Proven(Level, frozen=True, kw_only=True):
+    """The level on proof samples; with_disturbance: the same with an observer that follows the slow
+    disturbance that each model leaves (null where none was looked for)."""
+
+    with_disturbance: Level | None = None
 
 
 class OwnUnit(msgspec.Struct, frozen=True):
@@ -59,20 +66,20 @@ class Gap(msgspec.Struct, frozen=True):
 
     unit: str
     floor_source: str
-    validation: Level
+    validation: Proven
     train: Level | None
     channels: dict[str, ChannelGap]
 
 
 class Step(msgspec.Struct, frozen=True):
-    """The gap on held-out rows, all channels, before and after an effect joined."""
+    """The gap on proof samples, all channels, before and after an effect joined."""
 
     before: float
     after: float
 
 
 class EffectFound(msgspec.Struct, frozen=True):
-    """One accepted effect."""
+    """One accepted effect. weight: its share of what all of them explain on proof samples."""
 
     name: str
     order: int
@@ -81,6 +88,7 @@ class EffectFound(msgspec.Struct, frozen=True):
     evidence: dict[str, float]
     alternatives: list[Alternative]
     gap: Step
+    weight: float | None
     channels: list[str]
 
 
@@ -155,8 +163,10 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     """``discrepancy --json``."""
 
     verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
+    explained: Explained | None
     effects: list[EffectFound]
     base_changes: list[Changed]
+    disturbance: Disturbance | None
     where: list[Place]
     where_after: list[Place]
     gap: Gap
@@ -170,7 +180,6 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     recordings: list[str]
     validation: list[str] | str
     model: str
-    seed: int
     created_by: str
     stretches: list[StretchReport] = []
 
@@ -199,8 +208,10 @@ def gap_of(
     before: Comparison,
     after: Comparison | None = None,
     train: tuple[Comparison, Comparison] | None = None,
+    followed: tuple[Comparison, Comparison] | None = None,
 ) -> Gap:
-    """The ``gap`` part: before and after on the rows that no fit saw, and on those it did."""
+    """The ``gap`` part: before and after on proof samples, the same with the disturbance
+    ``followed``, and on the samples that were fitted."""
     channels = {}
     for number, name in enumerate(CHANNELS):
         floor, error = before.noise_floor[number], before.rms[number]
@@ -221,10 +232,16 @@ def gap_of(
         channels[name] = ChannelGap(
             float(error / floor), None if later is None else later / float(floor), 1.0, own
         )
+    plain = level(before, after)
     return Gap(
         UNIT,
         SOURCE,
-        level(before, after),
+        Proven(
+            *(plain.before, plain.after, 1.0),
+            with_disturbance=None
+            if followed is None
+            else Level(followed[0].beside(before), followed[1].beside(before), 1.0),
+        ),
         None if train is None else level(*train),
         channels,
     )
@@ -249,15 +266,16 @@ def discrepancy_report(
     recordings: list[str],
     validation: list[str] | str,
     model: str,
-    seed: int,
     created_by: str,
 ) -> DiscrepancyReport:
     """The whole report on a search. validation: files, or how rows were held out."""
     findings, proof = found.findings, found.proof
     left = findings.residual
-    gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after))
+    gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after), proof.followed)
     return DiscrepancyReport(
         verdict=findings.verdict.value,
+        explained=proof.explained,
+        disturbance=findings.model.disturbance,
         effects=[
             EffectFound(
                 one.name,
@@ -267,6 +285,7 @@ def discrepancy_report(
                 one.evidence,
                 list(one.alternatives),
                 Step(one.gap_before, one.gap_after),
+                one.weight if np.isfinite(one.weight) else None,
                 list(one.channels),
             )
             for one in findings.effects
@@ -299,7 +318,6 @@ def discrepancy_report(
         recordings=recordings,
         validation=validation,
         model=model,
-        seed=seed,
         created_by=created_by,
         stretches=[stretch_report(*one) for one in found.stretches],
     )
@@ -324,7 +342,7 @@ def why_lost(reason: str) -> str:
 def _worse(gap: Gap) -> list[str]:
     """Channels on which the improved model is no improvement."""
     return [
-        f"the improved model is worse on {name} on held-out rows: gap {channel.before:.2f} before,"
+        f"the improved model is worse on {name} on proof samples: gap {channel.before:.2f} before,"
         f" {channel.after:.2f} after"
         for name, channel in gap.channels.items()
         if channel.after is not None and channel.after > max(WORSE * channel.before, CLEARLY)

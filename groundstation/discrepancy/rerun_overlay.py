@@ -38,7 +38,7 @@ class Overlay:
 
 
 def overlay_of(proof: Proof, report: DiscrepancyReport) -> Overlay:
-    """The held-out flights one after the other."""
+    """The proof flights one after the other."""
     times, values, gap_times, gaps, flights = [], [], [], [], []
     begin = 0.0
     for number, before in enumerate(proof.before.errors):
@@ -79,7 +79,7 @@ def _text(report: DiscrepancyReport) -> str:
     level = report.gap.validation
     lines = [
         f"# {report.verdict.replace('_', ' ')}",
-        f"Gap on held-out rows **{level.before:.2f}** before, **{level.after:.2f}** after;"
+        f"Gap on proof samples **{level.before:.2f}** before, **{level.after:.2f}** after;"
         " 1 is noise.",
         "",
     ]

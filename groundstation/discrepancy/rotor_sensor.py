@@ -22,14 +22,14 @@ from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
 from groundstation.identification.likelihood.problem import Problem
 
 
-def with_sensor_lag(outcome: Outcome, problem: Problem, held: Sequence[Flight]) -> Outcome:
+def with_sensor_lag(outcome: Outcome, problem: Problem, folds: Sequence[Flight]) -> Outcome:
     """The outcome of a search in which the sensor's lag is one of the effects, or refused."""
     final = outcome.final
     if SENSOR_LAG not in final.keys:
         return outcome
     without = {**final.point, SENSOR_LAG: absent(SENSOR_LAG)}
     before = problem.fit(without, [key for key in final.keys if key != SENSOR_LAG])
-    evidence = gather(problem, held, before, final, ALONG)
+    evidence = gather(problem, folds, before, final, ALONG)
     why = refusal(Stage.WEIGHED, Trial(ALONG, final, evidence=evidence))
     size, error = final.point[SENSOR_LAG], final.stderr()[SENSOR_LAG]
     scored = Scored(ALONG, evidence.drop, np.array([size]), np.array([error]))

@@ -35,8 +35,8 @@ MOST_ROUNDS = 16
 class Outcome:
     """final: the joint fit. errors: standard errors by key, everything being free. residual: what
     it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
-    -2 log L on held-out rows when it was weighed last. first, last: columns at the model as it was
-    given and at the end; scores: of the first."""
+    -2 log L on flights left out when it was weighed last. first, last: columns at the model as it
+    was given and at the end; scores: of the first."""
 
     final: Fit
     errors: dict[str, float]
@@ -50,8 +50,8 @@ class Outcome:
 
 
 def search_effects(search: SearchState) -> None:
-    """From the model as it was given to a set of effects that stays, but for what predictions of
-    held-out rows say of it (``concluded``)."""
+    """From the model as it was given to a set of effects that stays, but for what
+    predictions say of it (``concluded``)."""
     # The base is not fitted alone first: bent to imitate what is missing, it would be a poor
     # place to linearise at. A centre of gravity off its place makes c0 vanish, for one.
     search.progress("screening", 0.1)
@@ -82,7 +82,7 @@ def search_effects(search: SearchState) -> None:
 def concluded(search: SearchState) -> Outcome:
     """What stays of a search where predictions are asked."""
     if confirm(search):
-        search.residual, _ = leftover(search.problem, search.now, search.validation)
+        search.residual, _ = leftover(search.problem, search.now)
     final = replace(search.now, point=search.named_point(search.now.point))
     return Outcome(
         *(final, search.errors, search.accepted, search.residual, search.refused, search.held_out),

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from copy import copy
 from dataclasses import dataclass
 
 from groundstation.discrepancy.base_constants import groups
-from groundstation.discrepancy.evidence import Evidence, gather
+from groundstation.discrepancy.evidence import Evidence, folds_of, gather
 from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
-from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
@@ -39,7 +37,6 @@ class SearchState:
     def __init__(
         self,
         problem: Problem,
-        validation: Sequence[Flight],
         known: Sequence[Variant],
         candidates: Sequence[Variant],
         progress: Progress,
@@ -48,7 +45,7 @@ class SearchState:
         """known: effects of the model, fitted along and never dropped. What the firmware does on
         board is not fitted: its numbers are known, and beside what is missing they would bend.
         steady: constants that stay as they were given."""
-        self.problem, self.validation, self.progress = problem, validation, progress
+        self.problem, self.folds, self.progress = problem, folds_of(problem.flights), progress
         self.judge: Judge | None = None
         self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
         """Whether predictions are worse at the second point with nothing followed, too, and beside
@@ -78,21 +75,12 @@ class SearchState:
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
         self._away: tuple[Fit, Linear] | None = None
-        """Held-out rows as a fit leaves them beside which several candidates are weighed."""
+        """Fitted flights as a fit leaves them beside which several candidates are weighed."""
         self.first: Screening
         self.scores: list[Scored]
         self.last: Screening
         self.now: Fit
         self.residual: Leftover
-
-    def copy(self) -> SearchState:
-        """Where the search stands, to go on from without a change to it; no noise is learnt any
-        more."""
-        other = copy(self)
-        other.problem = copy(self.problem)  # its trim goes with what is accepted
-        other.accepted, other.held = list(self.accepted), set(self.held)
-        other.refused, other.held_out = dict(self.refused), dict(self.held_out)
-        return other
 
     def able(self) -> list[Variant]:
         """The candidates that may still join."""
@@ -139,8 +127,8 @@ class SearchState:
     def weighed(self, before: Fit, after: Fit, variant: Variant) -> Evidence:
         """What speaks for a variant: ``before`` and ``after`` it joined."""
         if self._away is None or self._away[0] is not before:
-            self._away = before, self.problem.linear(before.point, (), self.validation)
-        return gather(self.problem, self.validation, before, after, variant, self._away[1])
+            self._away = before, self.problem.linear(before.point, (), self.problem.flights)
+        return gather(self.problem, self.folds, before, after, variant, self._away[1])
 
     def point_with(self, accepted: Sequence[Accepted]) -> Point:
         """The final constants, with only some of the effects."""
@@ -154,7 +142,7 @@ class SearchState:
         return point
 
     def judged(self, point: Point) -> Predicted:
-        """Predictions of held-out rows with what is named at a point."""
+        """Predictions of fitted samples with what is named at a point."""
         assert self.judge is not None
         return self.judge(self.named_point(point))
 

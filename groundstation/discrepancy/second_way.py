@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection
 
 from groundstation.discrepancy.findings import Findings
 from groundstation.discrepancy.prediction_gate import lower
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import FittedRows
 from groundstation.identification.likelihood.parameters import BODY_KEYS
 
 ROTATION = BODY_KEYS[:3]
@@ -24,14 +24,14 @@ them to less than that where they tell them at all (docs/real_flights.md)."""
 
 def or_with_given_constants(
     found: Callable[[Collection[str]], Findings],
-    held: HeldOut | None,
+    held: FittedRows | None,
     progress: Callable[[str, float], None],
 ) -> Findings:
     """What is found where everything is free, or with ``ROTATION`` as given where these went far
-    and held-out rows are predicted clearly better so.
+    and fitted samples are predicted clearly better so.
 
-    found: a search with constants that stay. held: the given model on held-out rows; None: they are
-    not asked, and everything is free.
+    found: a search with constants that stay. held: the given model on fitted samples; None: they
+    are not asked, and everything is free.
     """
     free = found(())
     if held is None or not any(
@@ -43,7 +43,7 @@ def or_with_given_constants(
     return better(free, found(ROTATION), held)
 
 
-def better(free: Findings, steady: Findings, held: HeldOut) -> Findings:
-    """``steady`` where it predicts held-out rows clearly better, no channel worse; or ``free``."""
+def better(free: Findings, steady: Findings, held: FittedRows) -> Findings:
+    """``steady`` where it predicts fitted samples clearly better, no channel worse; or ``free``."""
     one, other = (held.judge(each.model) for each in (free, steady))
     return steady if other.badness[0] <= one.badness[0] and lower(other, one) else free

@@ -1,5 +1,5 @@
 """The end of a search: which changed constants stay, which change has a name, and whether what was
-found predicts held-out rows."""
+found predicts fitted samples."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def hold_base(search: SearchState) -> None:
     """Give back the base constants that these data do not improve; standard errors are those
     of the fit in which everything was free."""
     search.errors = search.now.stderr()
-    search.held, point = not_improved(search.problem, search.now, search.groups, search.validation)
+    search.held, point = not_improved(search.problem, search.now, search.groups, search.folds)
     if search.held:
         search.now = replace(search.now, point=point)
         search.now = search.refit(search.accepted, search.held)

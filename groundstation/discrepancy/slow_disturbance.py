@@ -1,4 +1,4 @@
-"""What pushes and turns a craft slowly and belongs to no flight condition: ``wind``.
+"""What pushes and turns a craft slowly and belongs to no flight condition: the disturbance.
 
 No column shows it, for it has no law but its spread and its pace. What is left of predictions is
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
@@ -11,7 +11,7 @@ flights in general (``trim_of``), nor the force along z than what batteries diff
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,16 +21,13 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
 from groundstation.discrepancy.acceptance import Lasting, Stage, lasting_refusal
 from groundstation.discrepancy.drift import drift_of, spread_of
-from groundstation.discrepancy.findings import Candidate, Findings, Predicted, Refusal, with_last
-from groundstation.discrepancy.proof import HeldOut, Predictions
-from groundstation.dynamics.model import EffectTerm, Estimate, Model, model_vehicle
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
+from groundstation.dynamics.registry import DISTURBANCE
 from groundstation.identification.likelihood.prior import trim_of
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
-WIND = next(effect for effect in EFFECTS.values() if effect.followed)
 BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
 PACES_S = (0.3, 1.0, 3.0, 10.0, 30.0)
@@ -46,8 +43,6 @@ FAINTEST = 1e-300
 EVERY_S = 0.006
 """Paces are compared by predictions that start no more often: of rows that are faster neighbours
 say the same."""
-EXCESS = 1.2
-"""Gap on held-out rows below which nothing is left that a name could explain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,79 +79,33 @@ class Slow:
         found = {
             one.name: Estimate(spread, error * spread if known else None, one.unit)
             for one, spread, known in zip(
-                WIND.sizes, self.spread.tolist(), told.tolist(), strict=True
+                DISTURBANCE.sizes, self.spread.tolist(), told.tolist(), strict=True
             )
         }
-        (pace,) = (one for one in WIND.parameters if one.kind == "shape")
+        (pace,) = (one for one in DISTURBANCE.parameters if one.kind == "shape")
         return {
             **found,
             pace.name: Estimate(self.time_s, max(2.0 * error, 0.5) * self.time_s, pace.unit),
         }
 
-    def asked(self, predicted: float = 0.0) -> Lasting:
-        """What its gates are asked of; predicted: ``Lasting.predicted``."""
-        return Lasting(WIND, self.parameters, self.t, self.drop, predicted)
+    def asked(self) -> Lasting:
+        """What its gate is asked of."""
+        return Lasting(DISTURBANCE, self.parameters, self.t, self.drop)
 
 
-def with_wind(findings: Findings, train: Predictions, held: HeldOut) -> Findings:
-    """The findings, with ``wind`` as the last effect where held-out predictions are better for it.
-
-    train: the given model on the rows that were fitted.
-    """
-    base = findings.model
-    if has_wind(base):
-        return findings
-    now = held.judge(base)
-    if now.gap < EXCESS:
-        return findings
-    refused: tuple[Slow, Refusal] | None = None
-    for slow, settled in options(base, train, held):
-        why = lasting_refusal(Stage.WEIGHED, slow.asked())
-        if why is None:
-            slow, found = _where_better(settled(), base, held)
-            predicted = 1.0 - (found.gap**2 - 1.0) / (now.gap**2 - 1.0)
-            why = lasting_refusal(Stage.FOLLOWED, slow.asked(predicted))
-            if why is None:
-                after = slow_part(held.of(base).errors)
-                return _joined(findings, slow, after, (now.gap, found.gap))
-        refused = refused or (slow, why)
-    return findings if refused is None else _asked(findings, refused[0], 0.0, refused[1])
+def with_disturbance(model: Model, fitted: Comparison) -> Model:
+    """A model with the slow forces and moments that it leaves in fitted samples, none where white
+    noise explains these as well. fitted: the model on them."""
+    slow = slow_part(fitted.errors)
+    if lasting_refusal(Stage.WEIGHED, slow.asked()) is not None:
+        return model
+    trims = np.array([*trim_of(model_vehicle(model)), 0.0, 0.0, LIFT_SHARE * STANDARD_GRAVITY])
+    return with_term(model, best_followed(slow, fitted).with_trims(trims))
 
 
-def options(
-    base: Model, train: Predictions, held: HeldOut
-) -> Iterator[tuple[Slow, Callable[[], Slow]]]:
-    """What lasts in rows, and what to follow where it does: in fitted ones, as these tell; and
-    where that does not do, trims alone, if it lasts in these, in those, or in both together (a few
-    seconds each tell little): each flight's is its own."""
-    trims = np.array([*trim_of(model_vehicle(base)), 0.0, 0.0, LIFT_SHARE * STANDARD_GRAVITY])
-    fitted = train.of(base)
-    learnt = slow_part(fitted.errors)
-    yield learnt, lambda: best_followed(learnt, fitted).with_trims(trims)
-    after = held.of(base).errors
-    every = (learnt, slow_part(after), slow_part([*fitted.errors, *after]))
-    surer = max(every, key=lambda one: one.t)
-    alone = replace(surer, spread=np.zeros(6), time_s=PACES_S[-1])
-    yield surer, lambda: alone.with_trims(trims)
-
-
-def _where_better(slow: Slow, base: Model, held: HeldOut) -> tuple[Slow, Predicted]:
-    """Followed only where that does not predict a channel worse than the given model does."""
-    found = held.judge(with_term(base, slow))
-    while found.worse and slow.spread.any():
-        away = [channel % 3 + (3 if 3 <= channel < 6 else 0) for channel in found.worse]
-        rest = slow.spread.copy()
-        rest[away] = 0.0
-        if (rest == slow.spread).all():
-            rest[:] = 0.0
-        slow = replace(slow, spread=rest)
-        found = held.judge(with_term(base, slow))
-    return slow, found
-
-
-def has_wind(model: Model) -> bool:
+def is_followed(model: Model) -> bool:
     """Whether a model says of itself what is slow."""
-    return any(term.name == WIND.name for term in model.effects)
+    return model.disturbance is not None
 
 
 def best_followed(slow: Slow, fitted: Comparison) -> Slow:
@@ -235,27 +184,7 @@ def with_term(model: Model, slow: Slow) -> Model:
 
     if not slow.spread.any():
         return model
-    effects = (*model.effects, EffectTerm(WIND.name, slow.parameters))
-    return msgspec.structs.replace(model, effects=effects)
-
-
-def _joined(findings: Findings, slow: Slow, after: Slow, gaps: tuple[float, float]) -> Findings:
-    """after: what lasts on held-out rows. gaps: of held-out predictions before and after."""
-    evidence = {
-        "likelihood_ratio": slow.drop,
-        "t": slow.t,
-        "held_out": after.drop,
-        "held_out_expected": slow.drop * after.seconds / slow.seconds,
-        "axes": 0.0,
-        "recordings": 0.0,
-        "whitened_before": gaps[0],
-        "whitened_after": gaps[1],
-    }
-    channels = np.flatnonzero(slow.spread).tolist()
-    found = with_last(findings, WIND, slow.parameters, evidence, channels)
-    return _asked(found, slow, after.drop, None)
-
-
-def _asked(findings: Findings, slow: Slow, held_out: float, why: Refusal | None) -> Findings:
-    one = Candidate(WIND.name, slow.parameters, slow.drop, slow.t, held_out, why is None, why)
-    return replace(findings, candidates=(*findings.candidates, one))
+    x, y, z, u, v, w = slow.spread.tolist()
+    return msgspec.structs.replace(
+        model, disturbance=Disturbance((x, y, z), (u, v, w), slow.time_s)
+    )

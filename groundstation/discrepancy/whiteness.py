@@ -33,7 +33,6 @@ Array = NDArray[np.float64]
 
 SCAN_DROP = 45.0
 """Drop of -2 log L from which a generic signal counts: 6.7 standard deviations."""
-HELD_SHARE = 0.25
 FINE_HZ = 0.25
 BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
 """The smooth spectrum is a running median over this share of the frequency, or this far."""
@@ -53,21 +52,17 @@ APART_HZ, APART_SHARE = 1.0, 0.02
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A generic signal that shows in a channel: drop of -2 log L, on fitted and held-out rows."""
+    """A generic signal that shows in a channel: drop of -2 log L."""
 
     channel: int
     words: str
     drop: float
-    held_out: float
 
 
-def leftover(
-    problem: Problem, fit: Fit, validation: Sequence[Flight]
-) -> tuple[Leftover, dict[int, float]]:
+def leftover(problem: Problem, fit: Fit) -> tuple[Leftover, dict[int, float]]:
     """Judge what a fit leaves; also how much slow structure each channel has beyond coloured noise,
     in -2 log L."""
-    signals = [s for s in scan(problem, fit, validation) if s.drop > SCAN_DROP]
-    signals = [s for s in signals if not validation or s.held_out > HELD_SHARE * 0.5 * s.drop]
+    signals = [s for s in scan(problem, fit) if s.drop > SCAN_DROP]
     known = problem.frame.unknowns
     sizes = [key for key in fit.keys if key in known and known[key].parameter.kind == "size"]
     reckoned = [key for key in sizes if known[key].effect.unmeasured]
@@ -108,13 +103,12 @@ def leftover(
     return found, slow
 
 
-def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signal]:
+def scan(problem: Problem, fit: Fit) -> list[Signal]:
     """Every generic signal against every channel's residual, best first.
 
     What the fitted unknowns can imitate is taken out by fitting them along, channel by channel.
     """
     every = _with_signals(problem, fit, problem.flights)
-    held = _with_signals(problem, fit, validation)
     found = []
     channels = sorted({s.channel for s in every[0].spectra})
     for channel in channels:
@@ -127,16 +121,8 @@ def scan(problem: Problem, fit: Fit, validation: Sequence[Flight]) -> list[Signa
         slope = gradient[known:] - cross @ (inner @ gradient[:known])
         alive = left > 1e-6 * np.maximum(np.diag(normal)[known:], 1e-300)
         drops = np.where(alive, slope**2 / np.where(alive, left, 1.0), 0.0)
-        sizes = np.where(alive, slope / np.where(alive, left, 1.0), 0.0)
-        other = [s for s in held[0].spectra if s.channel == channel]
-        if other:
-            there, pull = _sums(problem, other, known + len(every[1]))
-            gains = 2 * sizes * pull[known:] - sizes**2 * np.diag(there)[known:]
-        else:
-            gains = np.zeros(len(sizes))
         found += [
-            Signal(channel, words, float(drop), float(gain))
-            for words, drop, gain in zip(every[1], drops, gains, strict=True)
+            Signal(channel, words, float(drop)) for words, drop in zip(every[1], drops, strict=True)
         ]
     return sorted(found, key=lambda s: -s.drop)
 

@@ -11,7 +11,7 @@ from groundstation.dynamics.effect import ANGLES, FORCE, GYRO, Effect, Stage
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
 from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
 from groundstation.dynamics.own_effects import find_effect
-from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage
+from groundstation.dynamics.registry import COMPILED, DISTURBANCE, EFFECTS, at_stage
 from groundstation.dynamics.vehicle import (
     MotorConstants,
     Motors,
@@ -151,7 +151,7 @@ def craft_of_model(model: Model) -> Crafts:
 
 
 def acting(model: Model) -> list[Acting]:
-    """The effects of a model that are not absent.
+    """The effects of a model that are not absent, and its disturbance.
 
     Raises BadInputError for one that does not exist, or a value that cannot be flown.
     """
@@ -161,6 +161,11 @@ def acting(model: Model) -> list[Acting]:
         values = effect.values({name: one.value for name, one in term.parameters.items()})
         if not effect.absent(values):
             found.append((effect, values))
+    slow = model.disturbance
+    if slow is not None:
+        numbers = (*slow.moments, *slow.forces, slow.time_s)
+        names = (one.name for one in DISTURBANCE.parameters)
+        found.append((DISTURBANCE, DISTURBANCE.values(dict(zip(names, numbers, strict=True)))))
     return found
 
 

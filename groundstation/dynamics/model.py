@@ -13,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from groundstation.documents import decode_json, read_document, seems
-from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.registry import DISTURBANCE, EFFECTS
 from groundstation.dynamics.vehicle import (
     THESIS_MOTOR,
     MotorConstants,
@@ -82,6 +82,21 @@ class EffectTerm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return f"{self.name} {', '.join(f'{key} {one}' for key, one in self.parameters.items())}"
 
 
+class Disturbance(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Slow forces and moments without a law, as a first-order Gauss-Markov process: standard
+    deviations of moments (rad/s^2) and forces (m/s^2) along the body's axes, time constant (s)."""
+
+    moments: tuple[float, float, float]
+    forces: tuple[float, float, float]
+    time_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"moments of {max(self.moments):.2g} rad/s^2 and forces of {max(self.forces):.2g}"
+            f" m/s^2 at most, {self.time_s:g} s"
+        )
+
+
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An identified craft.
 
@@ -90,6 +105,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     motor, motors: the mean motor, and those of rotors M1..M4 where they were told apart.
     origin: part (motor, body, arx, or one constant, body.c2) -> fitted, profile or given; empty in
         files that do not say (``dynamics.origin``).
+    disturbance: what an observer follows beside the effects; None: nothing.
     fit: how it was fitted (recordings with hashes, samples, method, errors, covariance).
     """
 
@@ -101,6 +117,7 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     body: BodyConstants | None = None
     arx: dict[str, ArxAxis] | None = None
     effects: tuple[EffectTerm, ...] = ()
+    disturbance: Disturbance | None = None
     origin: dict[str, Literal["fitted", "profile", "given"]] = {}
     fit: dict[str, Any] = {}
     created_by: str = ""
@@ -113,6 +130,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         if self.arx is not None:
             parts.append(f"arx {', '.join(self.arx)}")
         parts += map(repr, self.effects)
+        if self.disturbance is not None:
+            parts.append(f"disturbance of {self.disturbance}")
         return f"Model({self.vehicle}: {'; '.join(parts)})"
 
 
@@ -142,7 +161,7 @@ def load_model(source: str | Path) -> Model:
             f" {SCHEMA_VERSION}; fit the model again or use the version that made it"
         )
     _require_usable(model, f"model {path}")
-    return _with_sources_from(path.parent, model)
+    return _with_disturbance(_with_sources_from(path.parent, model))
 
 
 def _numbers(constants: msgspec.Struct) -> str:
@@ -206,6 +225,20 @@ def _with_sources_from(folder: Path, model: Model) -> Model:
         for term in model.effects
     )
     return msgspec.structs.replace(model, effects=effects)
+
+
+def _with_disturbance(model: Model) -> Model:
+    """The model with the disturbance where files have had it: among the effects."""
+    for term in model.effects:
+        if term.name == DISTURBANCE.name:
+            found = [term.parameters[one.name].value for one in DISTURBANCE.parameters]
+            x, y, z, u, v, w, time_s = found
+            return msgspec.structs.replace(
+                model,
+                effects=tuple(other for other in model.effects if other is not term),
+                disturbance=Disturbance((x, y, z), (u, v, w), time_s),
+            )
+    return model
 
 
 def _require_usable(model: Model, where: str) -> None:

@@ -23,6 +23,8 @@ def _listed() -> dict[str, Effect]:
 
 EFFECTS: Mapping[str, Effect] = _listed()
 """The listed effects by name, in alphabetical order."""
+DISTURBANCE: Effect = next(effect for effect in EFFECTS.values() if effect.followed)
+"""The law of a model's ``disturbance``: what an observer follows, which is no effect."""
 DELAY = "dead_time.delay_s"
 """The key under which fits and searches estimate how late every measurement is, s."""
 SPIN_UP = "rotor_acceleration_torque.rotor_inertia_kg_m2"

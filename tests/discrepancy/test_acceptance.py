@@ -30,9 +30,7 @@ VARIANT = {one.effect: one for one in VARIANTS}
 
 
 def evidence(parts=None, drop=1000.0, held_out=400.0, expected=500.0, t=30.0):
-    return Evidence(
-        drop, held_out, expected, expected, t, parts or {}, (2.0, 1.0), (GYRO_Z, FORCE_Z)
-    )
+    return Evidence(drop, held_out, expected, t, parts or {}, (2.0, 1.0), (GYRO_Z, FORCE_Z))
 
 
 def said(stage, effect="rate_damping", **trial):
@@ -107,15 +105,6 @@ def test_a_channel_is_no_veto_that_is_explained_better_with_the_size_than_withou
     assert said(Stage.STABLE, evidence=evidence(parts)) is None
     parts[0, GYRO_Z] = (-1.8, 0.05)
     assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.CHANNELS_DISAGREE
-
-
-def test_a_recording_that_hardly_tells_it_beside_those_no_fit_saw_is_no_veto():
-    # jana02, 8 s of a figure of eight, tells half of the rotors' inertia that jana06, 20 s of
-    # turns on the spot, confirms
-    parts = {(0, GYRO_Z): (0.5, 0.05), (1, GYRO_Z): (1.2, 0.04)}
-    stable = evidence(parts, held_out=20000.0, expected=25000.0)
-    assert said(Stage.STABLE, evidence=stable) is None
-    assert said(Stage.STABLE, evidence=evidence(parts)) is Reason.RECORDINGS_DISAGREE
 
 
 def test_a_channel_that_hardly_shows_it_is_no_veto():
@@ -203,19 +192,12 @@ def test_a_size_that_the_last_fit_left_has_to_be_one_that_a_craft_can_have(effec
 
 
 @pytest.mark.parametrize(
-    ("stage", "found", "reason"),
-    [
-        (Stage.WEIGHED, {"t": 4.0}, Reason.INSIGNIFICANT),
-        (Stage.WEIGHED, {"drop": 12.0}, Reason.INSIGNIFICANT),
-        (Stage.WEIGHED, {}, None),
-        (Stage.FOLLOWED, {"parameters": {"force_x": Estimate(1e4)}}, Reason.IMPLAUSIBLE),
-        (Stage.FOLLOWED, {"predicted": 0.05}, Reason.DROWNED),
-        (Stage.FOLLOWED, {}, None),
-    ],
+    ("found", "reason"),
+    [({"t": 4.0}, Reason.INSIGNIFICANT), ({"drop": 12.0}, Reason.INSIGNIFICANT), ({}, None)],
 )
-def test_what_drifts_has_to_last_as_air_does_and_help_to_predict(stage, found, reason):
-    given = {"parameters": {"force_x": Estimate(0.5)}, "t": 9.0, "drop": 90.0, "predicted": 0.4}
-    refused = lasting_refusal(stage, Lasting(EFFECTS["wind"], **{**given, **found}))
+def test_what_drifts_has_to_last(found, reason):
+    given = {"parameters": {"force_x": Estimate(0.5)}, "t": 9.0, "drop": 90.0}
+    refused = lasting_refusal(Stage.WEIGHED, Lasting(EFFECTS["wind"], **{**given, **found}))
     assert (refused and refused.reason) is reason
 
 

@@ -12,7 +12,7 @@ from groundstation.discrepancy.acceptance import LEAST_T
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import Reason, Verdict
 from groundstation.discrepancy.imbalance import shaken_most, with_imbalance
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import FittedRows
 from groundstation.discrepancy.vibration import windows_of
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.flight import prepare
@@ -47,8 +47,8 @@ def windows(runs, every=1):
 
 
 def most(seed, effects=None, **more):
-    runs, held = flights(seed, effects, span_s=40.0, **more)
-    return shaken_most(windows(runs), windows(held))
+    runs, _ = flights(seed, effects, span_s=40.0, **more)
+    return shaken_most(windows(runs))
 
 
 def told(shaken):
@@ -72,14 +72,13 @@ def test_the_rotor_is_the_one_and_both_sizes_are_right(rotor):
     shaken = most(35 + rotor, {"propeller_imbalance": hidden})
     assert told(shaken) == pytest.approx(hidden, rel=0.06)
     assert shaken.alone > LEAST_T
-    assert shaken.held_out == pytest.approx(shaken.expected, rel=0.3)
 
 
 def test_rows_half_as_fast_fold_it_elsewhere_and_tell_the_same():
     """At 250 rows a second a rotor of 250 rev/s is folded to nothing: what is faster is told."""
     hidden = {"rotor": 2.0, "imbalance_g_mm": 0.1, "couple_g_mm2": 1.0}
-    runs, held = flights(41, {"propeller_imbalance": hidden}, span_s=40.0)
-    shaken = shaken_most(windows(runs, every=2), windows(held, every=2))
+    runs, _ = flights(41, {"propeller_imbalance": hidden}, span_s=40.0)
+    shaken = shaken_most(windows(runs, every=2))
     assert told(shaken)["rotor"] == 2.0
     assert told(shaken) == pytest.approx(hidden, rel=0.25)
 
@@ -91,12 +90,11 @@ def test_rows_too_slow_for_any_vibration_are_not_asked():
 
 @pytest.fixture(scope="module")
 def bent():
-    """A whole search on flights of a bent propeller: findings, and the judge of held-out rows."""
+    """A whole search on flights of a bent propeller: findings, and the judge of fitted samples."""
     effects = {"bent_propeller": {"rotor": 3.0, "torque_n_m": TORQUE}}
-    runs, held = flights(42, effects)
-    before = compare(runs, base_model())
-    judged = HeldOut(compare(held, base_model(), before.black_box))
-    return find_effects(runs, base_model(), held, judged=judged), judged, runs, held
+    runs, _ = flights(42, effects)
+    judged = FittedRows(compare(runs, base_model()))
+    return find_effects(runs, base_model(), judged=judged), judged, runs
 
 
 def test_a_bent_propeller_is_named_and_nothing_else(bent):
@@ -120,9 +118,9 @@ def test_no_prediction_is_changed_by_what_nobody_can_foresee(bent):
 
 
 def test_a_model_that_has_it_already_keeps_it(bent):
-    findings, _, runs, held = bent
+    findings, _, runs = bent
     problem = Problem(prepare(runs), base_model(), POINT)
-    assert with_imbalance(findings, problem, prepare(held), POINT) is findings
+    assert with_imbalance(findings, problem, POINT) is findings
 
 
 def test_what_shakes_no_more_than_the_others_is_refused_with_the_rotor_that_does_most():

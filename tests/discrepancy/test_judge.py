@@ -1,15 +1,12 @@
 """Effects are judged beside what is slow, which is followed in every model alike."""
 
-from dataclasses import replace
-
-import made_findings
 import msgspec
 import pytest
 from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.judge import Judge, beside_what_is_slow, to_follow
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.judge import Judge, to_follow
+from groundstation.discrepancy.proof import FittedRows
 
 BLOWN = {f"moment_{axis}": 3.0 for axis in "xyz"} | {f"force_{axis}": 0.3 for axis in "xyz"}
 
@@ -20,15 +17,11 @@ def model_at(point):
     return msgspec.structs.replace(base_model(), body=body)
 
 
-def findings_of(c2):
-    return replace(made_findings.findings(), model=model_at({"c2": c2}))
-
-
 def looked_at(seed, effects):
     """(what is slow in stand-in flights, held-out rows of theirs)."""
     runs, held = flights(seed, effects, span_s=40.0)
     fitted = compare(runs, base_model())
-    return to_follow(fitted), HeldOut(compare(held, base_model(), fitted.black_box))
+    return to_follow(fitted), FittedRows(compare(held, base_model(), fitted.black_box))
 
 
 @pytest.fixture(scope="module")
@@ -82,19 +75,3 @@ def test_a_channel_without_any_prediction_is_worse(following):
 def test_in_still_air_nothing_is():
     slow, _ = looked_at(9, {})
     assert slow is None
-
-
-def test_what_predicts_worse_than_the_given_model_where_nothing_is_followed_stays_out(blown):
-    bent, plain = findings_of(1.5), findings_of(1.0)
-    assert beside_what_is_slow(lambda slow: bent if slow else plain, *blown) is plain
-
-
-def test_what_predicts_no_worse_stays_as_it_was_found_beside_it(blown):
-    bent, plain = findings_of(1.5), findings_of(1.0)
-    assert beside_what_is_slow(lambda slow: plain if slow else bent, *blown) is plain
-
-
-def test_where_nothing_is_slow_effects_are_weighed_once(blown):
-    asked = []
-    beside_what_is_slow(lambda slow: asked.append(slow) or findings_of(1.5), None, blown[1])
-    assert asked == [None]

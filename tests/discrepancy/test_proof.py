@@ -1,4 +1,4 @@
-"""What a finding is proven by: predictions of held-out rows."""
+"""What a finding is proven by: predictions of samples that decided nothing."""
 
 import math
 from dataclasses import replace
@@ -6,8 +6,49 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compared_flights import judged
+from searched_flights import base_model, flights
 
-from groundstation.discrepancy.proof import WORSE_T, HeldOut, worse_channels
+from groundstation.discrepancy.engine import find_discrepancy
+from groundstation.discrepancy.proof import WORSE_T, FittedRows, worse_channels
+
+HIDDEN = {"velocity_moment": {"moment": 12.0}}
+
+
+@pytest.fixture(scope="module")
+def proven():
+    """What two flights with a hidden moment tell where the proof has it, has nothing of it, or is a
+    flight in wind."""
+    fitted, again = flights(1, HIDDEN)
+    others = (
+        again,
+        flights(2, {}, count=0)[1],
+        flights(3, {"wind": {"moment_x": 9.0}}, count=0)[1],
+    )
+    return [find_discrepancy([fitted], base_model(), [proof]) for proof in others]
+
+
+def test_names_and_sizes_are_the_same_whatever_stands_in_the_recordings_of_the_proof(proven):
+    first, *rest = (one.findings for one in proven)
+    assert [effect.name for effect in first.effects] == list(HIDDEN)
+    for other in rest:
+        assert other.model == first.model
+        assert other.given == first.given
+        assert other.verdict == first.verdict
+        assert other.base_changes == first.base_changes
+        assert other.candidates == first.candidates
+        for one, same in zip(other.effects, first.effects, strict=True):
+            assert one.parameters == same.parameters
+            assert one.evidence == same.evidence
+    has_it, has_not, _ = (one.proof for one in proven)
+    assert has_it.after.gap < has_it.before.gap
+    assert has_not.after.gap > has_not.before.gap
+
+
+def test_what_the_given_model_got_wrong_is_one_sum(proven):
+    told = proven[0].proof.explained
+    assert told.named + told.constants + told.disturbance + told.left == pytest.approx(1.0)
+    assert told.named > 0.95
+    assert f"named effects explain {100.0 * told.named:.0f} %" in told.words(None)
 
 
 def test_a_model_that_predicts_no_number_is_worse_than_any_other():
@@ -58,5 +99,5 @@ def test_two_seconds_are_enough_to_see_that_a_model_is_far_worse():
 
 def test_what_the_seconds_add_is_the_squared_gap():
     given = judged()
-    found = HeldOut(given).judge(given.model)
+    found = FittedRows(given).judge(given.model)
     assert sum(found.blocks) == pytest.approx(found.gap**2)

@@ -9,13 +9,13 @@ from compared_flights import flights, judged
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.engine import find_effects
 from groundstation.discrepancy.findings import BaseChange
-from groundstation.discrepancy.proof import HeldOut
+from groundstation.discrepancy.proof import FittedRows
 from groundstation.discrepancy.second_way import ROTATION, better, or_with_given_constants
 
 
 @pytest.fixture(scope="module")
 def nothing_missing():
-    return find_effects(flights(1), judged().model, flights(2))
+    return find_effects(flights(1), judged().model)
 
 
 def with_c0(findings, share):
@@ -35,7 +35,7 @@ def searched(free, steady):
         asked.append(tuple(held))
         return steady if held else free
 
-    end = or_with_given_constants(found, HeldOut(judged()), lambda what, share: None)
+    end = or_with_given_constants(found, FittedRows(judged()), lambda what, share: None)
     return end, asked
 
 
@@ -63,7 +63,7 @@ def test_small_changes_are_not_searched_again(nothing_missing):
 
 
 def test_what_is_only_as_good_does_not_take_the_place_of_what_was_free(nothing_missing):
-    held = HeldOut(judged())
+    held = FittedRows(judged())
     free = with_c0(nothing_missing, 1.0001)
     assert better(free, nothing_missing, held) is free
 
@@ -73,10 +73,10 @@ def test_a_whole_search_beside_half_of_a_gain_ends_with_the_true_one(nothing_mis
     right = judged().model
     body = msgspec.structs.replace(right.body, c0=0.5 * right.body.c0)
     wrong = msgspec.structs.replace(right, body=body)
-    held = HeldOut(compare(flights(2), wrong))
+    fitted = FittedRows(compare(flights(1), wrong))
     told = []
     found = find_effects(
-        flights(1), wrong, flights(2), judged=held, progress=lambda what, share: told.append(what)
+        flights(1), wrong, judged=fitted, progress=lambda what, share: told.append(what)
     )
     assert any("as given" in what for what in told)
     assert found.effects == ()

@@ -1,4 +1,4 @@
-"""What acts slowly and belongs to no flight condition is called wind, and nothing else is."""
+"""What acts slowly and belongs to no flight condition is a disturbance, and nothing else is."""
 
 from types import SimpleNamespace
 
@@ -10,18 +10,11 @@ from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
-from groundstation.discrepancy.engine import find_effects
-from groundstation.discrepancy.findings import Verdict
-from groundstation.discrepancy.proof import HeldOut, Predictions
 from groundstation.discrepancy.slow_disturbance import (
-    LIFT_SHARE,
-    PACES_S,
-    options,
     slow_part,
     standard_errors,
-    with_wind,
+    with_disturbance,
 )
-from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 PERIOD_S, AHEAD = 0.002, 25
 BLOWN = {
@@ -33,6 +26,7 @@ BLOWN = {
     "force_z": 0.1,
     "time_s": 2.0,
 }
+CASES = ((8, {"wind": BLOWN}), (9, {}))
 
 
 def errors(missing):
@@ -108,57 +102,28 @@ def test_a_flight_that_was_hardly_judged_tells_nothing():
     assert not slow_part([errors(missing)]).spread.any()
 
 
-def test_flights_too_short_to_tell_it_alone_tell_it_together():
-    """Seven seconds each, and a moment that only the second has."""
-    generator = np.random.default_rng(4)
-    still, again, moved = (generator.normal(0.0, 1.0, (3500, 6)) for _ in range(3))
-    moved[:, 1] += 4.0
-
-    def predictions(missing):
-        return SimpleNamespace(of=lambda model: SimpleNamespace(errors=[errors(missing)]))
-
-    for one in (still, moved):
-        assert slow_part([errors(one)]).t == 0.0
-    _, (told, settled) = options(base_model(), predictions(still), predictions(moved))
-    assert told.t > 5.0
-    assert settled().spread[1] > 0.0
-    _, (told, _) = options(base_model(), predictions(still), predictions(again))
-    assert told.t < 3.0
-
-
 @pytest.fixture(scope="module")
-def searched():
-    """Stand-in flights in wind and in still air: the findings, with and without that name."""
-
-    def look(seed, effects):
-        runs, held = flights(seed, effects)
-        train = Predictions(compare(runs, base_model()))
-        judged = HeldOut(compare(held, base_model(), train.before.black_box))
-        before = find_effects(runs, base_model(), held, judged=judged)
-        return before, with_wind(before, train, judged), judged
-
-    return {"wind": look(8, {"wind": BLOWN}), "still": look(9, {})}
+def compared():
+    """(stand-in flights in wind, in still air) as the true model predicts them."""
+    return [compare(flights(seed, effects)[0], base_model()) for seed, effects in CASES]
 
 
-def test_wind_is_named_with_its_spread_and_held_out_rows_are_predicted_better(searched):
-    before, after, judged = searched["wind"]
-    assert before.effects == ()
-    (found,) = after.effects
-    assert found.name == "wind"
-    assert after.verdict == Verdict.EFFECTS_FOUND
-    given, improved = judged.judge(before.model), judged.judge(after.model)
-    assert not improved.worse
-    assert improved.gap**2 - 1.0 < 0.5 * (given.gap**2 - 1.0)
-    force = found.parameters["force_x"]
-    assert force.value == pytest.approx(BLOWN["force_x"], rel=0.6)
-    (candidate,) = [one for one in after.candidates if one.name == "wind"]
-    assert candidate.accepted
-    assert found.parameters["time_s"].value in (1.0, 3.0)
+def test_wind_is_followed_with_its_spread_and_flights_that_it_was_not_learnt_from_are_too(compared):
+    blown, _ = compared
+    model = with_disturbance(base_model(), blown)
+    assert model.effects == ()
+    slow = model.disturbance
+    assert slow.forces[0] == pytest.approx(BLOWN["force_x"], rel=0.6)
+    assert slow.time_s in (1.0, 3.0)
+    _, held = flights(8, {"wind": BLOWN})
+    before = compare(held, base_model(), blown.black_box)
+    after = before.with_model(model)
+    assert after.beside(before) ** 2 - 1.0 < 0.5 * (before.gap**2 - 1.0)
 
 
-def test_in_still_air_there_is_none(searched):
-    before, after, _ = searched["still"]
-    assert after is before
+def test_in_still_air_there_is_none(compared):
+    _, still = compared
+    assert with_disturbance(base_model(), still).disturbance is None
 
 
 def test_spreads_are_held_to_be_no_smaller_than_those_of_flights_in_general():
@@ -170,34 +135,3 @@ def test_spreads_are_held_to_be_no_smaller_than_those_of_flights_in_general():
     assert least.spread.tolist() == [5.0, slow.spread[1], 0.5, 0.0, 0.0, 0.3]
     told = {name: one.stderr is not None for name, one in least.parameters.items()}
     assert [name for name, known in told.items() if known] == ["moment_y", "time_s"]
-
-
-@pytest.fixture(scope="module")
-def battery_moved():
-    """Two flights, and one to validate on in which the battery lies 1.5 mm elsewhere: what is
-    found, and the predictions of held-out rows."""
-    runs, _ = flights(9)
-    _, held = flights(9, {"centre_of_gravity_offset": {"x_m": 0.0015, "y_m": 0.0}})
-    train = Predictions(compare(runs, base_model()))
-    judged = HeldOut(compare(held, base_model(), train.before.black_box))
-    return find_effects(runs, base_model(), held, judged=judged), train, judged
-
-
-def test_a_battery_that_only_the_held_out_flight_has_elsewhere_is_followed(battery_moved):
-    before, train, judged = battery_moved
-    after = with_wind(before, train, judged)
-    (found,) = after.effects
-    assert found.name == "wind"
-    assert found.parameters["moment_y"].stderr is None, "no fitted flight tells it"
-    lift = found.parameters["force_z"]
-    assert lift.value == pytest.approx(LIFT_SHARE * STANDARD_GRAVITY)
-    assert lift.stderr is None
-    assert found.parameters["time_s"].value == PACES_S[-1]
-    given, improved = judged.judge(before.model), judged.judge(after.model)
-    assert not improved.worse
-    assert improved.gap**2 - 1.0 < 0.2 * (given.gap**2 - 1.0)
-
-
-def test_a_model_that_has_it_already_keeps_it(searched):
-    _, after, judged = searched["wind"]
-    assert with_wind(after, judged, judged) is after

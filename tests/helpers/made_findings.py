@@ -15,7 +15,7 @@ from groundstation.discrepancy.findings import (
     Refusal,
     Verdict,
 )
-from groundstation.discrepancy.proof import Proof
+from groundstation.discrepancy.proof import Explained, Proof
 from groundstation.discrepancy.report_json import discrepancy_report
 from groundstation.dynamics.model import Estimate
 
@@ -42,6 +42,7 @@ def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
         verdict=verdict,
         effects=(found,) if some else (),
         base=BASE,
+        given=BASE,
         moved=BASE,
         base_changes=(),
         model=affected(NAME) if some else BASE,
@@ -51,7 +52,6 @@ def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
         ),
         not_shown=(NotShown("ground_effect", "gain", 2.0, 0.25, "", "take off and land"),),
         lost={"attitude_filter_lean": "attitude"},
-        channels={},
         residual=residual or Leftover("white"),
         warnings=("motor assumed known by 2 %",),
     )
@@ -63,7 +63,8 @@ def proof(found):
     after = before.with_model(found.model)
     steps = [("given model", before.gap)]
     steps += [(one.name, after.beside(before)) for one in found.effects]
-    return Proof(before, after, before, after, tuple(steps))
+    explained = Explained(0.9, 0.0, 0.06, 0.04) if found.effects else None
+    return Proof(before, after, before, after, (before, after), tuple(steps), explained)
 
 
 def report(found, proven):
@@ -73,6 +74,5 @@ def report(found, proven):
         recordings=["a.mcap"],
         validation=["b.mcap"],
         model="base.json",
-        seed=0,
         created_by="test",
     )
