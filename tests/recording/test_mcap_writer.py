@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eventually import PATIENCE_S
 from flights import (
     COPIES,
     START_NS,
