@@ -7,7 +7,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run demo test test-usb check-local lint mutants bench bench-real bench-discrepancy soak clean
+.PHONY: run demo test test-all test-long test-durations test-usb check-local lint mutants bench bench-real bench-discrepancy soak clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve --page $(ARGS)
@@ -16,13 +16,29 @@ run: $(VENV)/.ready
 demo: $(VENV)/.ready-dev
 	$(BIN)/groundstation demo $(ARGS)
 
-# Each worker takes a stretch of neighbours: what a file's tests share is made once. One worker more
-# than there are cores, for some tests wait for real time.
+# What protects safety, data and the main job, in five minutes on two cores. Each worker takes a
+# stretch of neighbours: what a file's tests share is made once. One worker more than there are
+# cores, for some tests wait for real time.
+PYTEST := $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
 test: $(VENV)/.ready-dev
 	$(MAKE) --output-sync -j2 lint $(VENV)/.compiled
-	$(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal $(ARGS)
+	$(PYTEST) --part short $(ARGS)
 
-# Byte code and numba's cache, for every program that the tests start.
+# Every test: some 20 minutes on two cores.
+test-all: $(VENV)/.ready-dev
+	$(MAKE) --output-sync -j2 lint $(VENV)/.compiled
+	$(PYTEST) $(ARGS)
+
+# What `make test` leaves out: tests/long_tests.txt lists it.
+test-long: $(VENV)/.ready-dev $(VENV)/.compiled
+	$(PYTEST) --part long $(ARGS)
+
+# Measures every test on a quiet machine and writes that list anew.
+test-durations: $(VENV)/.ready-dev $(VENV)/.compiled
+	$(PYTEST) -p durations --durations-to $(VENV)/durations.json $(ARGS)
+	$(BIN)/python tests/helpers/durations.py $(VENV)/durations.json
+
+# Byte code and compiled kernels, for every program that the tests start.
 $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -name '*.py')
 	$(BIN)/python -m compileall -q groundstation firmware_sim
 	$(BIN)/python tests/helpers/compiled.py

@@ -7,6 +7,7 @@ import importlib
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from bench.table import Row, header
 
@@ -16,14 +17,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m bench",
         description="What was measured, a reference measured in the same run and their ratio, and"
-        " the limit where one is set. Hours long are apart: bench.soak, bench.sealed.",
+        " the limit where one is set; one that is missed ends it with status 1. Apart, for hours:"
+        " bench.soak, bench.sealed.",
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(known)}")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")
     chosen = parser.parse_args()
     if unknown := [name for name in chosen.parts if name not in known]:
         parser.error(f"{', '.join(unknown)} not known; there are {', '.join(known)}")
-    rows = []
+    rows: list[dict[str, Any]] = []
     if not chosen.json:
         print(header())
     for part in chosen.parts or known:
@@ -35,7 +37,10 @@ def main() -> int:
                 print(row.line(), flush=True)
     if chosen.json:
         print(json.dumps(rows, indent=2, default=float))
-    return 0
+    missed = [row["what"] for row in rows if row["met"] is False]
+    for what in missed:
+        print(f"bench: limit missed: {what}", file=sys.stderr)
+    return int(bool(missed))
 
 
 def _parts() -> list[str]:

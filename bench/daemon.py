@@ -23,6 +23,7 @@ from groundstation.errors import GroundStationError
 from groundstation.service.client import Client, live
 
 SETTLE_S, MEASURED_S = 15.0, 30.0
+STARTS_WITHIN_S = 180.0
 
 
 def rows() -> Iterator[Row]:
@@ -53,11 +54,23 @@ def at_line_rate(*arguments: str) -> Iterator[Path]:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         try:
+            _await_packets(folder / "control.sock")
             yield folder / "control.sock"
         finally:
             for process in (daemon, craft):
                 process.terminate()
                 process.wait(30)
+
+
+def _await_packets(socket: Path) -> None:
+    """Until the daemon receives: on a machine's first start kernels are compiled before that."""
+    end_s = time.monotonic() + STARTS_WITHIN_S
+    while time.monotonic() < end_s:
+        with contextlib.suppress(GroundStationError), Client(socket) as client:
+            if (client.ask("GET", "/status").get("statistics") or {}).get("packets"):
+                return
+        time.sleep(0.2)
+    raise TimeoutError(f"the daemon received nothing within {STARTS_WITHIN_S:g} s")
 
 
 def _measure(socket: Path) -> tuple[float, float, float, float]:

@@ -4,6 +4,7 @@ import atexit
 import os
 import shutil
 import signal
+import sys
 import tempfile
 
 # Before numpy is there: its matrices are small here, and more threads spend their time waiting.
@@ -15,7 +16,10 @@ from programs import run_program, start_guard
 
 from groundstation.allocator import keep_freed
 
-pytest_plugins = ["ci_limits"]
+pytest_plugins = ["ci_limits", "parts"]
+# Byte code is kept: without it every worker reads and rewrites all test files anew, for minutes.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 keep_freed()  # as the command itself does
 
 # What tests consent to is not remembered for whoever runs them, and tests run effects of their own.

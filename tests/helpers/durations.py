@@ -1,14 +1,29 @@
-"""What each test costs: a pytest plugin (``-p durations --durations-to FILE``).
+"""What each test costs, and the list of long ones that follows from it (``make test-durations``).
 
-Processor time is that of the worker and of the programs that it started and that have ended, so
-that a busy machine changes it little; wall time stands beside it.
+As a pytest plugin (``-p durations --durations-to FILE``) it writes wall and processor time of each
+test; as a program (``durations.py FILE``) it writes ``tests/long_tests.txt`` from that. Processor
+time is that of the worker and of the programs that it started and that have ended.
 """
 
 import json
 import os
+import sys
 import time
+from collections import defaultdict
+from pathlib import Path
 
 import pytest
+from ci_limits import named, names
+
+LONG_PROCESSOR_S, LONG_WALL_S = 1.0, 3.0
+"""From here on a test is listed: half of what CI allows a test that is not, so that a busy machine
+does not decide."""
+TESTS = Path(__file__).parents[1]
+HEADER = """\
+# The long part of the suite: `make test` leaves these out, `make test-all` and CI run them.
+# Written by `make test-durations`: each computes for a second or waits for three. A heavy test that
+# must stay in the short part stands in heavy_tests.txt, with its reason.
+"""
 
 
 def pytest_addoption(parser):
@@ -17,8 +32,7 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    begun = time.monotonic(), _processor_s()
-    item.user_properties.append(("durations begun", begun))
+    item.user_properties.append(("durations begun", (time.monotonic(), _processor_s())))
     return (yield)
 
 
@@ -53,6 +67,25 @@ class _Writer:
             json.dump(self.took, file, indent=0, sort_keys=True)
 
 
+def long_tests(took, heavy):
+    """What the list names, of {node: times}: whole files where all of their tests are long."""
+    by_file = defaultdict(dict)
+    for node, times in took.items():
+        long = times["cpu_s"] >= LONG_PROCESSOR_S or times["wall_s"] >= LONG_WALL_S
+        by_file[node.partition("::")[0]][node] = long and not named(node, heavy)
+    for file, tests in sorted(by_file.items()):
+        if all(tests.values()):
+            yield file
+        else:
+            yield from sorted(node for node, long in tests.items() if long)
+
+
 def _processor_s():
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system
+
+
+if __name__ == "__main__":
+    measured = json.loads(Path(sys.argv[1]).read_text())
+    lines = long_tests(measured, names(TESTS / "heavy_tests.txt"))
+    (TESTS / "long_tests.txt").write_text(HEADER + "".join(f"{line}\n" for line in lines))
