@@ -9,9 +9,8 @@ _DIVISIONS = "tests/identification/test_division.py"
 _JUDGED = "groundstation/discrepancy/division.py"
 _JUDGED_TESTS = "tests/discrepancy/test_division.py"
 _ENGINE = "groundstation/discrepancy/engine.py"
-_PROOF_ALONE = (
-    "tests/discrepancy/test_proof.py::test_a_search_is_given_nothing_of_the_recordings_of_the_proof"
-)
+_PROVEN = "tests/discrepancy/test_proof.py"
+_PROOF_ALONE = f"{_PROVEN}::test_nothing_of_the_recordings_of_the_proof_is_fitted_or_decides"
 _GATES = "groundstation/discrepancy/acceptance.py"
 _GATE_TESTS = "tests/discrepancy/test_acceptance.py"
 
@@ -110,6 +109,22 @@ FAULTS = (
         _ENGINE,
         "judged=FittedRows(train.before, EVERY_S)",
         "judged=FittedRows(proof_rows.before, EVERY_S)",
+        (_PROOF_ALONE,),
+    ),
+    Fault(
+        "disturbance-of-the-proof",
+        "the improved model's disturbance is that of the recordings of --validate",
+        _ENGINE,
+        "with_disturbance(findings.model, train.of(findings.model))",
+        "with_disturbance(findings.model, proof_rows.of(findings.model))",
+        (_PROOF_ALONE,),
+    ),
+    Fault(
+        "noise-of-the-proof",
+        "noise is learnt on the recordings of --validate, which are judged by it",
+        _ENGINE,
+        "compare(parts.judged, model, black_box)",
+        "compare(parts.judged, model)",
         (_PROOF_ALONE,),
     ),
     Fault(

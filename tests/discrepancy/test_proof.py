@@ -6,13 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from compared_flights import judged
+from made_findings import findings
 from searched_flights import base_model, flights
 
 from groundstation.discrepancy import engine
 from groundstation.discrepancy.engine import find_discrepancy
+from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import WORSE_T, FittedRows, worse_channels
+from groundstation.discrepancy.slow_disturbance import with_disturbance
 
 HIDDEN = {"velocity_moment": {"moment": 12.0}}
+MODELS = ("base", "given", "moved", "model")
 
 
 @pytest.fixture(scope="module")
@@ -45,24 +49,26 @@ def test_names_and_sizes_are_the_same_whatever_stands_in_the_recordings_of_the_p
     assert has_not.after.gap > has_not.before.gap
 
 
-class AskedError(Exception):
-    """A search was asked for, and is not made."""
-
-
-def test_a_search_is_given_nothing_of_the_recordings_of_the_proof(monkeypatch):
-    fitted, proof = flights(4, span_s=9.0)
+def test_nothing_of_the_recordings_of_the_proof_is_fitted_or_decides(monkeypatch):
+    """Everything but the search: what it is given, and what is learnt beside it and behind it."""
+    base = base_model()
+    _, fitted = flights(4, count=0, span_s=9.0)
+    _, proof = flights(3, {"wind": {"force_x": 1.0}}, count=0, span_s=16.0)
+    nothing = replace(findings(Verdict.NO_DISCREPANCY), **dict.fromkeys(MODELS, base))
     given = []
 
     def search(runs, model, *, judged, **more):
-        given.extend((runs, [one.run for one in judged.before.errors]))
-        raise AskedError
+        given.extend((list(runs), [one.run for one in judged.before.errors], judged.before))
+        return nothing
 
     monkeypatch.setattr(engine, "find_effects", search)
-    with pytest.raises(AskedError):
-        find_discrepancy([fitted], base_model(), [proof])
-    to_fit, to_predict = ([run.name for run in runs] for runs in given)
-    assert to_fit == to_predict == ["flight0", "flight1"]
-    assert [run.name for run in proof] == ["flight2"]
+    found = find_discrepancy([fitted], base, [proof])
+    runs, predicted, before = given
+    rows = [len(run) for run in fitted]
+    assert [len(run) for run in runs] == [len(run) for run in predicted] == rows
+    assert with_disturbance(base, found.proof.before).disturbance is not None
+    assert found.findings.given == found.findings.model == base
+    assert found.proof.before.black_box is before.black_box
 
 
 def test_what_the_given_model_got_wrong_is_one_sum(proven):
