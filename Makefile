@@ -7,7 +7,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run demo test test-usb check-local lint bench bench-real bench-discrepancy soak clean
+.PHONY: run demo test test-usb check-local lint mutants bench bench-real bench-discrepancy soak clean
 
 run: $(VENV)/.ready
 	$(BIN)/groundstation run --link stand-in --viewer serve --page $(ARGS)
@@ -48,6 +48,10 @@ lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Faults put in one at a time, in memory only: each has to fail a test of the short suite.
+mutants: $(VENV)/.ready-dev $(VENV)/.compiled
+	$(BIN)/python -m bench.mutants $(ARGS)
 
 bench: $(VENV)/.ready-dev
 	$(BIN)/python -m bench $(ARGS)

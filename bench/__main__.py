@@ -16,7 +16,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         prog="python -m bench",
         description="What was measured, a reference measured in the same run and their ratio, and"
-        " the limit where one is set. Hours long are apart: bench.soak, bench.sealed, bench.floor.",
+        " the limit where one is set. Hours long are apart: bench.soak, bench.sealed.",
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(known)}")
     parser.add_argument("--json", action="store_true", help="print JSON for programs")

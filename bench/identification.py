@@ -6,8 +6,6 @@ structure. They share nothing with the package.
 
 from __future__ import annotations
 
-import importlib.util
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -53,7 +51,6 @@ def rows() -> Iterator[Row]:
     yield from _simulation()
     yield from _motor_speed()
     yield from _arx_speed()
-    yield from _other_tools()
     yield from _body_speed()
     yield from _motor_accuracy()
     yield from _body_accuracy()
@@ -98,55 +95,6 @@ def _arx_speed() -> Iterator[Row]:
             ours * 1e3,
             bare * 1e3,
             "ms",
-        )
-
-
-def _other_tools() -> Iterator[Row]:
-    """Searches of the same structures (with a delay: theirs cannot do without) by libraries, where
-    they are installed; neither is needed for anything else."""
-    fit, held = _arx_data(4000, 0), _arx_data(4000, 1)
-    orders = [(p, q, d) for p in range(1, 5) for q in (1, 2) for d in range(1, 11)]
-    ours = best(lambda: search_arx([fit], [held], nk=range(1, 11)), 5)
-    for name, library, search in (
-        ("SIPPY", "sippy_unipi", _sippy),
-        ("SysIdentPy", "sysidentpy", _sysidentpy),
-    ):
-        if importlib.util.find_spec(library) is not None:
-            start = time.perf_counter()
-            try:
-                search(fit, held, orders)
-            except (AttributeError, ImportError):
-                continue  # SysIdentPy 0.9 asks numpy 2.4 for what it no longer has
-            taken = time.perf_counter() - start
-            yield Row(
-                f"ARX search, 80 structures, 4000 rows ({name})", ours * 1e3, taken * 1e3, "ms"
-            )
-
-
-def _sippy(fit: ArxData, held: ArxData, orders: list[tuple[int, int, int]]) -> None:
-    from scipy.signal import lfilter
-    from sippy_unipi import system_identification
-
-    for p, q, d in orders:
-        model = system_identification(fit.outputs, fit.inputs, "ARX", ARX_orders=[p, q, d])
-        numerator, denominator = (np.ravel(one[0][0]) for one in (model.G.num, model.G.den))
-        lfilter(numerator, denominator, held.inputs)
-
-
-def _sysidentpy(fit: ArxData, held: ArxData, orders: list[tuple[int, int, int]]) -> None:
-    from sysidentpy.basis_function import Polynomial
-    from sysidentpy.parameter_estimation import LeastSquares
-    from sysidentpy.simulation import SimulateNARMAX
-
-    columns = [one.reshape(-1, 1) for one in (fit.inputs, fit.outputs, held.inputs, held.outputs)]
-    for p, q, d in orders:
-        code = [[1000 + i] for i in range(1, p + 1)] + [[2000 + d + j] for j in range(q)]
-        SimulateNARMAX(basis_function=Polynomial(degree=1), estimator=LeastSquares()).simulate(
-            X_train=columns[0],
-            y_train=columns[1],
-            X_test=columns[2],
-            y_test=columns[3],
-            model_code=np.array(code),
         )
 
 

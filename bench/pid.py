@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import math
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numba import njit
 
 from bench.table import Row
 from bench.timing import best
 from firmware_sim.craft import StandInSettings
-from firmware_sim.monte_carlo import fly_many
 from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
 from groundstation.control.firmware_loop import run_cascade
 from groundstation.control.linear_loop import axis_plant, run_direct
@@ -29,10 +26,7 @@ from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import plant_of_model
 from groundstation.control.programme import Programme
 from groundstation.control.step_analysis import analyse
-from groundstation.control.uncertainty import draws
-from groundstation.dynamics.model import THESIS, Model, load_model, save_model
-from groundstation.telemetry.decoder import decode_all
-from groundstation.telemetry.samples import RawBatch
+from groundstation.dynamics.model import THESIS, Model, load_model
 
 TESTS = Path(__file__).parents[1] / "tests"
 SEEDS = 8
@@ -47,7 +41,6 @@ def rows() -> Iterator[Row]:
     gains, designed = _design(model)
     yield from designed
     yield from _flights(model, gains)
-    yield from _drawn(model, gains)
 
 
 def _direct() -> Iterator[Row]:
@@ -123,23 +116,6 @@ def _flights(model: Model, gains: dict[str, float]) -> Iterator[Row]:
     yield Row(
         "worst settling, measured against predicted", worst["settling"], None, "ms", most=20.0
     )
-
-
-def _drawn(model: Model, gains: dict[str, float]) -> Iterator[Row]:
-    def steady(_: Any, packets: Any, heard_s: Any) -> bool:
-        samples, _ = decode_all(RawBatch(packets, np.rint(heard_s * 1e9).astype(np.int64)))
-        return bool(np.degrees(np.abs(samples.attitude[:, :2])).max() < 35)
-
-    with tempfile.TemporaryDirectory() as folder:
-        crafts = []
-        for number, drawn in enumerate(draws(model, 100, seed=5)):
-            path = Path(folder) / f"{number}.json"
-            save_model(msgspec.structs.replace(drawn, fit={}), path)
-            crafts.append(
-                StandInSettings(plant="reduced", craft=str(path), gains=gains, seed=number)
-            )
-        stable = sum(fly_many(crafts, 30.0, steady))
-    yield Row("stand-ins drawn from the covariance that fly (drawn)", stable, 100, "", least=100)
 
 
 @njit(nogil=True, error_model="numpy")

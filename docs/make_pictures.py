@@ -1,11 +1,11 @@
-"""``python docs/make_pictures.py [viewer] [page] [report] [where] [real --data FOLDER]``: pictures.
+"""``python docs/make_pictures.py [viewer] [page] [report] [where]``: pictures.
 
 viewer: a stand-in flight in the viewer; needs no display; without a GPU, Debian's
 mesa-vulkan-drivers and libvulkan1 draw it. page: the operator's page after half a minute of flight,
 light, dark and on a phone; report: a comparison's, likewise; both need the tests' library and
 Debian's chromium. where: the map of where a model and
-a craft with hidden effects disagree, and how the gap shrinks as the search names them. real: the
-slow moments of real craft, from the flights of ``make bench-real``. Any other name is an error.
+a craft with hidden effects disagree, and how the gap shrinks as the search names them. Any other
+name is an error.
 """
 
 from __future__ import annotations
@@ -60,16 +60,9 @@ LOOKS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "pictures", nargs="*", choices=[[], "viewer", "page", "report", "where", "real"]
-    )
-    parser.add_argument("--data", type=Path, help="folder with the real flights")
-    options = parser.parse_args()
-    chosen = options.pictures or ["viewer", "page", "report", "where"]
-    if "real" in chosen:
-        if options.data is None:
-            parser.error("real needs --data FOLDER")
-        save("real_slow.png", slow_picture(options.data))
+    known = ["viewer", "page", "report", "where"]
+    parser.add_argument("pictures", nargs="*", choices=[[], *known])
+    chosen = parser.parse_args().pictures or known
     if "viewer" in chosen:
         save("viewer.png", viewer_picture(RECORDING, AT_S))
     if "page" in chosen:
@@ -144,13 +137,6 @@ def looks(page: Any, *, full: bool) -> dict[str, bytes]:
         page.wait_for_timeout(1_000)
         pictures[look] = page.screenshot(full_page=full and look != "phone")
     return pictures
-
-
-def slow_picture(data: Path) -> bytes:
-    sys.path.insert(0, str(Path(__file__).parents[1]))  # the bench is no part of the package
-    from bench.real.slow import picture
-
-    return picture(data)
 
 
 def viewer_picture(recording: Path, at_s: float) -> bytes:

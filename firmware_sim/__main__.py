@@ -20,7 +20,6 @@ from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.output import write_csv, write_npz, write_truth
 from firmware_sim.settings import load_settings
 from groundstation.dynamics.vehicle import BUILT_IN
-from groundstation.kernel_cache import provide_cache
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -51,7 +50,6 @@ decoded samples in the telemetry layout (Timestamp in ticks of 73/72 us). Both a
 def main(arguments: list[str] | None = None) -> int:
     """Run the stand-in. Returns 0, or 1 after one line on stderr."""
     options = _parser().parse_args(arguments)
-    provide_cache()
     try:
         settings = _settings(options)
         craft = StandIn(settings)
@@ -72,7 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except OSError as error:
         print(
-            f"firmware_sim: {error.filename or options.usb or options.crtp}: {error.strerror}",
+            f"firmware_sim: {error.filename or options.crtp}: {error.strerror}",
             file=sys.stderr,
         )
         return 1
@@ -110,11 +108,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="pty[:LINK]|PORT[@BAUD]",
         help="send telemetry to a new pseudo-terminal (and link to it) or a serial port",
     )
-    parser.add_argument(
-        "--usb",
-        metavar="vhci|HOST:PORT",
-        help="plug the bridge into this machine (root, modprobe vhci-hcd), or serve USB/IP",
-    )
     return parser
 
 
@@ -133,8 +126,6 @@ def _settings(options: argparse.Namespace) -> StandInSettings:
     effects = {**settings.effects, **dict(_effects(options.effect))}
     if options.fast and options.seconds is None:
         raise ValueError("--fast: say for how long with --for SECONDS")
-    if options.usb is not None and (options.fast or options.serial or options.output):
-        raise ValueError("--usb: the bus is the only way out, leave --fast, --serial and -o out")
     if options.fast and options.serial is not None:
         raise ValueError("--serial: a line runs in real time, leave --fast out")
     if options.seconds is not None and not 0 < options.seconds < 1e7:
@@ -170,26 +161,6 @@ def _line(options: argparse.Namespace) -> Iterator[SerialPort | None]:
     print(f"{line.unheard} packets while nobody listened, {line.dropped} dropped")
 
 
-async def _ride_usb(craft: StandIn, options: argparse.Namespace, stopped: asyncio.Event) -> None:
-    """The bus drives the craft, in a thread of its own, until the time is up or Ctrl-C."""
-    import socket
-
-    from firmware_sim.usb_device import UsbBridge
-    from firmware_sim.usbip import run
-
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        serving = asyncio.create_task(asyncio.to_thread(run, UsbBridge(craft), options.usb, theirs))
-        stopping = asyncio.create_task(stopped.wait())
-        print(f"USB bridge on {options.usb}", flush=True)
-        await asyncio.wait(
-            {serving, stopping}, timeout=options.seconds, return_when=asyncio.FIRST_COMPLETED
-        )
-        stopping.cancel()
-        ours.send(b"x")
-        await serving
-
-
 async def _fly(
     craft: StandIn, options: argparse.Namespace, line: SerialPort | None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
@@ -212,17 +183,10 @@ async def _fly(
     end_s = float("inf") if options.seconds is None else options.seconds
     step_s = FAST_STEP_S if options.fast else STEP_S if line is None else SERIAL_STEP_S
     parts: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = [powered_on]
-    if options.usb is not None:
-        try:
-            await _ride_usb(craft, options, stopped)
-        finally:
-            if server is not None:
-                await server.close()
-        return parts[0]
     if line is not None:
         print(f"telemetry on serial:{line.path}", flush=True)
     if options.output is None and line is None and server is None:
-        print("flying for nobody (see --help: -o, --serial, --usb, --crtp); Ctrl-C ends it")
+        print("flying for nobody (see --help: -o, --serial, --crtp); Ctrl-C ends it")
     start, flown_s = time.monotonic(), 0.0
     try:
         while flown_s < end_s and not stopped.is_set():

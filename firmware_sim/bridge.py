@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.compiled import kernel, source_stamp
+from groundstation.compiled import kernel
 
 FRAME_NS = 1_000_000
 FRAME_PACKETS = 2
@@ -44,7 +42,7 @@ class Bridge:
             self._heard_ns = np.concatenate([self._heard_ns, heard_ns])
         last_frame = until_ns // FRAME_NS  # frames that end by then
         frames = np.empty(len(self._heard_ns), np.int64)
-        self._queued = _carry()(
+        self._queued = _carry(
             self._heard_ns, self._queued, self._capacity, self._frame, last_frame, frames
         )
         self._frame = max(self._frame, last_frame)
@@ -70,39 +68,30 @@ class Bridge:
 WAITING, DROPPED = -1, -2
 
 
-@cache
-def _carry() -> Callable[..., Any]:
-    stamp = source_stamp()
-
-    @kernel
-    def carry(
-        heard: Any, queued: int, capacity: int, first_frame: int, last_frame: int, frames: Any
-    ) -> int:
-        """Fill ``frames`` with the frame that carries each packet, WAITING or DROPPED."""
-        if stamp == 0:  # makes the stamp part of the cache key, see compiled.kernel
-            return 0
-        total = len(heard)
-        for i in range(total):
-            frames[i] = WAITING
-        out = 0  # next packet that may leave; those before ``into`` are queued
-        into = queued
-        waiting = queued
-        for frame in range(first_frame, last_frame):
-            start = frame * FRAME_NS
-            while into < total and heard[into] <= start:
-                if waiting < capacity:
-                    waiting += 1
-                else:
-                    frames[into] = DROPPED
-                into += 1
-            for _ in range(FRAME_PACKETS):
-                while out < into and frames[out] != WAITING:
-                    out += 1
-                if out < into:
-                    frames[out] = frame
-                    out += 1
-                    waiting -= 1
-        return waiting
-
-    compiled: Callable[..., Any] = carry
-    return compiled
+@kernel
+def _carry(
+    heard: Any, queued: int, capacity: int, first_frame: int, last_frame: int, frames: Any
+) -> int:
+    """Fill ``frames`` with the frame that carries each packet, WAITING or DROPPED."""
+    total = len(heard)
+    for i in range(total):
+        frames[i] = WAITING
+    out = 0  # next packet that may leave; those before ``into`` are queued
+    into = queued
+    waiting = queued
+    for frame in range(first_frame, last_frame):
+        start = frame * FRAME_NS
+        while into < total and heard[into] <= start:
+            if waiting < capacity:
+                waiting += 1
+            else:
+                frames[into] = DROPPED
+            into += 1
+        for _ in range(FRAME_PACKETS):
+            while out < into and frames[out] != WAITING:
+                out += 1
+            if out < into:
+                frames[out] = frame
+                out += 1
+                waiting -= 1
+    return waiting

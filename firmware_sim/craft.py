@@ -121,7 +121,7 @@ class StandIn:
         self._hover = hover_thrust(self.settings)
         self._state = np.zeros(1, STATE)
         self._sticks = Sticks(load_programme(self.settings.program), self.settings.seed)
-        self._fly, self._transmit = fly(), transmit()
+        self._fly, self._transmit = fly, transmit
         self._bridge = Bridge(self.settings.bridge_packets, self.settings.bridge_dedup)
         self._air = np.zeros(1, np.int64)
         loss = self.settings.loss

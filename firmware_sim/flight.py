@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 from firmware_sim.battery import ADC_PASSES, manage_power, protect, read_adc, supply
 from firmware_sim.bench_motor import watch_gate
 from firmware_sim.commander import watch
-from firmware_sim.compiled import inner, kernel, source_stamp
+from firmware_sim.compiled import inner
 from firmware_sim.fusion import COUNTS_PER_DPS, COUNTS_PER_G, calibrate, fuse, smooth_acceleration
 from firmware_sim.height import estimate_height, hold_climb, hold_height
 from firmware_sim.imu import fetch, sample
@@ -34,6 +32,7 @@ from firmware_sim.random_numbers import normal, uniform
 from firmware_sim.stabilizer import angle_loops, stabilize
 from firmware_sim.stabilizer_today import stabilize_today
 from firmware_sim.supervisor import EVERY_PASSES, supervise
+from groundstation.compiled import kernel
 from groundstation.telemetry.packet import FULL_16_BIT
 
 FULL_COMPARE = 512.0
@@ -48,64 +47,55 @@ LONG_INTERRUPT = 0.02
 """Share of rows whose timestamp is late by a long interrupt."""
 
 
-@cache
-def fly() -> Callable[..., Any]:
-    """The compiled flight: ``fly()(p, fw, s, programme, first, hover, passes, rows, truth)``.
+@kernel
+def fly(
+    p: Record,
+    fw: Record,
+    s: Record,
+    programme: Any,
+    first: int,
+    hover: float,
+    passes: int,
+    rows: Any,
+    truth: Any,
+) -> Any:
+    """The compiled flight: ``fly(p, fw, s, programme, first, hover, passes, rows, truth)``.
 
     Flies up to ``passes`` passes, reading ``programme`` (n, 7) from row ``first`` on, and fills
     ``rows`` and, where it has rows, ``truth``. Returns (passes flown, rows written); it stops
     early when a fresh battery has just started the craft anew, because the programme then
     starts anew too.
     """
-    stamp = source_stamp()
-
-    @kernel
-    def fly_passes(
-        p: Record,
-        fw: Record,
-        s: Record,
-        programme: Any,
-        first: int,
-        hover: float,
-        passes: int,
-        rows: Any,
-        truth: Any,
-    ) -> Any:
-        if stamp == 0:  # makes the stamp part of the cache key, see compiled.kernel
-            return 0, 0
-        written = 0
-        for done in range(passes):
-            if s.off_ns >= 0:
-                if s.now_ns - s.off_ns >= p.swap_ns:
-                    return done, written
-                _fall(s)
-                _move(p, s)
-                continue
-            since_boot = s.now_ns - s.boot_ns
-            index = since_boot // PASS_NS
-            slot = fetch(s, s.now_ns)
-            tick = index // PILOT_PASSES - first
-            if index % PILOT_PASSES == 0:
-                decide(p, fw, s, programme[tick], hover * _battery_ratio(fw), s.now_ns)
-            _firmware(p, fw, s, index, slot)
-            if index >= FIRST_ROW:
-                _report(p, fw, s, rows[written], slot, index)
-                if len(truth) > 0:
-                    _witness(s, truth[written], slot)
-                written += 1
-            _act(p, fw, s, index)
-            if index >= FIRST_ROW:
-                _log(fw, s, rows[written - 1])
-            phase, speed = s.y[PHASE], s.y[ROTOR]
+    written = 0
+    for done in range(passes):
+        if s.off_ns >= 0:
+            if s.now_ns - s.off_ns >= p.swap_ns:
+                return done, written
+            _fall(s)
             _move(p, s)
-            if s.mode == FIXED:
-                watch_gate(p, s, phase, speed)
-            if _power_lost(p, fw, s):
-                s.off_ns = s.now_ns
-        return passes, written
-
-    compiled: Callable[..., Any] = fly_passes
-    return compiled
+            continue
+        since_boot = s.now_ns - s.boot_ns
+        index = since_boot // PASS_NS
+        slot = fetch(s, s.now_ns)
+        tick = index // PILOT_PASSES - first
+        if index % PILOT_PASSES == 0:
+            decide(p, fw, s, programme[tick], hover * _battery_ratio(fw), s.now_ns)
+        _firmware(p, fw, s, index, slot)
+        if index >= FIRST_ROW:
+            _report(p, fw, s, rows[written], slot, index)
+            if len(truth) > 0:
+                _witness(s, truth[written], slot)
+            written += 1
+        _act(p, fw, s, index)
+        if index >= FIRST_ROW:
+            _log(fw, s, rows[written - 1])
+        phase, speed = s.y[PHASE], s.y[ROTOR]
+        _move(p, s)
+        if s.mode == FIXED:
+            watch_gate(p, s, phase, speed)
+        if _power_lost(p, fw, s):
+            s.off_ns = s.now_ns
+    return passes, written
 
 
 @inner

@@ -6,13 +6,11 @@ NRF24L01+ at 2 Mbit/s: 295 us of air time for 32 bytes; the add-on refreshes its
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from typing import Any
 
-from firmware_sim.compiled import kernel, source_stamp
 from firmware_sim.layout import RADIO_STREAM
 from firmware_sim.random_numbers import uniform
+from groundstation.compiled import kernel
 
 REPEAT_NS = 500_000
 FIRST_COPY_NS = 250_000
@@ -23,39 +21,30 @@ FETCH_NS = 40_000
 DAMAGED_BITS = 256
 
 
-@cache
-def transmit() -> Callable[..., Any]:
-    """The compiled radio: ``transmit()(times, copies, loss, air, rng, row, heard, bit)``.
+@kernel
+def transmit(
+    times: Any, copies: int, loss: Any, air: Any, rng: Any, row: Any, heard: Any, bit: Any
+) -> int:
+    """The compiled radio: ``transmit(times, copies, loss, air, rng, row, heard, bit)``.
 
     times: (n,) ns of the passes; loss: (5,) good_loss, bad_loss, to_bad, to_good, damage.
     air: (1,) int64, 1 while the channel is bad; rng: the state's streams.
     Fills, for each copy that arrives, its row, the time (ns) at which the bridge has it, and
     the bit that was damaged (-1: none); returns how many arrived.
     """
-    stamp = source_stamp()
-
-    @kernel
-    def transmit_copies(
-        times: Any, copies: int, loss: Any, air: Any, rng: Any, row: Any, heard: Any, bit: Any
-    ) -> int:
-        if stamp == 0:  # makes the stamp part of the cache key, see compiled.kernel
-            return 0
-        count = 0
-        for i in range(len(times)):
-            for copy in range(copies):
-                change = loss[3] if air[0] != 0 else loss[2]
-                if change > 0.0 and uniform(rng, RADIO_STREAM) < change:
-                    air[0] = 1 - air[0]
-                chance = loss[1] if air[0] != 0 else loss[0]
-                if chance > 0.0 and uniform(rng, RADIO_STREAM) < chance:
-                    continue
-                row[count] = i
-                heard[count] = times[i] + FIRST_COPY_NS + copy * REPEAT_NS + AIR_NS + FETCH_NS
-                bit[count] = -1
-                if loss[4] > 0.0 and uniform(rng, RADIO_STREAM) < loss[4]:
-                    bit[count] = int(uniform(rng, RADIO_STREAM) * DAMAGED_BITS)
-                count += 1
-        return count
-
-    compiled: Callable[..., Any] = transmit_copies
-    return compiled
+    count = 0
+    for i in range(len(times)):
+        for copy in range(copies):
+            change = loss[3] if air[0] != 0 else loss[2]
+            if change > 0.0 and uniform(rng, RADIO_STREAM) < change:
+                air[0] = 1 - air[0]
+            chance = loss[1] if air[0] != 0 else loss[0]
+            if chance > 0.0 and uniform(rng, RADIO_STREAM) < chance:
+                continue
+            row[count] = i
+            heard[count] = times[i] + FIRST_COPY_NS + copy * REPEAT_NS + AIR_NS + FETCH_NS
+            bit[count] = -1
+            if loss[4] > 0.0 and uniform(rng, RADIO_STREAM) < loss[4]:
+                bit[count] = int(uniform(rng, RADIO_STREAM) * DAMAGED_BITS)
+            count += 1
+    return count

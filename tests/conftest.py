@@ -15,6 +15,7 @@ from programs import run_program, start_guard
 
 from groundstation.allocator import keep_freed
 
+pytest_plugins = ["ci_limits"]
 keep_freed()  # as the command itself does
 
 # What tests consent to is not remembered for whoever runs them, and tests run effects of their own.

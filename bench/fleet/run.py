@@ -18,6 +18,7 @@ CRAFTS, FLIGHTS, SECONDS = 4, 12, 15
 """The smallest fleet in which a craft can differ from the others, flights as short as they tell."""
 ILL = 3
 PROGRAM = str(Path(__file__).with_name("programme.toml"))
+MAKE = str(Path(__file__).with_name("make.py"))
 COMMAND = str(Path(sys.executable).with_name("groundstation"))
 PATIENCE_S = 3600.0
 
@@ -51,7 +52,7 @@ def run(
 def told(case: FleetCase) -> dict[str, Any]:
     """What became of whom, and what the report found, of one fleet."""
     with tempfile.TemporaryDirectory(prefix="fleet-") as folder:
-        make = [sys.executable, "-m", "firmware_sim.fleet", "--crafts", CRAFTS, "--wear"]
+        make = [sys.executable, MAKE, "--crafts", CRAFTS, "--wear"]
         make += [ILL if case.ill else 0, "--flights", FLIGHTS, "--for", SECONDS, "--program"]
         make += [PROGRAM, "--seed", case.seed, "-o", "flights", "--truth", "sealed.json"]
         steps: list[list[Any]] = [

@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.real import acceptance, lean, nanobench, program, shaking, slow, swing
+from bench.real import acceptance, nanobench, program
 from bench.real.reference import Flight, explained, read_flight, reference_gain
 from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split, drawn
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
-PARTS = ("fit", "agreement", "find", "tasks", "slow", "swing", "shaking", "lean")
+PARTS = ("fit", "agreement", "find", "tasks")
 ACCEPT = "accept"
 """Pass or fail, a line each, instead of tables; not among what runs by default."""
 AXES = {"roll": "c0", "pitch": "c1", "yaw": "c2"}
@@ -144,26 +144,6 @@ class Bench:
                         models = [fitted["model"], found.get("model", fitted["model"])]
                         cases.append((split, models))
                 yield from nanobench.tables(cases, self.data / flights.folder)
-
-    def slow(self) -> Iterator[str]:
-        """How much of the slow moments the velocity explains."""
-        if self.only is None:
-            yield from slow.table(self.data)
-
-    def swing(self) -> Iterator[str]:
-        """How much of the force in the plane a load on a line explains."""
-        if self.only is None:
-            yield from swing.table(self.data)
-
-    def shaking(self) -> Iterator[str]:
-        """How strongly each rotor shakes the craft."""
-        if self.only is None:
-            yield from shaking.table(self.data)
-
-    def lean(self) -> Iterator[str]:
-        """How much of the force across the rotors' axis an estimator takes for a tilt."""
-        if self.only is None:
-            yield from lean.table(self.data)
 
     def accept(self) -> Iterator[str]:
         """Each line of acceptance that a folder of flights can show."""

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 LEAST_ROWS = 100
 END_SHARE, END_ROWS = 20, 500
-"""Start and end are means over a twentieth of the recording, a second at most."""
+"""Start and end are those of lines through a twentieth of the recording, a second at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +37,36 @@ class Fused:
     noise: KalmanNoise
 
     def moved_deg(self) -> dict[str, list[float]]:
-        """End minus start, by method."""
-        ends = max(1, min(len(self.time_s) // END_SHARE, END_ROWS))
-        return {
-            name: np.degrees(v[-ends:].mean(axis=0) - v[:ends].mean(axis=0)).tolist()
-            for name, v in self.angles.items()
-        }
+        """End minus start, by method, of the rows that have angles."""
+        return {name: _moved_deg(angles) for name, angles in self.angles.items()}
+
+
+def _moved_deg(angles: Array) -> list[float]:
+    """The last less the first of each axis of (n, 3), of the rows that have it, both by straight
+    lines through what is around them."""
+    moved = []
+    for axis in angles.T:
+        known = axis[np.isfinite(axis)]
+        ends = max(1, min(len(known) // END_SHARE, END_ROWS))
+        first, last = _at_start(known[:ends]), _at_start(known[::-1][:ends])
+        moved.append(last - first)
+    return [float(one) for one in np.degrees(moved)]
+
+
+def _at_start(values: Array) -> float:
+    """The line through values (n,) at the first of them; NaN without any."""
+    if len(values) < 3:
+        return float(values[0]) if len(values) else np.nan
+    _, start = np.polyfit(np.arange(len(values)), values, 1)
+    return float(start)
+
+
+def _unwrapped(attitude: Array) -> Array:
+    """Angles (n, 3) without jumps of a turn, across rows that have none as well."""
+    out = attitude.copy()
+    known = np.isfinite(attitude).all(axis=1)
+    out[known] = np.unwrap(attitude[known], axis=0)
+    return out
 
 
 def fuse(
@@ -71,6 +95,6 @@ def fuse(
         "accelerometer": np.column_stack([tilt, np.full(len(tilt), np.nan)]),
         "complementary": complementary(time, samples.gyro, force, weight),
         "kalman": kalman(time, gyro, force, chosen).attitude,
-        "reported": np.unwrap(samples.attitude.astype(np.float64), axis=0),
+        "reported": _unwrapped(samples.attitude.astype(np.float64)),
     }
     return Fused(time, angles, bias, weight, chosen)

@@ -6,14 +6,15 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from groundstation.compiled import kernel, spliced
 
 HALF_TURN = math.pi
 SMALLEST_COSINE = 1e-3
 """Keeps Euler rates finite within 0.06 deg of a vertical nose."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def integrate(time: Any, rates: Any, start: Any, angles: Any) -> None:
     """Eq. 6.3-6.6 with the midpoint attitude of each step (second order)."""
     for i in range(3):
@@ -28,7 +29,7 @@ def integrate(time: Any, rates: Any, start: Any, angles: Any) -> None:
         angles[k, 2] = angles[k - 1, 2] + dt * e2
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def complement(time: Any, rates: Any, tilt: Any, start: Any, weight: float, angles: Any) -> None:
     """Eq. 6.7-6.10."""
     for i in range(3):
@@ -43,7 +44,7 @@ def complement(time: Any, rates: Any, tilt: Any, start: Any, weight: float, angl
                 angles[k, i] += (1.0 - weight) * _wrap(tilt[k, i] - predicted)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def kalman_axes(
     time: Any,
     rates: Any,
@@ -88,7 +89,7 @@ def kalman_axes(
             attitude[k, i], bias[k, i] = angle[i], offset[i]
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@spliced
 def _euler_rates(roll: float, pitch: float, rate: Any) -> Any:
     """Eq. 6.3."""
     cr, sr, cp = math.cos(roll), math.sin(roll), math.cos(pitch)
@@ -98,7 +99,7 @@ def _euler_rates(roll: float, pitch: float, rate: Any) -> Any:
     return rate[0] + math.sin(pitch) / cp * across, rate[1] * cr - rate[2] * sr, across / cp
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@spliced
 def _wrap(angle: float) -> float:
     """Into -pi..pi: a craft upside down has a roll error of degrees, not of a turn."""
     return angle - 2.0 * HALF_TURN * math.floor((angle + HALF_TURN) / (2.0 * HALF_TURN))

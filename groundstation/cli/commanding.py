@@ -16,6 +16,7 @@ import typer
 from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
+from groundstation.service.motor_stop import BY_OPERATOR
 
 LEAST_REST_V = 3.5
 """Battery at rest below which nothing begins."""
@@ -108,6 +109,11 @@ def require_consent(pilot: Pilot, question: str, otherwise: str) -> None:
 def require_ended(report: Mapping[str, Any], what: str) -> None:
     """Raises GroundStationError for a report of what was cut short: why, how the motors are, and
     where the recording is."""
+    if report["aborted"] == BY_OPERATOR:
+        raise GroundStationError(
+            f"Stopped by the operator, {report['motors'].replace('are off', 'off')};"
+            f" the recording is {report['recording']}"
+        )
     if report["aborted"]:
         raise GroundStationError(
             f"{what} aborted: {report['aborted']}; {report['motors']}, the recording is"

@@ -12,7 +12,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, DamagedRecordingError
+from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ TABLE_WIDTH = 72
 def _list_columns(asked: bool) -> None:
     if not asked:
         return
-    from groundstation.recording.column_map import NAMED, load_column_map
+    from groundstation.recording.map_document import NAMED, load_column_map
 
     for name, path in NAMED.items():
         show(f"{name:<16}{load_column_map(path).title}")
@@ -71,6 +71,8 @@ def inspect(
     else:
         _print_report(report)
     _raise_damage(recording)
+    if not recording.being_written:
+        _require_samples(recording)
 
 
 def convert(
@@ -105,6 +107,8 @@ def convert(
     writer = writer_of(target, physical=physical, ros2_hz=ros2)
     require_new(target)
     recording = _open(source, columns)
+    if not recording.tables:
+        _require_samples(recording)
     if supply_v is not None:
         _give_supply(recording, supply_v)
     with _progress(f"writing {target}"):
@@ -184,6 +188,13 @@ def _warn_of_zeros(recording: Recording) -> None:
         )
 
 
+def _require_samples(recording: Recording) -> None:
+    """Raises RecordingError for a recording of nothing, once what there is has been told."""
+    if not len(recording.samples):
+        _raise_damage(recording)
+        raise RecordingError(f"{recording.path}: no samples, so there is nothing to judge or write")
+
+
 def _raise_damage(recording: Recording) -> None:
     """What was good has been used by now; the exit status tells that something was not."""
     if recording.damage:
@@ -211,6 +222,15 @@ def _packets_line(report: dict[str, Any]) -> str:
     for name in ("malformed", "damaged"):
         line += f", {report[name]} {name}" * bool(report[name])
     return line
+
+
+def _renewed(report: dict[str, Any], channel: str) -> str:
+    """How often a channel's values are renewed, where that could be measured."""
+    from groundstation.recording.channels import CHANNELS
+
+    field = next(one.field for one in CHANNELS if one.name == channel)
+    hz = report["renewed_hz"].get(field)
+    return "" if hz is None else f"{hz:.4g}"
 
 
 def _print_report(report: dict[str, Any]) -> None:
@@ -242,11 +262,14 @@ def _print_report(report: dict[str, Any]) -> None:
         line = Text(f"{printable(name):<14}", "bold").append(printable(text), "not bold")
         console.print(line, highlight=False, soft_wrap=True)
     table = Table("channel", "unit", box=None, header_style="bold")
-    for heading in ("min", "mean", "max", "clipped"):
+    counted = [("clipped", report["clipping"]), ("missing", report["missing_values"])]
+    counted = [(name, counts) for name, counts in counted if counts]
+    for heading in ("min", "mean", "max", *(name for name, _ in counted), "new, Hz"):
         table.add_column(heading, justify="right")
     for name, values in report["ranges"].items():
         numbers = (f"{values[key]:.4g}" for key in ("min", "mean", "max"))
-        table.add_row(name, values["unit"], *numbers, str(report["clipping"].get(name, 0)))
+        counts = (str(those.get(name, 0)) for _, those in counted)
+        table.add_row(name, values["unit"], *numbers, *counts, _renewed(report, name))
     console.print(table)
     if report["missing"]:
         missing = ", ".join(report["missing"])

@@ -250,6 +250,7 @@ def _carry_out(
     from groundstation.dynamics.model import load_model, model_vehicle
     from groundstation.identification.segments import parse_selection
     from groundstation.recording.craft_family import vehicle_of
+    from groundstation.recording.plausibility import require_possible
 
     for path in (files.output, files.html, files.rerun):
         if path is not None:
@@ -258,6 +259,8 @@ def _carry_out(
     selection = parse_selection(select, tuple(segment or ()))
     with shown("reading") as progress:
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
+        for one in (*fit_on, *held):
+            require_possible(one)
         given = load_model(model) if model is not None else None
         before = model_before(given, vehicle_of([*fit_on, *held], vehicle, given), mass_kg)
         task = _Task(read(fit_on), read(held), before, model_vehicle(before), selection)
@@ -266,7 +269,23 @@ def _carry_out(
         lost = rows - sum(len(one.samples) for one in fit_on)
         if lost > 0:
             found.account["warnings"].append(f"{lost} of {rows} rows were lost, and bridged")
+        found.account["warnings"] += _doubts(found, task, [*fit_on, *held])
         _finish(found, files, progress)
+
+
+def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> list[str]:
+    """What is doubtful of a fit and of what it was made on. Raises BadInputError where its
+    estimates are none."""
+    from groundstation.identification.recordings import renewal_notes
+    from groundstation.identification.results import require_results
+    from groundstation.recording.plausibility import contradictions
+
+    of_recordings = [
+        f"{one.path.name}: {line}" for one in recordings for line in contradictions(one.samples)
+    ]
+    doubts = require_results(found.account, task.before, task.vehicle, of_recordings)
+    slow = [line for one in recordings for line in renewal_notes(one.samples, one.path.name)]
+    return [*of_recordings, *doubts, *(slow if found.account["what"] == "body" else [])]
 
 
 def _finish(found: Identified, files: _Files, progress: Progress) -> None:

@@ -20,7 +20,6 @@ SCHEDULER = typer.Option(
 VEHICLE = typer.Option(
     None, "--vehicle", help="Profile of all crafts (default: what each recording says)."
 )
-RERUN = typer.Option(None, "--rerun", help="Write crafts and their trends to this new .rrd.")
 CATALOGUE = typer.Argument(metavar="CATALOGUE", help="The folder that fleet index made.")
 
 
@@ -33,7 +32,6 @@ def add_commands(app: typer.Typer) -> None:
     fleet.command("index")(index)
     fleet.command("fit")(fit)
     fleet.command("discrepancy")(discrepancy)
-    fleet.command("twin")(twin)
     fleet.command("report")(report)
     app.add_typer(fleet, name="fleet")
 
@@ -175,56 +173,12 @@ def discrepancy(
             show(f"    warning: {words}")
 
 
-def twin(
-    catalogue: Path = CATALOGUE,
-    model: str = typer.Option(..., "--model", help="The model that every flight is held against."),
-    vehicle: str | None = VEHICLE,
-    workers: int | None = WORKERS,
-    scheduler: str | None = SCHEDULER,
-    as_json: bool = AS_JSON,
-) -> None:
-    """Fly a model beside every flight, as the live twin does, and list where they disagree.
-
-    Example: [bold]groundstation fleet twin fleet --model body.json[/bold]
-    """
-    from dataclasses import asdict
-
-    from groundstation.cli.flights import model_for
-    from groundstation.fleet.engine import cores
-    from groundstation.fleet.parts import held
-    from groundstation.fleet.twin import twin_table, watch_all
-
-    loaded = model_for(model, vehicle)
-    with shown("looking") as progress, held(catalogue):
-        counts = watch_all(
-            catalogue,
-            loaded,
-            asked=vehicle is not None,
-            workers=workers or cores(),
-            scheduler=scheduler,
-            progress=progress,
-        )
-        rows = twin_table(catalogue).rows()
-    if as_json:
-        show_json({**asdict(counts), "flights": list(rows.values())})
-        return
-    show(
-        f"{catalogue}: {counts.watched} flights watched, {counts.refused} of them could not be;"
-        f" {counts.unchanged} were watched already, {counts.short} too short;"
-        f" {counts.disagreeing} disagree"
-    )
-    for address, row in rows.items():
-        for line in row["told"] or ():
-            show(f"  {address}: {line}")
-
-
 def report(
     catalogue: Path = CATALOGUE,
     compare_before: str | None = typer.Option(
         None, "--compare-before", metavar="DATE", help="Did it help: all crafts before and since."
     ),
     html: Path | None = HTML,
-    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Say what changed since when, which craft differs from the others, and what to fly next.
@@ -241,10 +195,9 @@ def report(
     from groundstation.fleet.index import recordings_of, usable, warn_of_older
     from groundstation.fleet.report_sections import to_fly
     from groundstation.fleet.search import effects_table
-    from groundstation.fleet.twin import twin_table
 
-    for new in filter(None, (html, rerun)):
-        require_new(new)
+    if html is not None:
+        require_new(html)
     date = None if compare_before is None else parse_date(compare_before)
     columns = ("craft", "begun", "state", "reason", "reader", "sha256", *PERCENT.values())
     recordings = recordings_of(catalogue, columns)
@@ -252,7 +205,7 @@ def report(
     fits = fits_table(catalogue).rows(VALUES)
     counted = usable(recordings)
     fleet = findings_of(counted, fits)
-    effects, watched = effects_table(catalogue).rows(), twin_table(catalogue).rows()
+    effects = effects_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)
     expected = expectations(counted)
     needed = to_fly(fleet, effects, expected)
@@ -260,14 +213,10 @@ def report(
         from groundstation.fleet.report import More
         from groundstation.fleet.report import report as page
 
-        more = More(effects, watched, expected, needed, compare_before, since)
+        more = More(effects, expected, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
-    if rerun is not None:
-        from groundstation.fleet.rrd import write_rrd
-
-        write_rrd(fleet, effects, catalogue.name, rerun)
     if as_json:
-        known = {"effects": list(effects.values()), "twin": list(watched.values())}
+        known = {"effects": list(effects.values())}
         compared = None if date is None else [asdict(one) for one in since]
         told = {craft: asdict(one) for craft, one in expected.items()}
         next_ones = {"expected": told, "to_fly": needed, "since": compared}
@@ -288,4 +237,4 @@ def report(
         show(f"  {craft} lacks {', '.join(row['effects'] or ()) or 'nothing that has a name'}")
     for craft, lines in needed.items():
         show(f"  to fly with {craft}: {'; '.join(lines)}")
-    say_written(html, rerun)
+    say_written(html)

@@ -63,17 +63,22 @@ def read_flights(
     """Each recording, opened once; those in which nothing lasts 5 s have no runs, and are told in
     words.
 
-    Raises BadInputError where a recording says that it is of another vehicle than the model's,
-    unless ``vehicle`` says the contrary, and where nothing lasts 5 s in any.
+    Raises BadInputError where a recording holds what cannot be, or says that it is of another
+    vehicle than the model's, unless ``vehicle`` says the contrary, and where nothing lasts 5 s in
+    any.
     """
-    from groundstation.identification.recordings import flights_of_each
+    from groundstation.identification.recordings import flights_of_each, renewal_notes
     from groundstation.recording.craft_family import require_craft_of
+    from groundstation.recording.plausibility import require_possible
 
     recordings = [open_one(path) for path in paths]
+    for one in recordings:
+        require_possible(one)
     if vehicle is None:
         for one in recordings:
             require_craft_of(one, model)
     runs, left_out = flights_of_each((one.samples, one.path.name) for one in recordings)
+    left_out += [line for one in recordings for line in renewal_notes(one.samples, one.path.name)]
     return [
         Flights(one.path.name, its, one.events) for one, its in zip(recordings, runs, strict=True)
     ], left_out

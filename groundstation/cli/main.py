@@ -11,7 +11,6 @@ from typing import NoReturn
 
 from groundstation.allocator import keep_freed
 from groundstation.errors import GroundStationError
-from groundstation.kernel_cache import provide_cache
 from groundstation.text import printable
 
 
@@ -31,9 +30,6 @@ def main() -> NoReturn:
     warnings.showwarning = lambda message, *_, **__: _complain(str(message))
     try:
         _hold_streams()
-        if (cache := provide_cache()) is not None and not cache.exists():
-            _complain(f"compiled code is kept in {cache}, for neither its own nor your cache folder"
-                      " can be written")  # fmt: skip
         # Matrices here are small: BLAS's threads only wait for each other. For two searches side by
         # side on two cores that took seven times the processor time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -22,10 +22,7 @@ from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from groundstation.control.pid import PidGains
-    from groundstation.dynamics.model import Model
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -54,12 +51,6 @@ def evaluate(
     firmware: str | None = FIRMWARE,
     attitude: str | None = ATTITUDE,
     seconds: float = typer.Option(1.5, help="Window of the step response."),
-    inputs: Path | None = typer.Option(
-        None,
-        "--inputs",
-        help="Whole loop: a joystick instead of steps, a recorded flight or a CSV of time_s,"
-        " roll_deg, pitch_deg, yaw_deg, and if wanted thrust (0..1) and battery_v.",
-    ),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -85,7 +76,11 @@ def evaluate(
     if html is not None:
         require_new(html)
     if thesis:
-        _evaluate_thesis(delay, html, as_json)
+        if html is not None:
+            raise BadInputError(
+                "--thesis: its figures are drawn by 'groundstation thesis -o FOLDER'"
+            )
+        _evaluate_thesis(delay, as_json)
         return
     if not 0.1 <= seconds <= 60.0:
         raise BadInputError(f"--seconds {seconds}: must be 0.1..60")
@@ -99,9 +94,6 @@ def evaluate(
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
     loaded = fitted_model(model, attitude=chosen != "firmware" and attitude != "body")
     loaded, turning = turned_model(loaded, attitude, chosen == "firmware")
-    if inputs is not None:
-        _evaluate_inputs(loaded, given, chosen, inputs, delay, html, as_json, model)
-        return
     release = release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
@@ -118,71 +110,16 @@ def evaluate(
     say_written(html)
 
 
-def _evaluate_inputs(
-    loaded: Model,
-    gains: Mapping[str, PidGains] | Mapping[str, float],
-    loop: str,
-    inputs: Path,
-    delay: int | None,
-    html: Path | None,
-    as_json: bool,
-    name: str,
-) -> None:
-    from groundstation.cli.model_files import open_one
-    from groundstation.control.joystick import follow, joystick_of_recording, load_joystick
-    from groundstation.control.pid import PidGains
-    from groundstation.control.whole_report import inputs_page
-
-    by_axis = {axis: g for axis, g in gains.items() if isinstance(g, PidGains)}
-    if loop != "whole" or not by_axis:
-        raise BadInputError("--inputs: a joystick flies --loop whole with gains by axis")
-    sticks = (
-        load_joystick(inputs)
-        if inputs.suffix == ".csv"
-        else joystick_of_recording(open_one(inputs))
-    )
-    followed = follow(loaded, by_axis, sticks, delay)
-    if html is not None:
-        inputs_page(followed, ", ".join(by_axis), name).write(html)
-    told = followed.as_dict()
-    if as_json:
-        show_json({"loop": loop, "model": name, **told})
-        return
-    low, high = told["battery_v"]
-    show(
-        f"{told['inputs']}: {told['seconds']:.1f} s, battery {low:.2f} to {high:.2f} V, motors at a"
-        f" stop {told['at_stops_pct']:.1f} % of it"
-    )
-    for axis, one in told["axes"].items():
-        show(f"{axis}: RMS error {one['rms_deg']:.2f} deg, largest {one['largest_deg']:.2f} deg")
-    say_written(html)
-
-
-def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> None:
-    import numpy as np
-
-    from groundstation.control.linear_loop import run_direct
-    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_page, thesis_rows
+def _evaluate_thesis(delay: int | None, as_json: bool) -> None:
+    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_rows
     from groundstation.control.thesis_tables import (
         DELAYS,
         FINDING,
-        GAINS,
         printed_cases,
-        printed_plant,
-        window_s,
     )
 
     delays = DELAYS if delay is None else (delay,)
     cases = printed_cases(delays)
-    if html is not None:
-        responses = {}
-        for case in cases:
-            plant = printed_plant(case.axis, case.delay)
-            rows = round(window_s(case.axis) / plant.ts)
-            gains = GAINS[case.controller][case.axis.split(",")[0]]
-            key = case.controller, case.axis, case.delay
-            responses[key] = run_direct(plant, gains, np.ones(rows)).y
-        thesis_page(cases, responses).write(html)
     if as_json:
         show_json(
             {
@@ -212,4 +149,3 @@ def _evaluate_thesis(delay: int | None, html: Path | None, as_json: bool) -> Non
         show(line)
     show()
     show(FINDING)
-    say_written(html)

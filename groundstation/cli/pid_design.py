@@ -1,4 +1,4 @@
-"""``pid design``: gains by optimisation, for one of three loops; ``pid convert`` between them."""
+"""``pid design``: gains by optimisation, for one of two loops; ``pid convert`` between forms."""
 
 from __future__ import annotations
 
@@ -36,18 +36,14 @@ FIRMWARE = typer.Option(
     None, "--firmware", help="2014 or 2.x: whose loops and gains (default: the vehicle's)."
 )
 AXIS = typer.Option(None, "--axis", help="roll, pitch or yaw; repeatable (default: all).")
-FORMS = {"firmware": "firmware", "direct": "thesis", "whole": "whole"}
-"""What a design for each loop is called in its report."""
+LOOPS = ("firmware", "direct")
 
 
 def design(
     model: str = MODEL,
     output: Path | None = typer.Option(None, "-o", "--output", help="A new TOML file of gains."),
-    form: str = typer.Option(
-        "firmware", help="firmware (cascaded) or thesis (a PID on u'): as --loop direct."
-    ),
     loop: str = typer.Option(
-        "", "--loop", help="firmware, direct (u' in (rev/s)^2) or whole (a PID in PWM counts)."
+        "firmware", "--loop", help="firmware (cascaded) or direct (a PID on u' in (rev/s)^2)."
     ),
     firmware: str | None = FIRMWARE,
     attitude: str | None = ATTITUDE,
@@ -57,7 +53,7 @@ def design(
     draws: int = typer.Option(1000, help="Models drawn from the fit's covariance to try it on."),
     delay: int | None = DELAY,
     rounding: bool = typer.Option(
-        False, "--rounding", help="Thesis form: hold for all that the printed digits stand for."
+        False, "--rounding", help="Direct loop: hold for all that the printed digits stand for."
     ),
     seed: int = typer.Option(0, help="Of the search and the draws."),
     html: Path | None = HTML,
@@ -75,30 +71,24 @@ def design(
             require_new(path)
     axes = tuple(axis or AXES)
     _require_sense(axes, sensitivity, spare_ms, draws, loop)
-    form = FORMS[loop] if loop else form
-    loaded = fitted_model(model, attitude=form != "firmware" and attitude != "body")
-    loaded, turning = turned_model(loaded, attitude, form == "firmware")
+    cascaded = loop == "firmware"
+    loaded = fitted_model(model, attitude=not cascaded and attitude != "body")
+    loaded, turning = turned_model(loaded, attitude, cascaded)
     gains: dict[str, float] | dict[str, PidGains]
     release: Release | None = None
-    if form == "firmware":
+    if cascaded:
         release = release_of(loaded, firmware)
         report, gains, page = _design_firmware(
             loaded, release, turning, axes, sensitivity, spare_ms / 1e3, draws, seed, model
         )
-    elif form == "thesis":
+    else:
         report, gains, page = _design_thesis(
             loaded, axes, sensitivity, spare_ms / 1e3, delay, rounding, seed, model
         )
-    elif form == "whole":
-        report, gains, page = _design_whole(
-            loaded, axes, sensitivity, spare_ms / 1e3, delay, seed, model
-        )
-    else:
-        raise BadInputError(f"--form {form}: there are firmware, thesis")
     from groundstation.control.gains_file import gains_text
 
     if output is not None:
-        write_new(output, gains_text(gains, release, "whole" if form == "whole" else None))
+        write_new(output, gains_text(gains, release))
         report["output"] = str(output)
     if html is not None:
         page.write(html)
@@ -106,7 +96,7 @@ def design(
         show_json(report)
         return
     _print_design(report)
-    if output is not None and form == "firmware":
+    if output is not None and cascaded:
         show(f"{output}: to fly them: pid fly --model {model} --gains {output}")
     elif output is not None:
         show(f"{output}: 'pid convert --to firmware' makes of them what a craft flies")
@@ -127,8 +117,8 @@ def _require_sense(
         raise BadInputError(f"--spare-ms {spare_ms}: must be 0..100")
     if draws < 0:
         raise BadInputError(f"--draws {draws}: must not be negative")
-    if loop and loop not in FORMS:
-        raise BadInputError(f"--loop {loop}: there are {', '.join(FORMS)}")
+    if loop not in LOOPS:
+        raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
 
 
 def _design_firmware(
@@ -205,29 +195,8 @@ def _require_followed(model: Model, found: dict[str, PidGains], delay: int | Non
     beyond = "; ".join(reason for reason in reasons if reason)
     if beyond:
         raise BadInputError(
-            f"no motor follows these gains. {beyond}. Design with the motors: --loop whole"
+            f"no motor follows these gains. {beyond}. Design with the motors: --loop firmware"
         )
-
-
-def _design_whole(
-    model: Model,
-    axes: tuple[str, ...],
-    sensitivity: float,
-    spare_s: float,
-    delay: int | None,
-    seed: int,
-    name: str,
-) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
-    from groundstation.control.whole_design import design_whole, whole_limits
-    from groundstation.control.whole_report import whole_page, whole_report
-
-    with shown("designing") as show:
-        progress = _of_axes(axes, show)
-        limits = whole_limits(sensitivity, spare_s)
-        designs = design_whole(model, axes, limits, seed, delay, progress=progress)
-    report = whole_report(model, designs, limits)
-    gains = {one.axis: one.gains for one in designs}
-    return report, gains, whole_page(model, name, designs, report, delay)
 
 
 def _of_axes(

@@ -45,6 +45,7 @@ from groundstation.cli.terminal import say, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot
 from groundstation.service.config import socket_path
+from groundstation.service.motor_stop import BY_OPERATOR
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Release
@@ -267,7 +268,7 @@ def _flight(
             except KeyboardInterrupt as stop:
                 aborted, stopped = str(stop) or "Ctrl-C", True
             except GroundStationError as error:
-                aborted = str(error)
+                aborted = BY_OPERATOR if BY_OPERATOR in str(error) else str(error)
             finally:
                 # motors first: parameters may take a while
                 with patient():
@@ -331,9 +332,18 @@ def _settle(
     """Put parameters back. Once that has worked the note holds no more than ``earlier``, what an
     interrupted flight changed and this one did not touch."""
     try:
-        _write(pilot, back)
+        if aborted == BY_OPERATOR and back:  # its lease is over, and its craft stands
+            with Pilot(socket_path(), CLIENT) as anew:
+                if anew.lease["uri"] != uri:
+                    raise GroundStationError(f"the daemon commands {anew.lease['uri']} now")
+                _write(anew, back)
+        else:
+            _write(pilot, back)
     except (GroundStationError, KeyboardInterrupt) as error:
-        say(f"the former gains could not be put back ({error}): pid fly --undo", error=True)
+        say(
+            f"the former gains could not be put back ({error}): `groundstation pid fly --undo`",
+            error=True,
+        )
         return
     if earlier:
         note_changes(uri, earlier, written)

@@ -9,7 +9,7 @@ of the Pareto front of overshoot and settling at the limit of maximum sensitivit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -180,6 +180,42 @@ def design_direct(
     design = optimise(judge, low, high, limits, seed, budget, progress=progress)
     gains = PidGains(*(float(g) for g in design.gains))
     return gains, design, direct_margins(plants[0], gains)
+
+
+def reasons(
+    judge: Callable[[Array], Array],
+    gains: Mapping[str, float],
+    purposes: Mapping[str, str],
+    limits: Limits,
+) -> tuple[str, ...]:
+    """One line a gain: what it is for, and what a quarter more or a fifth less would do."""
+    values = np.array(list(gains.values()))
+    lines = []
+    for index, (name, value) in enumerate(gains.items()):
+        rows = np.array([values] * 3)
+        rows[:, index] *= (1.0, 1.25, 0.8)
+        now, more, less = judge(rows)
+        lines.append(
+            f"{name} = {value:.4g}: {purposes[name]}; 25 % more: {_change(now, more, limits)};"
+            f" 20 % less: {_change(now, less, limits)}"
+        )
+    return tuple(lines)
+
+
+def _change(now: Array, then: Array, limits: Limits) -> str:
+    if not np.isfinite(then).all():
+        return "does not settle or is near instability"
+    words = []
+    if abs(then[SETTLING] - now[SETTLING]) > 0.004:
+        words.append(
+            f"settles in {1e3 * then[SETTLING]:.0f} ms instead of {1e3 * now[SETTLING]:.0f}"
+        )
+    if abs(then[OVERSHOOT] - now[OVERSHOOT]) > 0.5:
+        words.append(f"overshoot {then[OVERSHOOT]:.0f} % instead of {now[OVERSHOOT]:.0f}")
+    if abs(then[SENSITIVITY] - now[SENSITIVITY]) > 0.03:
+        beyond = " (beyond the limit)" if then[SENSITIVITY] > limits.sensitivity else ""
+        words.append(f"maximum sensitivity {then[SENSITIVITY]:.2f}{beyond}")
+    return ", ".join(words) or "little changes"
 
 
 def direct_bounds(plant: ArxAxis) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from groundstation.control.design import (
     SETTLING,
     Design,
     Limits,
+    reasons,
 )
 from groundstation.control.evaluate import AxisResult, evaluate
 from groundstation.control.firmware_design import (
@@ -56,11 +57,11 @@ Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
 FRONT_ROWS = 200
 """Points of the front that a report carries."""
 DIRECT = ("kp", "ki", "kd")
-PURPOSES = (
-    ("kp", "holds the unstable pole and sets how fast the angle follows"),
-    ("ki", "removes the steady-state error"),
-    ("kd", "damps; the delay limits it"),
-)
+PURPOSES = {
+    "kp": "holds the unstable pole and sets how fast the angle follows",
+    "ki": "removes the steady-state error",
+    "kd": "damps; the delay limits it",
+}
 GAINS_HEAD = ("gain", "value", "unit", "meaning")
 SEEN, SEEN_PCT = 1.05, 1.0
 """Ratio of settling times, and points of overshoot, from which drawn models differ to the eye."""
@@ -132,7 +133,8 @@ def thesis_report(found: Found, limits: Limits, rounding: bool, printed: bool) -
         entry = axis_entry(design.judgement, margins, design, DIRECT)
         entry["gains"] = dict(zip(DIRECT, gains.as_tuple(), strict=True))
         entry["delay_samples"] = plant.nk
-        entry["reasons"] = _reasons(gains, plant, limits)
+        judge = DirectJudge([plant], 2.0)
+        entry["reasons"] = list(reasons(judge, entry["gains"], PURPOSES, limits))
         entry["notes"] = [
             f"at maximum sensitivity {limits.sensitivity:g} no PID on this model overshoots less"
             f" than {design.calmest:.0f} % or settles faster than {design.fastest:.3f} s"
@@ -219,7 +221,13 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
     add_loop_figures(page, loops, BROKEN_AT["direct"], report["max_sensitivity"])
     for axis, (_, design, _, plant) in found.items():
         page.heading(f"{axis}, {plant.nk} samples of delay")
-        page.table(GAINS_HEAD, gain_rows(report["axes"][axis]["gains"], "direct", dict(PURPOSES)))
+        page.table(
+            GAINS_HEAD,
+            [
+                (name, value, gain_unit(name, "direct"), PURPOSES[name])
+                for name, value in report["axes"][axis]["gains"].items()
+            ],
+        )
         page.bullets([*report["axes"][axis]["reasons"], *report["axes"][axis]["notes"]])
         page.figure(
             front_figure(axis, design, printed=_printed(axis) if report["printed"] else ()),
@@ -227,13 +235,6 @@ def thesis_design_page(name: str, found: Found, report: dict[str, Any]) -> Page:
         )
     page.bullets(report["notes"])
     return page
-
-
-def gain_rows(
-    gains: Mapping[str, float], loop: str, purposes: Mapping[str, str]
-) -> list[list[Any]]:
-    """Rows under ``GAINS_HEAD`` for the PID of a ``direct`` or ``whole`` loop."""
-    return [[name, value, gain_unit(name, loop), purposes[name]] for name, value in gains.items()]
 
 
 DESIGN_HEAD = (
@@ -290,36 +291,6 @@ def axis_entry(
             for row, gains in zip(design.front[rows], design.front_gains[rows], strict=True)
         ],
     }
-
-
-def _reasons(gains: PidGains, plant: ArxAxis, limits: Limits) -> list[str]:
-    """One line a gain: what it is for, and what a quarter more or a fifth less would do."""
-    judge = DirectJudge([plant], 2.0)
-    values = np.array(gains.as_tuple())
-    lines = []
-    for index, (name, purpose) in enumerate(PURPOSES):
-        rows = np.array([values, values, values])
-        rows[1, index] *= 1.25
-        rows[2, index] *= 0.8
-        _, more, less = judge(rows)
-        lines.append(
-            f"{name} = {values[index]:.4g}: {purpose}; 25 % more: {outcome(more, limits)};"
-            f" 20 % less: {outcome(less, limits)}"
-        )
-    return lines
-
-
-def outcome(judgement: Any, limits: Limits) -> str:
-    if not np.isfinite(judgement[RMS]):
-        return "unstable"
-    settles = f"settles in {judgement[SETTLING]:.3f} s"
-    if not np.isfinite(judgement[SETTLING]):
-        settles = "does not settle in the window"
-    beyond = " (beyond the limit)" if judgement[SENSITIVITY] > limits.sensitivity else ""
-    return (
-        f"overshoot {judgement[OVERSHOOT]:.0f} %, {settles}, maximum sensitivity"
-        f" {judgement[SENSITIVITY]:.2f}{beyond}"
-    )
 
 
 def _printed(axis: str) -> list[tuple[str, float, float]]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.design import OVERSHOOT, SENSITIVITY, SETTLING, Design, Limits, optimise
+from groundstation.control.design import Design, Limits, optimise, reasons
 from groundstation.control.firmware_loop import (
     GAIN_MOST,
     SUPPLY_MV,
@@ -127,7 +127,7 @@ def design_cascade(
             nominal,
             cascade_margins(plants[0], gains, axis, supply_mv),
             cascade_margins(plants[0], stock, axis, supply_mv),
-            tuple(_reason(alone, gains, name, limits) for name in names),
+            reasons(alone, gains, {name: gain_meaning(name)[1] for name in names}, limits),
         )
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
@@ -174,19 +174,6 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _reason(judge: CascadeJudge, gains: dict[str, float], name: str, limits: Limits) -> str:
-    """What a gain is for, as what happens without its present size."""
-    rows = [
-        [value * (factor if key == name else 1.0) for key, value in gains.items()]
-        for factor in (1.0, 1.25, 0.8)
-    ]
-    now, more, less = judge(np.array(rows))
-    what = f"{name} = {gains[name]:g}: {gain_meaning(name)[1]}; "
-    return (
-        what + f"25 % more: {_change(now, more, limits)}; 20 % less: {_change(now, less, limits)}"
-    )
-
-
 PURPOSE = {
     ("pid_rate", "kp"): "damps the rate against the motors' lag",
     ("pid_rate", "kd"): "turns the loop forward against the motors' lag and the filters'",
@@ -211,19 +198,3 @@ def gain_meaning(name: str) -> tuple[str, str]:
     """(unit, meaning) of one of the firmware's gains."""
     which = name.split(".")[0], name.split("_")[-1]
     return _UNITS[which], PURPOSE[which]
-
-
-def _change(now: Array, then: Array, limits: Limits) -> str:
-    if not np.isfinite(then).all():
-        return "does not settle or is near instability"
-    words = []
-    if abs(then[SETTLING] - now[SETTLING]) > 0.004:
-        words.append(
-            f"settles in {1e3 * then[SETTLING]:.0f} ms instead of {1e3 * now[SETTLING]:.0f}"
-        )
-    if abs(then[OVERSHOOT] - now[OVERSHOOT]) > 0.5:
-        words.append(f"overshoot {then[OVERSHOOT]:.0f} % instead of {now[OVERSHOOT]:.0f}")
-    if abs(then[SENSITIVITY] - now[SENSITIVITY]) > 0.03:
-        beyond = " (beyond the limit)" if then[SENSITIVITY] > limits.sensitivity else ""
-        words.append(f"maximum sensitivity {then[SENSITIVITY]:.2f}{beyond}")
-    return ", ".join(words) or "little changes"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.compiled import kernel
 from groundstation.control.firmware_kernels import (
     compensated,
     fused,
@@ -19,7 +20,6 @@ from groundstation.control.firmware_kernels import (
 from groundstation.control.plant_kernels import RATE, ROTOR, STILL, body_on, move, turn
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, smoothed
-from groundstation.dynamics.compiled import kernel
 from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.rigid_body import ALL, body_slope, physics
 from groundstation.dynamics.sensing import begin, estimated, follow, sense

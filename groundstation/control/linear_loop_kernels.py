@@ -10,14 +10,15 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from groundstation.compiled import kernel
 
 BAND = 0.05
 TAIL = 0.1
 """The band of settling, and the share of the window over which the settled value is taken."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def measure(y: Any, period: float, band: float, out: Any) -> None:
     """Metrics (``metrics.py``) of a response to a unit step: fills rms, overshoot in percent,
     settling into a band (NaN: not settled), steady-state error."""
@@ -42,14 +43,14 @@ def measure(y: Any, period: float, band: float, out: Any) -> None:
     out[3] = 1.0 - settled
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def measure_many(y: Any, period: float, band: float, out: Any) -> None:
     """``measure`` of responses (m, k), into out (m, 4 or more)."""
     for m in range(len(y)):
         measure(y[m], period, band, out[m])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def direct_run(
     a: Any,
     b: Any,
@@ -87,7 +88,7 @@ def direct_run(
         u[k] = given
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def characteristic(a: Any, b: Any, delay: int, gains: Any, period: float, out: Any) -> int:
     """Fills the closed loop's characteristic polynomial in q^-1, lowest power first; its length.
 
@@ -114,7 +115,7 @@ def characteristic(a: Any, b: Any, delay: int, gains: Any, period: float, out: A
     return max(size, delay + nb + 2)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def inside_unit_circle(polynomial: Any, size: int) -> bool:
     """Whether every root of a polynomial in q^-1 (lowest power first) has |z| < 1 (Jury).
 
@@ -137,7 +138,7 @@ def inside_unit_circle(polynomial: Any, size: int) -> bool:
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def sensitivity_peak(plant: Any, z: Any, gains: Any, period: float) -> float:
     """max |1 / (1 + P C)| over a grid: plant response and z = exp(i omega Ts), complex (n,)."""
     kp, ki, kd = gains[0], gains[1], gains[2] / period
@@ -149,7 +150,7 @@ def sensitivity_peak(plant: Any, z: Any, gains: Any, period: float) -> float:
     return 1.0 / math.sqrt(least)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def judge_many(
     a: Any,
     b: Any,

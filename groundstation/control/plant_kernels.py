@@ -6,10 +6,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from groundstation.compiled import spliced
 from groundstation.control.plant import RATES
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.arx import SLOPE_ROWS
-from groundstation.dynamics.compiled import spliced
 from groundstation.dynamics.kernels import craft_step, normalise
 from groundstation.dynamics.motor_kernels import armature
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes

@@ -12,10 +12,10 @@ from groundstation.control.evaluate import AxisResult
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
-from groundstation.control.thesis_tables import FINDING, PrintedCase
+from groundstation.control.thesis_tables import PrintedCase
 from groundstation.report.figure import HEAT, figure
 from groundstation.report.page import Page
-from groundstation.report.theme import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES
+from groundstation.report.theme import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 if TYPE_CHECKING:
@@ -116,30 +116,6 @@ def step_figure(results: Sequence[AxisResult], others: Sequence[AxisResult] = ()
     panels[0].set_ylim(-0.2, max(1.4, 1.05 * max(shown, default=2.0)))
     panels[0].set_ylabel("response / step")
     return made
-
-
-def thesis_page(cases: Sequence[PrintedCase], responses: dict[tuple[str, str, int], Any]) -> Page:
-    """The printed tables beside what the printed models and gains give."""
-    page = Page("The thesis's controllers, repeated", LOOP_NAMES["direct"])
-    page.verdict(FINDING, "neutral")
-    page.table(THESIS_HEAD, thesis_rows(cases), DEFINITIONS)
-    page.heading("Step responses")
-    axes = sorted({axis for _, axis, _ in responses})
-    for axis in axes:
-        made, panels = figure(rows=1, columns=4, height=2.8, sharey=True)
-        names = list(dict.fromkeys(name for name, _, _ in responses))
-        for panel, name in zip(panels, names, strict=True):
-            for color, delay in zip(SERIES, sorted({d for _, _, d in responses}), strict=False):
-                y = np.clip(responses[name, axis, delay], -3, 5)
-                time = np.arange(len(y)) * SAMPLE_PERIOD_S
-                panel.plot(time, y, color=color, label=f"{delay} samples")
-            panel.axhline(1.0, color=NEUTRAL, linewidth=0.8)
-            panel.set_title(f"{axis} {name}")
-            panel.set_xlabel("s")
-            panel.set_ylim(-1, 4)
-        panels[0].legend()
-        page.figure(made, f"{axis}: the printed gains at two delays.")
-    return page
 
 
 FLIGHT_HEAD = (

@@ -1,13 +1,14 @@
-"""Global search over gains: differential evolution on whole populations, and what it leaves.
+"""Global search over gains: scipy's differential evolution on whole populations.
 
-The judges are compiled and take a population at once, so the search itself is plain arrays. All
-that was ever judged is kept: the fronts are drawn from it.
+The judges are compiled and take a population at once. All that was ever judged is kept: the fronts
+are drawn from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,42 +63,37 @@ def search(
     score: judgements (m, c) to (m,), infinite only where nothing can be compared.
     start: (s, d) candidates to begin with beside random ones.
     """
+    from scipy.optimize import differential_evolution
+
     generator = np.random.default_rng(seed)
     bottom, span = np.log(low), np.log(high) - np.log(low)
+    least: list[float] = []
 
-    def evaluate(points: Array) -> tuple[Array, Array]:
-        candidates = np.exp(bottom + span * points)
+    def candidates_of(points: Array) -> Array:
+        return np.asarray(np.exp(bottom + span * points))
+
+    def scores(points: Array) -> Array:
+        """Of points (d, m) in the unit cube."""
+        candidates = candidates_of(points.T)
         judgements = judge(candidates)
         archive.add(candidates, judgements)
-        return score(judgements), judgements
+        return score(judgements)
+
+    def stalled(intermediate_result: Any) -> bool:
+        least.append(float(intermediate_result.fun))
+        return len(least) > STALL and least[-1] > least[-1 - STALL] * (1 - STALLED)
 
     points = generator.random((budget.first, len(low)))
     if start is not None and len(start):
         points = np.vstack([np.clip((np.log(start) - bottom) / span, 0, 1), points])
-    scores, judgements = evaluate(points)
-    order = np.argsort(scores, kind="stable")[: budget.population]
-    points, scores, judgements = points[order], scores[order], judgements[order]
-    best, since = scores.min(), 0
-    population = len(points)
-    for _ in range(budget.generations):
-        parents = np.argsort(generator.random((population, population)), axis=1)[:, :3]
-        leader = points[np.argmin(scores)]
-        toward = np.where(generator.random((population, 1)) < 0.5, leader, points[parents[:, 0]])
-        trial = toward + MUTATION * (points[parents[:, 1]] - points[parents[:, 2]])
-        keep = generator.random(trial.shape) > CROSSOVER
-        trial = np.where(keep, points, trial)
-        outside = (trial < 0) | (trial > 1)
-        trial = np.where(outside, generator.random(trial.shape), trial)
-        new_scores, new_judgements = evaluate(trial)
-        better = new_scores <= scores
-        points[better], scores[better] = trial[better], new_scores[better]
-        judgements[better] = new_judgements[better]
-        since = 0 if scores.min() < best * (1 - STALLED) else since + 1
-        best = min(best, scores.min())
-        if since >= STALL:
-            break
-    winner = int(np.argmin(scores))
-    return np.exp(bottom + span * points[winner]), judgements[winner]
+    first = points[np.argsort(scores(points.T), kind="stable")[: budget.population]]
+    found = differential_evolution(
+        scores, [(0.0, 1.0)] * len(low), strategy="randtobest1bin", init=first,
+        mutation=MUTATION, recombination=CROSSOVER, maxiter=budget.generations, tol=0.0,
+        polish=False, vectorized=True, updating="deferred", rng=generator, callback=stalled,
+    )  # fmt: skip
+    winner = candidates_of(found.x)
+    return winner, judge(winner[None])[0]
 
 
 def pareto_front(costs: Array) -> NDArray[np.intp]:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.compiled import kernel
 from groundstation.control.plant_kernels import RATE, ROTOR, answer, move
 from groundstation.dynamics import quaternion
-from groundstation.dynamics.compiled import kernel
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.rigid_body import physics
 

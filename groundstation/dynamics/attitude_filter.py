@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from groundstation.compiled import inner
 from groundstation.dynamics import quaternion
-from groundstation.dynamics.compiled import inner
 
 SMOOTHING, SMOOTHING_S = 0.125, 0.002
 """The accelerometer filter of 2014's firmware: share of each new sample, at this period."""

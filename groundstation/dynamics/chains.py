@@ -22,8 +22,8 @@ from numba.core import cgutils
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic, register_jitable
 
+from groundstation.compiled import callback, called, inner, spliced
 from groundstation.dynamics import law as laws
-from groundstation.dynamics.compiled import callback, called, inner, spliced
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS, Body, Craft, Motor, Reading, Supply
 from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from groundstation.dynamics.compiled import spliced
+from groundstation.compiled import spliced
 
 
 def runge_kutta(slope: Any) -> Any:

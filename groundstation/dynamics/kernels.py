@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.dynamics.compiled import kernel, spliced
+from groundstation.compiled import kernel, spliced
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.motor_kernels import driven, four
 from groundstation.dynamics.rigid_body import ALL, BARE, LISTED, body_slope, motor_slopes, physics

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.dynamics.compiled import called, inner, kernel, spliced
+from groundstation.compiled import called, inner, kernel, spliced
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.rigid_body import (
     ALL,

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from groundstation.compiled import inner
 from groundstation.dynamics import law
-from groundstation.dynamics.compiled import inner
 
 to_inertial = inner(law.to_inertial)
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from groundstation.compiled import inner, spliced
 from groundstation.dynamics import law
 from groundstation.dynamics.chains import chain, loader, own_chain, state_access
-from groundstation.dynamics.compiled import inner, spliced
 from groundstation.dynamics.craft import LISTED_STATES
 from groundstation.dynamics.law import Body, Craft, Motor, Supply
 from groundstation.dynamics.registry import COMPILED

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.compiled import called, inner, kernel, spliced
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.chains import chain, own_chain, reckoned, state_access
-from groundstation.dynamics.compiled import called, inner, kernel, spliced
 from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES, first_state
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.law import FAR_M, Body, Reading, butterworth_behind

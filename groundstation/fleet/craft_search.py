@@ -119,9 +119,12 @@ def _own_fit(fit_on: Sequence[Run], held: Sequence[Run], vehicle: str) -> Model:
     from groundstation.dynamics.model import model_vehicle, vehicle_model
     from groundstation.dynamics.vehicle import load_vehicle
     from groundstation.identification.body.workflow import identify_body
+    from groundstation.identification.results import require_results
 
     before = vehicle_model(load_vehicle(vehicle))
-    return identify_body(fit_on, held, before, model_vehicle(before)).model
+    found = identify_body(fit_on, held, before, model_vehicle(before))
+    require_results(found.account, before, model_vehicle(before))
+    return found.model
 
 
 def _told(found: Discrepancy) -> Row:

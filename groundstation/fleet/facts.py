@@ -19,7 +19,7 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.fleet.certainty import COLUMNS as EXPECTED
 from groundstation.fleet.certainty import expected
 from groundstation.fleet.parts import Row
-from groundstation.paths import digest
+from groundstation.paths import digest, require_content
 
 if TYPE_CHECKING:
     from groundstation.identification.runs import Run
@@ -81,6 +81,7 @@ def facts_of(address: str, vehicle: str | None = None) -> Row:
     try:
         row["stamp"] = stamp_of(address)
         with fetched(address) as path:
+            require_content(path)
             row |= {"bytes": path.stat().st_size, "sha256": digest(path)}
             row |= _described(path, address, vehicle)
     except GroundStationError as error:

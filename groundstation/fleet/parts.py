@@ -127,25 +127,20 @@ class Parts:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
+        schema = self._schema()
+        wanted = [name for name in schema.names if columns is None or name in (*columns, self._key)]
         try:
-            with pq.ParquetFile(path) as file:
-                there = set(file.schema_arrow.names)
-                wanted = [
-                    one
-                    for one in self._schema()
-                    if columns is None or one.name in columns or one.name == self._key
-                ]
-                table = file.read([one.name for one in wanted if one.name in there])
+            # a table of an older version has fewer columns: those are null
+            table = pq.read_table(path, columns=wanted, schema=schema, partitioning=None)
+            if table.column(self._key).null_count:
+                raise pa.ArrowInvalid(f"rows without {self._key!r}: not a part of this")
         except FileNotFoundError:
             raise
         except (OSError, pa.ArrowException) as error:
             raise RecordingError(
                 f"{path}: cannot be read ({error}); remove it, what it held is computed again"
             ) from error
-        for one in wanted:  # a table of an older version has fewer
-            if one.name not in there:
-                table = table.append_column(one, pa.nulls(len(table), one.type))
-        return table.select([one.name for one in wanted])
+        return table
 
     def _write(self, number: int, table: Any) -> None:
         import pyarrow.parquet as pq

@@ -153,12 +153,9 @@ def population(levels: Array, variance: Array) -> Population | None:
 def discoveries(p: Array, share: float) -> NDArray[np.bool_]:
     """Which of the tests (m,) to believe, so that at most ``share`` of those believed are chance
     (Benjamini and Hochberg 1995; holds for tests that depend on each other positively)."""
-    order = np.argsort(p)
-    below = p[order] <= share * np.arange(1, len(p) + 1) / max(len(p), 1)
-    believed = np.zeros(len(p), np.bool_)
-    if below.any():
-        believed[order[: int(np.flatnonzero(below)[-1]) + 1]] = True
-    return believed
+    from scipy.stats import false_discovery_control
+
+    return np.asarray(false_discovery_control(p) <= share) if len(p) else np.zeros(0, np.bool_)
 
 
 def _steps(

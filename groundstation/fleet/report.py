@@ -28,7 +28,6 @@ from groundstation.fleet.report_sections import (
     add_expected,
     add_shifts,
     add_to_fly,
-    add_twin,
 )
 from groundstation.report.figure import figure
 from groundstation.report.page import Page
@@ -45,11 +44,10 @@ CLEAR_Z = 4.0
 
 @dataclass(frozen=True, slots=True)
 class More:
-    """What else a catalogue may hold: tables ``effects`` and ``twin``, what crafts' flights may be
+    """What else a catalogue may hold: table ``effects``, what crafts' flights may be
     expected to tell, what to fly next, and shifts since ``date``."""
 
     effects: Mapping[str, Row]
-    watched: Mapping[str, Row]
     expected: Mapping[str, Expectation]
     to_fly: Mapping[str, Sequence[str]]
     date: str | None = None
@@ -80,7 +78,6 @@ def report(
     if more.date is not None:
         add_shifts(page, more.date, more.shifts)
     add_effects(page, more.effects)
-    add_twin(page, more.watched, {one["address"]: one["craft"] for one in recordings})
     add_to_fly(page, more.to_fly)
     add_expected(page, more.expected, fleet)
     drawn = drawn_crafts(fleet)

@@ -1,5 +1,5 @@
-"""Sections of the fleet's page: before and after, effects by craft, twin, what to fly next, what
-flights tell."""
+"""Sections of the fleet's page: before and after, effects by craft, what to fly next, what flights
+tell."""
 
 from __future__ import annotations
 
@@ -61,26 +61,6 @@ def add_effects(page: Page, searched: Mapping[str, Row]) -> None:
         page.text("Constants that are not those of the model it was held against:")
         page.bullets(changed[:LISTED])
     page.bullets(f"{c}: {row['reason']}" for c, row in searched.items() if row["reason"])
-
-
-def add_twin(page: Page, watched: Mapping[str, Row], crafts: Mapping[str, str]) -> None:
-    """Which flights a model no longer describes. crafts: address -> craft."""
-    if not watched:
-        return
-    page.heading("Beside the model")
-    judged = [one for one in watched.values() if one["reason"] is None]
-    loud = [one for one in judged if one["told"]]
-    page.text(f"{len(loud)} of {len(judged)} flights disagree with the model flown beside them.")
-    if loud:
-        page.table(
-            ("craft", "recording", "first noticed, s", "disagreement"),
-            [
-                (crafts.get(one["address"], ""), one["address"], one["first_s"], line)
-                for one in loud[:LISTED]
-                for line in one["told"]
-            ],
-            f"The first {LISTED} of {len(loud)}." if len(loud) > LISTED else "",
-        )
 
 
 def add_expected(page: Page, expected: Mapping[str, Expectation], fleet: Fleet) -> None:

@@ -18,7 +18,7 @@ from groundstation.identification.airborne import REST_S, TOUCH_DOWN_S, flights_
 from groundstation.identification.attitude_rows import AttitudeRows, Gaps, attitude_rows
 from groundstation.identification.read_between import force_read_between
 from groundstation.identification.recordings import without_gaps
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 from groundstation.identification.torque import RotorSquares, measured_squares
 
 Array = NDArray[np.float64]
@@ -114,8 +114,9 @@ def _flights(raw: Run, least_s: float) -> list[Flight]:
             f"{raw.name}: the gyro is missing; without body rates no effect can be told"
         )
     measured = bool(np.isfinite(raw.rotor_rev_s).any())
-    if not measured and not (np.isfinite(raw.duty).any() and np.isfinite(raw.supply_v).any()):
-        raise BadInputError(f"{raw.name}: PWM or battery voltage is missing; the motors need both")
+    for name in () if measured else ("duty", "supply_v"):
+        if not np.isfinite(getattr(raw, name)).any():
+            require_known(raw, (name,), "the motors need it")
     has_accelerometer = bool(np.isfinite(raw.accelerometer).any())
     has_attitude = bool(np.isfinite(raw.attitude).any())
     run = without_gaps(raw)

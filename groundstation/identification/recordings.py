@@ -14,32 +14,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.errors import BadInputError
 from groundstation.gaps import filled
 from groundstation.identification.runs import (
     CHANNELS,
+    FASTEST_HZ,
+    SLOWEST_HZ,
     Run,
     TooShortError,
     run_of,
     uninterrupted,
     with_possible_duty,
 )
+from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, slower_than_rows
+from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
 LONGEST_GAP_S = 0.1
 """A longer silence ends a run: the motors' inputs are no longer known."""
 LEAST_S = 5.0
+SOURCES = {
+    "duty": "what the motors are set to",
+    "gyro": "the gyro",
+    "rotor_rev_s": "the rotors' speed",
+}
+"""Fields that the fits need in every row, in words."""
 
 
 def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -> list[Run]:
     """The runs of a recording that last at least ``least_s``, rows lost in between being NaN.
 
-    A row whose gyro does not read counts as lost, and so does one with an impossible duty.
+    A row whose gyro does not read counts as lost, and so does one with an impossible duty. Rows
+    that a host stamped stand where their craft took them; of rows that repeat what a slower source
+    said, those are taken that renew it.
 
     Raises TooShortError where no run is long enough, BadInputError where the rate is not one of
     inertial telemetry.
     """
     label = name or "recording"
-    whole = with_possible_duty(samples, label)
+    whole = renewed(on_even_grid(with_possible_duty(samples, label)), label)
     read: NDArray[np.bool_] = np.asarray(np.isfinite(whole.gyro).all(axis=1))
     if read.any() and not read.all():
         whole = whole[read]
@@ -47,6 +60,55 @@ def flights_of(samples: SampleBatch, name: str = "", least_s: float = LEAST_S) -
         _on_grid(whole[rows], label, float(samples.time_s[0]))
         for rows in uninterrupted(whole, label, least_s, _silent)
     ]
+
+
+def renewed(samples: SampleBatch, label: str) -> SampleBatch:
+    """The rows in which the slower of gyro and motors is renewed, where rows come faster than it.
+
+    What acted between two of them is then as unknown as in a recording of that rate, and counts as
+    much. Rotor speeds that were measured drive a flight in place of the motors' settings.
+
+    Raises BadInputError where it is renewed too seldom for inertial telemetry.
+    """
+    slowest, hold = _slowest(samples)
+    if hold <= HELD:
+        return samples
+    usual_s = float(np.median(np.diff(samples.time_s)))
+    hz = 1.0 / (hold * usual_s)
+    if hz >= SETTINGS_HZ:
+        return samples
+    if hz < SLOWEST_HZ <= 1.0 / usual_s:
+        raise BadInputError(
+            f"{label}: {SOURCES[slowest]} is renewed {hz:.3g} times a second in"
+            f" {1 / usual_s:.3g} rows a second; {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} are needed:"
+            " log it as often as the rows (PX4: SDLOG_PROFILE)"
+        )
+    new = renewals(getattr(samples, slowest))
+    between = np.diff(new, append=len(samples))
+    each = np.maximum(np.rint(between / hold), 1).astype(np.intp)  # also while it rests
+    share = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
+    rows = np.repeat(new, each) + np.rint(share * np.repeat(between / each, each)).astype(np.intp)
+    return samples[rows]
+
+
+def renewal_notes(samples: SampleBatch, name: str) -> list[str]:
+    """What to say of a recording of which only some rows are taken, because they renew a slow
+    channel."""
+    slowest, hold = _slowest(samples)
+    usual_s = float(np.median(np.diff(samples.time_s))) if len(samples) > 1 else 0.0
+    if hold <= HELD or 1.0 / (hold * usual_s) >= SETTINGS_HZ:
+        return []
+    return [
+        f"{name}: {SOURCES[slowest]} is renewed {1 / (hold * usual_s):.3g} times a second in"
+        f" {1 / usual_s:.3g} rows a second: only the rows that renew it are used"
+    ]
+
+
+def _slowest(samples: SampleBatch) -> tuple[str, float]:
+    """The slower of what drives a flight and the gyro, and how many rows its values stand."""
+    driven = "rotor_rev_s" if np.isfinite(samples.rotor_rev_s).any() else "duty"
+    found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in (driven, "gyro")}
+    return max(found.items(), key=lambda one: one[1])
 
 
 def flights_of_each(

@@ -13,7 +13,7 @@ from groundstation.dynamics.model import Model
 from groundstation.dynamics.sensors import shown_rotors
 from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 
 Array = NDArray[np.float64]
@@ -47,11 +47,7 @@ def simulate_run(
 
     Raises BadInputError where the run lacks PWM, battery voltage, gyro or attitude.
     """
-    for name in ("duty", "supply_v", "gyro", "attitude"):
-        if not np.isfinite(getattr(run, name)).all():
-            raise BadInputError(
-                f"{run.name}: {name} is missing in some rows; cannot simulate on it"
-            )
+    require_known(run, ("duty", "supply_v", "gyro", "attitude"), "nothing can be flown without it")
     if window_s < run.period_s:
         raise BadInputError(f"window of {window_s} s is shorter than a row ({run.period_s:.4f} s)")
     seen = observe_run(model, run)

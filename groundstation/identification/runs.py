@@ -6,7 +6,7 @@ as motion. A run may be cut further: by hand, or into what is fitted and what is
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
 from groundstation.identification.supply_answer import at_the_rows_voltage
+from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch
 
 Array = NDArray[np.float64]
@@ -98,12 +99,13 @@ CHANNELS = tuple(f.name for f in fields(Run) if f.name not in SCALARS)
 def runs_of(samples: SampleBatch, name: str = "", least_s: float = 1.0) -> list[Run]:
     """The runs of a recording that last at least ``least_s`` seconds, in order of time.
 
-    A row with an impossible duty counts as lost. Raises BadInputError where no run is long enough,
+    A row with an impossible duty counts as lost, and rows that a host stamped stand where their
+    craft took them. Raises BadInputError where no run is long enough,
     or where the rate is not one of inertial telemetry.
     """
     label = name or "recording"
     start = float(samples.time_s[0]) if len(samples) else 0.0
-    samples = with_possible_duty(samples, label)
+    samples = on_even_grid(with_possible_duty(samples, label))
     found = []
     for rows in uninterrupted(samples, label, least_s, _uneven):
         part = samples[rows]
@@ -139,6 +141,39 @@ def run_of(
     parts["duty"], parts["duty_step"] = at_the_rows_voltage(*inputs)
     start = float(samples.time_s[0])
     return Run(name, start, period_s, **parts, recording_start_s=recording_start_s)
+
+
+IN_WORDS = {
+    "duty": "what the motors are set to (PWM)",
+    "supply_v": "the battery's voltage",
+    "gyro": "the gyro",
+    "attitude": "the attitude",
+    "accelerometer": "the accelerometer",
+    "rotor_rev_s": "the rotors' measured speed",
+}
+HELP = {
+    "rotor_rev_s": "",
+    "supply_v": "; 'groundstation convert IN OUT --supply-v V' gives one that was constant",
+}
+"""What helps where a channel is nowhere in a recording."""
+
+
+def require_known(run: Run, names: Sequence[str], what_for: str) -> None:
+    """Raises BadInputError for a channel of ``names`` that a run has not in every row: which, in
+    how many, what needs it, and what helps."""
+    for name in names:
+        known = np.isfinite(getattr(run, name))
+        lost = int(np.count_nonzero(~(known if known.ndim == 1 else known.all(axis=1))))
+        if lost == len(run) and not known.any():
+            help_it = HELP.get(name, "; record it as well")
+            raise BadInputError(
+                f"{run.name}: {IN_WORDS[name]} is nowhere in it; {what_for}{help_it}"
+            )
+        if lost:
+            raise BadInputError(
+                f"{run.name}: {IN_WORDS[name]} is missing in {lost} of {len(run)} samples;"
+                f" {what_for}; 'groundstation inspect' counts them"
+            )
 
 
 class TooShortError(BadInputError):

@@ -12,7 +12,7 @@ from groundstation.dynamics.motor import each_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import airborne
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, measured_squares, rotor_squares
 from groundstation.spans import spans
@@ -60,8 +60,7 @@ def stretches_of(
     """
     found: list[Stretch] = []
     for run in runs:
-        if not np.isfinite(run.gyro).all():
-            raise BadInputError(f"{run.name}: the gyro is missing in some rows")
+        require_known(run, ("gyro",), "without body rates nothing can be fitted")
         squares = measured_squares(run) if measured else rotor_squares(run, motor)
         chosen = airborne(run) & selected(run, selection)
         for first, last in spans(chosen):

@@ -12,7 +12,7 @@ from groundstation.dynamics.mixer import MIXERS, Configuration
 from groundstation.dynamics.motor import armature_mv, simulate_motor, steady_rev_s
 from groundstation.dynamics.vehicle import MotorConstants, Motors
 from groundstation.errors import BadInputError
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 
 Array = NDArray[np.float64]
 
@@ -62,10 +62,7 @@ def rotor_squares(run: Run, motor: MotorConstants | Motors) -> RotorSquares:
     settings = run.settings
     each = len(settings) // len(run)
     voltage = armature_mv(settings, np.repeat(run.supply_v, each))
-    if not np.isfinite(voltage).all():
-        raise BadInputError(
-            f"{run.name}: PWM or battery voltage is missing in some rows; the motors need both"
-        )
+    require_known(run, ("duty", "supply_v"), "the motors need it")
     if mostly_saturated(run):
         raise BadInputError(
             f"{run.name}: a motor is saturated in more than half of the rows; the torque does not"
@@ -83,8 +80,7 @@ def measured_squares(run: Run) -> RotorSquares:
 
     Raises BadInputError where some rows have none.
     """
-    if not np.isfinite(run.rotor_rev_s).all():
-        raise BadInputError(f"{run.name}: measured rotor speed is not in every row")
+    require_known(run, ("rotor_rev_s",), "fit without --measured-rotors")
     return squares_between(_smoothed(run))
 
 

@@ -96,7 +96,7 @@ class Link(ABC):
             async with asyncio.timeout(self.silence_s):
                 batch = await self._read()
         except TimeoutError:
-            self._enter(LinkState.SILENT, f"nothing received for {self.silence_s:g} s")
+            self._enter(LinkState.SILENT, f"{self._missing()} received for {self.silence_s:g} s")
             return None
         except LinkEndedError as error:
             self._enter(LinkState.ENDED, str(error))
@@ -139,6 +139,10 @@ class Link(ABC):
     def emit(self, kind: str, text: str, **details: Any) -> None:
         """Report an event of this link."""
         self.on_event(LinkEvent(self.clock(), self.name, kind, text, details))
+
+    def _missing(self) -> str:
+        """What does not come while the link is silent."""
+        return "nothing"
 
     def _enter(self, state: LinkState, text: str) -> None:
         if state is not self.state:

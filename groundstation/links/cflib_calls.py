@@ -29,6 +29,29 @@ def elsewhere(function: Callable[[], None]) -> None:
     threading.Thread(target=function, daemon=True).start()
 
 
+def newest_only(
+    loop: asyncio.AbstractEventLoop, function: Callable[[Any], None]
+) -> Callable[[Any], None]:
+    """For another thread: lets the loop call ``function`` with the newest of what it is given; one
+    call waits at most, however fast they come."""
+    lock, waiting = threading.Lock(), list[Any]()
+
+    def call() -> None:
+        with lock:
+            value = waiting.pop()
+        function(value)
+
+    def tell(value: Any) -> None:
+        with lock:
+            is_first = not waiting
+            waiting[:] = [value]
+        if is_first:
+            with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
+                loop.call_soon_threadsafe(call)
+
+    return tell
+
+
 def crtp_packet(port: int, channel: int, data: bytes) -> Any:
     """One of cflib's packets."""
     from cflib.crtp.crtpstack import CRTPPacket

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -27,6 +28,9 @@ GAIN_MOST = 1000.0
 """No controller gain of the firmware is near this; the largest stock one is 500."""
 SINGLE_MOST = 3.4028234e38
 """The largest number of 32 bits."""
+LIFE_S = 0.5
+"""A setpoint with thrust that was made longer ago is not sent: the firmware itself holds one for
+so long."""
 LOOK_S = 0.01
 """How often who waits for what a craft says of itself looks."""
 
@@ -51,6 +55,8 @@ class CommandLink(ABC):
     supervisor: what it last said of what keeps it from flying, and of its battery.
     """
 
+    monotonic = staticmethod(time.monotonic)
+    """Of the life of setpoints, s."""
     settles_s = 0.0
     """How long zero thrust must go on after a flight, lest the craft's supervisor locks it."""
 
@@ -101,6 +107,7 @@ class CommandLink(ABC):
         *,
         height_m: float | None = None,
         client: str = "",
+        until_s: float | None = None,
     ) -> int:
         """Hand over one setpoint without waiting for the radio; when, Unix ns.
 
@@ -108,6 +115,8 @@ class CommandLink(ABC):
         counter-clockwise from above. thrust: 0..60000. The firmware levels the craft 0.5 s after
         the last setpoint and stops its motors after 2 s. height_m: the craft finds the thrust that
         brings it there, see ``holds_height``; thrust is 0 then. client: who wants it, recorded.
+        until_s: monotonic, when the radio must have taken it, ``LIFE_S`` from now at the latest;
+        without thrust and height it is never too late.
 
         Raises BadInputError before anything is sent for a value that is not finite or out of
         range, or a height for a craft that cannot hold one; LinkError when it is not connected.
@@ -121,8 +130,11 @@ class CommandLink(ABC):
                 raise BadInputError(f"setpoint: {name} {value} is outside -{most:g}..{most:g}")
         if not 0 <= thrust <= THRUST_MOST:
             raise BadInputError(f"setpoint: thrust {thrust} is outside 0..{THRUST_MOST}")
+        latest_s = self.monotonic() + LIFE_S
+        until_s = latest_s if until_s is None else min(until_s, latest_s)
         if height_m is None:
-            self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust)
+            until_s = until_s if thrust else math.inf
+            self._send_setpoint(roll_deg, pitch_deg, yaw_dps, thrust, until_s)
         else:
             if not 0.0 <= height_m <= HEIGHT_MOST_M:
                 raise BadInputError(
@@ -135,7 +147,7 @@ class CommandLink(ABC):
                     "setpoint: this craft holds no height: it needs today's firmware and a deck"
                     " that measures it (Flow or Z-ranger), or a positioning system"
                 )
-            self._send_height(roll_deg, pitch_deg, yaw_dps, height_m)
+            self._send_height(roll_deg, pitch_deg, yaw_dps, height_m, until_s)
         return self._entry(
             "out", "setpoint", client=client, roll_deg=roll_deg, pitch_deg=pitch_deg,
             yaw_dps=yaw_dps, thrust=thrust, **({} if height_m is None else {"height_m": height_m}),
@@ -195,11 +207,11 @@ class CommandLink(ABC):
 
     @abstractmethod
     def _send_setpoint(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int, until_s: float
     ) -> None: ...
 
     def _send_height(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float, until_s: float
     ) -> None:
         """Only where ``holds_height`` says so."""
         raise NotImplementedError

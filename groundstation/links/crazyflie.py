@@ -12,10 +12,11 @@ from typing import Any
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
-from groundstation.links.cflib_calls import resolve
+from groundstation.links.cflib_calls import newest_only, resolve
 from groundstation.links.command import CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
+from groundstation.links.outbox import Outbox
 from groundstation.links.supervisor import BATTERY_LOW, DISARMED_ITSELF, STATE, Supervisor
 
 CONFIRM_S = 2.0
@@ -52,8 +53,6 @@ FIRST_S = 0.5
 """It says ten times a second what state it is in."""
 HEIGHT_LOST_S = 1.0
 """A craft in the air that has not known its height for so long does not hold it."""
-LOCKS_AFTER_S = 2.0
-"""Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
 _WHOLE = {
     "uint8_t": (0, 255),
     "int8_t": (-128, 127),
@@ -112,14 +111,10 @@ class CrazyflieLink(CommandLink):
         watched = [(name, listed[name]) for name in STATE if name in listed]
         if not watched or self._connection.protocol < TODAY:
             return
-        loop, self._told = asyncio.get_running_loop(), asyncio.Event()
-
-        def tell(values: dict[str, float]) -> None:
-            with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
-                loop.call_soon_threadsafe(self._take_state, Supervisor.of(values))
-
+        self._told = asyncio.Event()
+        tell = newest_only(asyncio.get_running_loop(), self._take_state)
         try:
-            await self._connection.blocks.watch(watched, tell)
+            await self._connection.blocks.watch(watched, lambda said: tell(Supervisor.of(said)))
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(FIRST_S):
                     await self._told.wait()
@@ -152,6 +147,7 @@ class CrazyflieLink(CommandLink):
     def _forget(self) -> None:
         """What it said of itself holds no longer."""
         self.armed, self.supervisor, self._knows_height = None, Supervisor(), False
+        self._asked_armed = False
 
     def _tell(self, kind: str, text: str) -> None:
         self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
@@ -186,7 +182,9 @@ class CrazyflieLink(CommandLink):
     def disarms_in_flight(self) -> bool:
         if not self._is_up_to_date() or self.supervisor.arms_itself:
             return False
-        return bool(self.supervisor.armed) and self._connection.protocol >= DISARMS_SAFELY
+        # its log may not say yet what it was asked for
+        is_armed = bool(self.supervisor.armed) or self._asked_armed
+        return is_armed and self._connection.protocol >= DISARMS_SAFELY
 
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:
@@ -213,7 +211,7 @@ class CrazyflieLink(CommandLink):
         port, channel, data = (
             EMERGENCY if self._connection.protocol < SUPERVISED else SUPERVISED_STOP
         )
-        self._connection.send(port, channel, data)
+        self._require_outbox().request(lambda: self._connection.send(port, channel, data))
         self._entry("out", "emergency stop", client=STOP)
         return True
 
@@ -230,7 +228,7 @@ class CrazyflieLink(CommandLink):
 
     def _request(self, data: bytes, kind: str) -> None:
         port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
-        self._connection.send(port, channel, data)
+        self._require_outbox().request(lambda: self._connection.send(port, channel, data))
         self._entry("out", kind)
 
     def _take_answer(self, packet: Any) -> None:
@@ -247,14 +245,14 @@ class CrazyflieLink(CommandLink):
         return self.state is CommandState.CONNECTED and self._connection.protocol >= TODAY
 
     def _send_setpoint(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int, until_s: float
     ) -> None:
         # cflib turns pitch round by itself, from nose down to the firmware's nose up
         commander = self._connected().commander
-        self._steer(lambda: commander.send_setpoint(roll_deg, pitch_deg, -yaw_dps, thrust))
+        self._steer(lambda: commander.send_setpoint(roll_deg, pitch_deg, -yaw_dps, thrust), until_s)
 
     def _send_height(
-        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float
+        self, roll_deg: float, pitch_deg: float, yaw_dps: float, height_m: float, until_s: float
     ) -> None:
         # cflib turns nothing round here: the firmware's pitch is nose up
         kind, turn = (
@@ -263,15 +261,20 @@ class CrazyflieLink(CommandLink):
             else (LEGACY_Z_DISTANCE, -yaw_dps)
         )
         data = struct.pack("<Bffff", kind, roll_deg, -pitch_deg, turn, height_m)
-        self._steer(lambda: self._connection.send(*AT_HEIGHT, data), unlocks=False)
+        self._steer(lambda: self._connection.send(*AT_HEIGHT, data), until_s, unlocks=False)
 
-    def _steer(self, send: Callable[[], None], unlocks: bool = True) -> None:
+    def _steer(self, send: Callable[[], None], until_s: float, unlocks: bool = True) -> None:
         """Send a setpoint, on a connection that is from now on that of a craft under command."""
         self._connected()
-        if self._sender is None:
-            raise LinkError(f"{self.uri} is being closed")
+        outbox = self._require_outbox()
         self._connection.commanded = True
-        self.superseded += self._sender.send(send, unlocks=unlocks)
+        self.superseded += outbox.put(send, until_s, unlocks=unlocks)
+
+    def _require_outbox(self) -> Outbox:
+        sender = self._sender
+        if sender is None:
+            raise LinkError(f"{self.uri} is being closed")
+        return sender.outbox
 
     async def _write_parameter(self, name: str, value: float) -> float:
         craft = self._connected()
@@ -306,49 +309,26 @@ class CrazyflieLink(CommandLink):
 
 
 class _Sender:
-    """Hands setpoints to cflib from a thread of its own, for a radio may block for seconds.
-
-    Holds one setpoint: a newer one replaces it, for an old one is worth nothing.
+    """Hands setpoints and requests to cflib from a thread of its own, for a radio may block for
+    seconds.
 
     locks: whether the firmware takes thrust only after zero thrust, again after each silence.
     """
 
     def __init__(self, craft: Any, *, locks: bool) -> None:
-        self._craft, self._locks = craft, locks
-        self._sent_s = -LOCKS_AFTER_S
-        self._next: tuple[Callable[[], None], bool] | None = None
-        self._changed = threading.Condition()
-        self._closing = False
+        def unlock() -> None:
+            craft.commander.send_setpoint(0, 0, 0, 0)
+
+        self.outbox = Outbox(unlock if locks else None)
         self._thread = threading.Thread(target=self._run, name="setpoints", daemon=True)
         self._thread.start()
 
-    def send(self, setpoint: Callable[[], None], *, unlocks: bool = True) -> bool:
-        """Whether it replaced one that had not been sent. setpoint: sends it. unlocks: whether it
-        holds thrust, which may have to be unlocked first."""
-        with self._changed:
-            replaced = self._next is not None
-            self._next = setpoint, unlocks
-            self._changed.notify()
-        return replaced
-
     def close(self) -> None:
         """Send what waits, if the radio takes it soon, and end."""
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
+        self.outbox.close()
         self._thread.join(SEND_S)
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._next is not None or self._closing)
-                waiting, self._next = self._next, None
-            if waiting is None:
-                return
-            setpoint, unlocks = waiting
-            now_s = time.monotonic()
-            if self._locks and unlocks and now_s - self._sent_s >= LOCKS_AFTER_S:
-                self._craft.commander.send_setpoint(0, 0, 0, 0)
-            setpoint()
-            if unlocks:
-                self._sent_s = now_s
+        while self.outbox.wait():
+            with contextlib.suppress(LinkError):  # it has gone meanwhile
+                self.outbox.send()

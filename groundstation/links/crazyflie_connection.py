@@ -28,6 +28,7 @@ from groundstation.links.cflib_calls import (
     resolve,
 )
 from groundstation.links.craft_address import ADDRESSES, HINT, is_address
+from groundstation.links.craft_console import Console
 from groundstation.links.log_blocks import LogBlocks
 
 CONNECT_S, FIRST_S, UDP_TRIES = 10.0, 3.0, 3
@@ -56,9 +57,9 @@ class Identity:
 class Connection:
     """A craft by cflib, at most one connection at a time.
 
-    on_lost: told, on the event loop, why the connection ended by itself. on_console: told every
-    line of the craft's console. commanded: setpoints went through it, so that closing stops the
-    motors, as cflib does. blocks: what it logs.
+    on_lost: told, on the event loop, why the connection ended by itself. console: what the craft
+    says. commanded: setpoints went through it, so that closing stops the motors, as cflib does.
+    blocks: what it logs.
     """
 
     def __init__(self, uri: str) -> None:
@@ -76,12 +77,11 @@ class Connection:
         self.uri = uri
         self.commanded = False
         self.on_lost: list[Callable[[str], None]] = []
-        self.on_console: Callable[[str], None] = lambda line: None
+        self.console = Console()
         self._new_craft: Callable[[], Any] = lambda: Crazyflie(rw_cache=str(_cache_folder()))
         self._craft: Any = None
         self._hush: Callable[[], None] = lambda: None
         self._complete: asyncio.Future[bool] | None = None
-        self._console = ""
         self.blocks = LogBlocks(uri, lambda: self.craft)
 
     @property
@@ -126,7 +126,8 @@ class Connection:
         craft = self._craft = self._new_craft()
         self._hush = ask_again(craft, self.uri)
         begin_once(craft)
-        self._complete, self._console, self.commanded = complete, "", False
+        self._complete, self.commanded = complete, False
+        self.console.end()
 
         def call(function: Callable[..., None], *arguments: Any) -> None:
             with contextlib.suppress(RuntimeError):  # cflib's threads may outlast the loop
@@ -142,13 +143,17 @@ class Connection:
             failed(uri, reason)
             call(self._lose, craft, _explained(reason))
 
+        def hear(packet: Any) -> None:
+            if not heard.done():
+                tell(heard)
+
         # cflib asks once only what it speaks with, and then how to log, again and again
-        craft.add_header_callback(lambda packet: tell(heard), *LOG_CONTROL)
+        craft.add_header_callback(hear, *LOG_CONTROL)
         craft.connected.add_callback(lambda uri: tell(ready))
         craft.fully_connected.add_callback(lambda uri: tell(complete, True))
         craft.connection_failed.add_callback(failed)
         craft.connection_lost.add_callback(lost)
-        craft.console.receivedChar.add_callback(lambda text: call(self._hear, text))
+        craft.console.receivedChar.add_callback(self.console.feed)
         stop_pings = craft.link_statistics.stop
         # it joins the thread of the pings, and fails, silently for us, where a ping finds the craft
         # gone: nobody is told of the loss then
@@ -248,12 +253,6 @@ class Connection:
         if craft is self._craft:
             for tell in self.on_lost:
                 tell(reason)
-
-    def _hear(self, text: str) -> None:
-        """Console text comes in pieces."""
-        *lines, self._console = (self._console + text).split("\n")
-        for line in filter(None, map(str.strip, lines)):
-            self.on_console(line)
 
 
 def _explained(reason: str) -> str:

@@ -25,12 +25,12 @@ from groundstation.telemetry.samples import SampleBatch
 BATCH_S = 0.01
 """Packets of so long are given out together."""
 SILENT_S = 2.0
-"""A craft that was silent for so long is connected to again: it may have restarted, and a restart
-forgets its log blocks."""
+"""A craft that was silent for so long, or one of the log blocks that its rows need, is connected to
+again: it may have restarted, and a restart forgets its log blocks."""
+CEASED_S = 0.8
+"""A log block of which so long nothing came, while another came, is asked for once more."""
 QUEUE_PACKETS = 50_000
 """A minute and more at any rate; the oldest are dropped and counted."""
-CONSOLE_LINES = 200
-"""Of the craft's console, until the link is read."""
 RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 """Whole ms, and not below what identification needs."""
 WATCH_S, MOST_LOST = 2.5, 0.1
@@ -95,8 +95,6 @@ class CrazyflieTelemetry(Link):
             )
         self._connection = Connection(uri)
         self._connection.on_lost.append(self._lose)
-        self._console: deque[str] = deque(maxlen=CONSOLE_LINES)
-        self._connection.on_console = self._console.append
         self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
         self._period_ms = self._asked_ms = 1000 // (rate_hz or MOST_HZ)
         self._measures = rate_hz == 0
@@ -109,9 +107,10 @@ class CrazyflieTelemetry(Link):
         self._dropped = 0
         self._arrival = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._heard_s = self._due_s = 0.0
+        self._due_s = 0.0
+        self._heard: dict[int, float] = {}  # block -> when something of it came last, or it began
         self._watched = _Watched()
-        self._pacing: asyncio.Task[None] | None = None
+        self._pacing: asyncio.Task[None] | None = None  # or asking for a block again
 
     def sample_counts(self) -> DecoderCounts | None:
         return self._rows.counts() if self._rows is not None else None
@@ -143,8 +142,9 @@ class CrazyflieTelemetry(Link):
             raise
         self.vehicle = DEVICES.get(identity.device) if identity.protocol > 0 else "crazyflie1"
         self._found = self._introduction(identity, plan)
-        self._heard_s = self._loop.time()
-        self._watched, _ = _Watched().later(self._heard_s, self._rows.counts())
+        now_s = self._loop.time()
+        self._heard = dict.fromkeys(range(len(blocks)), now_s)
+        self._watched, _ = _Watched().later(now_s, self._rows.counts())
 
     async def _take_what_is_borne(self, blocks: int) -> None:
         """Count what comes of the most that is asked for, and ask for so much: packets that a radio
@@ -183,12 +183,12 @@ class CrazyflieTelemetry(Link):
         assert loop is not None
         assert rows is not None
         while True:
-            while self._console:
-                self.emit("console", self._console.popleft())
+            for line in self._connection.console.take():
+                self.emit("console", line)
             while not self._arrival.is_set():
                 self._require_heard(loop.time())
                 try:
-                    async with asyncio.timeout_at(self._heard_s + SILENT_S):
+                    async with asyncio.timeout_at(max(self._heard.values()) + SILENT_S):
                         await self._arrival.wait()
                 except TimeoutError:
                     continue
@@ -201,13 +201,13 @@ class CrazyflieTelemetry(Link):
                 self._packets.clear()
                 self._arrival.clear()
                 dropped, self._dropped = self._dropped, 0
-            if packets:
-                self._heard_s = loop.time()
+            self._heard |= dict.fromkeys((block for block, *_ in packets), loop.time())
             if dropped:
                 self.emit("loss", f"{dropped} packets dropped: nobody read the link for too long")
             samples = rows.add(packets)
             for table in rows.take_extra():
                 self.on_table(table)
+            self._require_each(loop.time(), rows.plan)
             self._bear(loop.time(), rows)
             if len(samples):
                 if self._found:
@@ -254,8 +254,35 @@ class CrazyflieTelemetry(Link):
     def _require_heard(self, now_s: float) -> None:
         if self._lost:
             raise LinkLostError(f"{self.name}: {self._lost}")
-        if now_s >= self._heard_s + SILENT_S and not self._packets:
+        if now_s >= max(self._heard.values()) + SILENT_S and not self._packets:
             raise LinkLostError(f"{self.name}: nothing came for {SILENT_S:g} s; connecting again")
+
+    def _require_each(self, now_s: float, plan: LogPlan) -> None:
+        """Ask again for a block that has ceased while others come; raise LinkLostError where one
+        that rows need stays away."""
+        away = [number for number, heard_s in self._heard.items() if now_s >= heard_s + CEASED_S]
+        lost = [number for number in away if now_s >= self._heard[number] + SILENT_S]
+        if any(number < len(plan.blocks) for number in lost):
+            raise LinkLostError(
+                f"{self.name}: no {_groups(plan, lost)} came for {SILENT_S:g} s; connecting again"
+            )
+        if away and len(away) < len(self._heard) and (self._pacing is None or self._pacing.done()):
+            self._pacing = asyncio.create_task(self._ask_again(away, _groups(plan, away)))
+
+    async def _ask_again(self, blocks: list[int], names: str) -> None:
+        try:
+            await self._connection.blocks.again(blocks, self._period_ms)
+            self.emit("loss", f"no {names} came for {CEASED_S:g} s: asked for once more")
+        except Exception as error:  # cflib raises what it likes, and nobody waits for this task
+            self.emit("loss", f"no {names} came, nor can they be asked for again: {error}")
+
+    def _missing(self) -> str:
+        if self._loop is None or self._rows is None:
+            return super()._missing()
+        since_s = self._loop.time() - self.silence_s
+        away = [number for number, heard_s in self._heard.items() if heard_s <= since_s]
+        comes = len(away) < len(self._heard)
+        return f"no {_groups(self._rows.plan, away)}" if away and comes else super()._missing()
 
     def _take(self, block: int, stamp: int, values: tuple[float, ...]) -> None:
         """A packet, on cflib's thread."""
@@ -275,9 +302,9 @@ class CrazyflieTelemetry(Link):
         name = identity.device or "a Crazyflie"
         version = f"firmware {identity.firmware}, " if identity.firmware else ""
         protocol = f"protocol {identity.protocol}" if identity.protocol > 0 else "protocol 1"
-        names = sorted({variable.split(".")[0] for b in plan.blocks for variable, _ in b})
+        names = _groups(plan, range(len(plan.blocks)))
         text = (
-            f"{name}, {version}{protocol}; {', '.join(names)} in {len(plan.blocks)} blocks"
+            f"{name}, {version}{protocol}; {names} in {len(plan.blocks)} blocks"
             f" {1000 // self._period_ms} times a second"
         )
         if self.vehicle is None:
@@ -290,3 +317,9 @@ class CrazyflieTelemetry(Link):
         else:
             text += f"; vehicle {self.vehicle}"
         return "; ".join([text, *plan.missing])
+
+
+def _groups(plan: LogPlan, blocks: Sequence[int]) -> str:
+    """What is in some of its blocks, in words."""
+    every = [*plan.blocks, *plan.extra]
+    return ", ".join(sorted({name.split(".")[0] for b in blocks for name, _ in every[b]}))

@@ -179,6 +179,11 @@ class LogBlocks:
         if self._between and self._protocol >= 0:
             await self._stagger(self._blocks[self._between], period_ms, self._between)
 
+    async def again(self, numbers: Sequence[int], period_ms: int) -> None:
+        """Ask once more for blocks that have ceased. Raises LinkError where the craft does not
+        confirm it, or knows them no more."""
+        await self._set_period(period_ms, [self._blocks[number] for number in numbers])
+
     async def _stagger(self, block: Any, period_ms: int, number: int) -> None:
         """Start a block again until it comes half a period after the first one.
 

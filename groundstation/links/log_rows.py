@@ -32,7 +32,8 @@ TICK_S = 1e-6
 """Device time is kept in microseconds, as in microSD logs."""
 WRAP_MS = 1 << 24
 BACKWARDS_MS = 100
-"""Blocks share one queue, so their stamps run forward: one so far back is a restart's."""
+"""Blocks share one queue, so their stamps run forward: one so far back is a restart's, and readings
+from before belong to no row that is to come."""
 MOTORS = 4
 """Commands of 16 bits in a block."""
 SETTING_MS = 2
@@ -104,6 +105,8 @@ class LogRows:
             if self._newest is None or time_ms > self._newest[0]:
                 self._newest = time_ms, host_ns
             rows += self._complete()
+            while len(readings) > 1 and readings[1].time_ms < self._newest[0] - BACKWARDS_MS:
+                readings.popleft()
         return self._samples(rows)
 
     def take_extra(self) -> list[LogTable]:

@@ -20,6 +20,7 @@ import uvicorn
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
 from groundstation.page.follower import Follower
+from groundstation.service.connections import protocol
 
 BEAT_S = 0.5
 CONNECTIONS_MOST = 200
@@ -36,10 +37,9 @@ async def serve(listening: socket.socket, control: Path, key: str) -> None:
             log_config=None,
             access_log=False,
             lifespan="off",
-            http="h11",
+            http=protocol(CONNECTIONS_MOST, access.knows, lambda: None),
             ws="none",
             server_header=False,
-            limit_concurrency=CONNECTIONS_MOST,
             timeout_graceful_shutdown=1,
         )
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 COOKIE_BYTES = 18
 
@@ -36,6 +36,13 @@ class Access:
         """Whether a cookie's value is one that was given out."""
         name, _, signature = cookie.partition(".")
         return _same(signature, self._sign("session", name))
+
+    def knows(self, headers: Iterable[tuple[bytes, bytes]]) -> bool:
+        """Whether a request's headers hold such a cookie."""
+        sent = dict(headers).get(b"cookie", b"").decode("latin-1")
+        values = (pair.partition("=")[2] for pair in sent.split("; ")
+                  if pair.startswith(f"{self.cookie}="))  # fmt: skip
+        return any(map(self.is_session, values))
 
     def change_token(self, cookie: str) -> str:
         """What a page of ours shows with each request that changes something."""

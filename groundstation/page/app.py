@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,11 @@ ACTIONS = (
 )
 """Operations of the control API that a page may ask for, with its own ``/do`` before them."""
 
+AT_ONCE = ("/command/stop", "/command/level")
+"""Those that, as disarming, wait for nobody else's request."""
+STOPS, ASKS, LOOKS, ADMITS = 4, 6, 4, 2
+"""Threads of each of the ways to the daemon: whatever one waits for, the others are free."""
+
 _HEADERS = {
     "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self';"
     " img-src 'self' data:; connect-src 'self'; form-action 'self'; base-uri 'none';"
@@ -72,6 +78,7 @@ _PICTURE = {
 def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
     """The page of the daemon at ``control``."""
     document = (STATIC / "page.html").read_text()
+    stops, asks, looks = _way("stops", STOPS), _way("asks", ASKS), _way("looks", LOOKS)
 
     async def page(request: Request) -> Response:
         token = access.change_token(_cookie(request.headers, access))
@@ -88,7 +95,9 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         try:
             content = msgspec.json.decode(body, type=dict[str, Any]) if body else None
             path = request.url.path.removeprefix("/do")
-            return _json(await asyncio.to_thread(ask, control, "POST", path, content))
+            disarms = path == "/command/arm" and content == {"on": False}
+            way = stops if path in AT_ONCE or disarms else asks
+            return _json(await way(ask, control, "POST", path, content))
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
 
@@ -97,7 +106,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
 
         async def answer(request: Request) -> Response:
             try:
-                return _json(await asyncio.to_thread(look, control))
+                return _json(await looks(look, control))
             except GroundStationError as error:
                 return _refusal(503, str(error))
 
@@ -106,7 +115,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
     async def file(request: Request) -> Response:
         kind, name = request.path_params["kind"], request.path_params["name"]
         try:
-            return await asyncio.to_thread(_file, control, kind, name)
+            return await looks(_file, control, kind, name)
         except GroundStationError as error:
             return _refusal(404, str(error))
 
@@ -134,6 +143,7 @@ class _Gate:
 
     def __init__(self, app: ASGIApp, access: Access, control: Path) -> None:
         self._app, self._access, self._control = app, access, control
+        self._admits = _way("admits", ADMITS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
@@ -167,13 +177,23 @@ class _Gate:
         if known:
             return answer
         try:
-            await asyncio.to_thread(ask, self._control, "POST", "/page/admit", {"token": token})
+            await self._admits(ask, self._control, "POST", "/page/admit", {"token": token})
         except GroundStationError as error:
             return _closed(f"{error}.", 403)
         answer.set_cookie(
             self._access.cookie, self._access.new_session(), httponly=True, samesite="strict"
         )
         return answer
+
+
+def _way(name: str, threads: int) -> Callable[..., Awaitable[Any]]:
+    """Calls what it is given in threads that nothing else uses."""
+    pool = ThreadPoolExecutor(threads, thread_name_prefix=f"page {name}")
+
+    def call(function: Callable[..., Any], *arguments: Any) -> Awaitable[Any]:
+        return asyncio.get_running_loop().run_in_executor(pool, function, *arguments)
+
+    return call
 
 
 def _flights(control: Path) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.compiled import called, inner, kernel, spliced
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.attitude_filter import fuse, smoothed
-from groundstation.dynamics.compiled import called, inner, kernel, spliced
 from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.kernels import four, normalise

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,55 +14,27 @@ from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.errors import BadInputError
 from groundstation.recording.craft_family import family_of
 from groundstation.recording.delimited import TextTable, open_table
-from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
+from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
 from groundstation.recording.map_document import (
     NAMED,
-    UNITS,
-    ZERO,
-    Choice,
-    Column,
     ColumnMap,
-    Kind,
     load_column_map,
 )
+from groundstation.recording.map_plan import (
+    Channel,
+    Plan,
+    Said,
+    decided,
+    plan_of,
+)
+from groundstation.recording.row_order import ROWS_METADATA, in_order
 from groundstation.recording.session import Recording, Table
-from groundstation.telemetry.packet import TICK_S
+from groundstation.recording.table_header import base_name, called
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
-_TICK_S = 1e-9
-"""Tick of a mapped recording whose time is not in the packet's ticks."""
+UNCLEAR_METADATA = "unclear"
+"""Metadata record of what a file leaves open, field -> words."""
 _LIMITS = {"ticks": (-4e18, 4e18), "debug": (0.0, 2.0**32 - 1)}
-
-
-def map_of_header(names: Collection[str]) -> str | None:
-    """The one named map of which every column, or the signature, stands in a header, or None."""
-    return _fitting("csv", set(names))
-
-
-def map_of_series(kind: Kind, names: Collection[str]) -> str | None:
-    """The same for a log of many series, of which every column is named ``SERIES.FIELD``."""
-    return _fitting(kind, set(names))
-
-
-def _fitting(kind: Kind, names: set[str]) -> str | None:
-    fitting = []
-    for name, path in NAMED.items():
-        column_map = load_column_map(path)
-        if column_map.kind == kind and _is_known(column_map, path, names):
-            fitting.append(name)
-    return fitting[0] if len(fitting) == 1 else None
-
-
-def _is_known(column_map: ColumnMap, path: Path, names: set[str]) -> bool:
-    if not column_map.partial:
-        plan = plan_of(column_map, path)
-        return {str(channel.column) for channel in (*plan.channels, *plan.kept)} <= names
-    if not column_map.signature or not set(column_map.signature) <= names:
-        return False
-    choices = [choice for *_, choice in _columns(column_map)]
-    return any(
-        _first_there(one if isinstance(one, list) else [one], names) is not None for one in choices
-    )
 
 
 def read_mapped_csv(path: Path, source: str | Path) -> Recording:
@@ -79,17 +50,39 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
     column_map = load_column_map(map_path)
     if column_map.kind != "csv":
         raise BadInputError(f"{path}: a CSV file, and {source} is a map of {column_map.kind} files")
-    table = open_table(path)
-    plan = plan_of(column_map, map_path, table.names)
-    places = [_place(table, channel, map_path) for channel in (*plan.channels, *plan.kept)]
-    batches, rest = [], [np.empty((0, len(plan.kept)))]
+    table = open_table(path, column_map.skip)
+    plan = plan_of(column_map, map_path, called(table.names), said_by(table, str(source) in NAMED))
+    places = [
+        place_of(path, table.names, table.width, one, map_path)
+        for one in (*plan.channels, *plan.kept)
+    ]
+    batches: list[SampleBatch] = []
+    rest = [np.empty((0, len(plan.kept)))]
+    unclear: dict[str, str] = {}
     for block in table.blocks(places):
+        if not batches:
+            plan, unclear = decided(plan, block.values)
         batches.append(samples_of(plan, block.values, block.error))
         rest.append(block.values[:, len(plan.channels) :])
     samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, plan.tick_s)
-    return mapped_recording(
+    recording = mapped_recording(
         path, plan, column_map, samples, np.concatenate(rest), table.names, table.damage
     )
+    if unclear:
+        recording.metadata[UNCLEAR_METADATA] = unclear
+    return recording
+
+
+def said_by(table: TextTable, named: bool) -> Said:
+    """What a table's header says. named: by a map that ships, which knows a format and not a file:
+    the file's own unit holds for a column's whole name as well."""
+    units: dict[str, str] = {}
+    for name, unit in zip(table.names, table.units, strict=True):
+        if unit:
+            base = base_name(name)[0]
+            units |= {base: unit} if base != name else {}
+            units |= {name: unit} if named else {}
+    return Said(units, table.said)
 
 
 def mapped_recording(
@@ -103,9 +96,12 @@ def mapped_recording(
 ) -> Recording:
     """What a map makes of a file: samples with their clock, tables from the columns that are kept
     (n, len(plan.kept)), and metadata. names: every column of the file."""
-    samples.segment[:] = segments_of(samples.ticks)
+    samples, order = in_order(samples, [kept])
+    kept = order.of(kept)
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, plan.tick_s, samples.segment)
     metadata = {"host_time": dict(SYNTHESISED), "column_map": plan.text}
+    if order.notes:
+        metadata[ROWS_METADATA] = order.notes
     if column_map.vehicle is not None:
         metadata["vehicle"] = {"profile": column_map.vehicle}
     elif column_map.family is not None:
@@ -133,131 +129,40 @@ def _tables(
     return tables
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One mapped channel: the sample's value = ``scale`` x (the cell - ``zero``)."""
+def place_of(path: Path, names: Sequence[str], width: int, channel: Channel, map_path: Path) -> int:
+    """Position in a row of the column that a channel names. names: of the file's columns, empty
+    without a header. width: how many there are.
 
-    key: str
-    column: str | int
-    field: str
-    index: int | None
-    scale: float
-    zero: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What is read: channels with time first, columns for tables, the tick in s, and the map as
-    text for the recording's metadata."""
-
-    channels: tuple[Channel, ...]
-    kept: tuple[Channel, ...]
-    tick_s: float
-    text: dict[str, str]
-    from_north: bool = False
-
-
-_FIELDS = {
-    "duty": "duty",
-    "gyro": "gyro",
-    "accelerometer": "accelerometer",
-    "attitude": "attitude",
-    "rotor": "rotor_rev_s",
-    "quaternion": "quaternion",
-}
-
-
-def plan_of(column_map: ColumnMap, path: Path, names: Collection[str] | None = None) -> Plan:
-    """Which of the columns that a file has (None: not known) the map at ``path`` takes.
-
-    Raises BadInputError for a unit that is none, and where a partial map finds nothing but time.
+    Raises BadInputError where there is no such column, or more than one.
     """
-    tick_s = TICK_S if column_map.time.unit == "ticks" else _TICK_S
-    time_scale = _scale("time", "time", column_map.time.unit, path) / tick_s
-    channels = [Channel("time", column_map.time.column, "ticks", None, time_scale)]
-    text = {"time": f"{column_map.time.column} {column_map.time.unit}"}
-    for key, quantity, field, index, choice in _columns(column_map):
-        listed = choice if isinstance(choice, list) else [choice]
-        scales = [_scale(key, quantity, one.unit, path) * one.sign for one in listed]
-        place = _first_there(listed, names)
-        if place is None:
-            if column_map.partial:
-                continue
-            place = 0
-        column = listed[place]
-        zero = ZERO.get(column.unit)
-        channels.append(Channel(key, column.column, field, index, scales[place], zero))
-        text[key] = f"{column.column} {'-' if column.sign < 0 else ''}{column.unit}"
-    if column_map.debug is not None:
-        channels.append(Channel("debug", column_map.debug.column, "debug", None, 1.0))
-        text["debug"] = str(column_map.debug.column)
-    if column_map.partial and len(channels) == 1:
-        raise BadInputError(f"{path}: the file has none of the columns that this map knows")
-    kept = tuple(
-        Channel(f"tables.{name}", column, name, None, 1.0)
-        for name, columns in column_map.tables.items()
-        for column in columns
-        if names is None or not column_map.partial or column in names
-    )
-    return Plan(tuple(channels), kept, tick_s, text, column_map.yaw_from == "north")
-
-
-def _first_there(listed: Sequence[Column], names: Collection[str] | None) -> int | None:
-    """Place of the first column that the file has."""
-    there = [
-        place
-        for place, one in enumerate(listed)
-        if names is None or isinstance(one.column, int) or one.column in names
-    ]
-    return there[0] if there else None
-
-
-def _columns(mapping: ColumnMap) -> Iterator[tuple[str, str, str, int | None, Choice]]:
-    if mapping.battery is not None:
-        yield "battery", "battery", "battery_v", None, mapping.battery
-    for quantity, field in _FIELDS.items():
-        group = getattr(mapping, quantity)
-        for index, name in enumerate(group.__struct_fields__):
-            column = getattr(group, name)
-            if column is not None:
-                yield f"{quantity}.{name}", quantity, field, index, column
-
-
-def _scale(key: str, quantity: str, unit: str, path: Path) -> float:
-    units = UNITS[quantity]
-    if unit not in units:
-        raise BadInputError(f"{path}: {key}.unit is {unit!r}; choose one of {', '.join(units)}")
-    return units[unit]
-
-
-def _place(table: TextTable, channel: Channel, map_path: Path) -> int:
-    """Position in a row of the column that a channel names."""
     if isinstance(channel.column, int):
-        if channel.column > table.width:
+        if channel.column > width:
             raise BadInputError(
-                f"{map_path}: {channel.key}.column is {channel.column}, but {table.path} has "
-                f"{table.width} columns"
+                f"{map_path}: {channel.key}.column is {channel.column}, but {path} has "
+                f"{width} columns"
             )
         return channel.column - 1
-    found = table.names.count(channel.column)
+    given = list(names)
+    if channel.column not in given:
+        given = [base_name(one)[0] for one in given]
+    found = given.count(channel.column)
     if found == 1:
-        return table.names.index(channel.column)
+        return given.index(channel.column)
     if found > 1:
         raise BadInputError(
-            f"{table.path}: {found} columns are named {channel.column!r} "
+            f"{path}: {found} columns are named {channel.column!r} "
             f"({channel.key} in {map_path}); give the column's number instead"
         )
-    if not table.names:
+    if not names:
         raise BadInputError(
-            f"{table.path}: no header line, so {channel.key}.column in {map_path} must be a number"
+            f"{path}: no header line, so {channel.key}.column in {map_path} must be a number"
         )
-    near = difflib.get_close_matches(channel.column, table.names, n=1)
+    near = difflib.get_close_matches(channel.column, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise BadInputError(
-        f"{table.path}: no column {channel.column!r} ({channel.key} in {map_path}){hint}"
-    )
+    raise BadInputError(f"{path}: no column {channel.column!r} ({channel.key} in {map_path}){hint}")
 
 
+@np.errstate(over="ignore", invalid="ignore")  # beyond what a channel holds is no value
 def samples_of(
     plan: Plan,
     values: NDArray[np.float64],

@@ -79,7 +79,10 @@ def vehicle_of(
 
 def require_family(recording: Recording, vehicle: str | None, model: Model | None = None) -> None:
     """Raises BadInputError where a recording that names no craft cannot be, or need not be, one of
-    ``vehicle`` (None: nobody said which), whose profile ``model`` may hold."""
+    ``vehicle`` (None: nobody said which), whose profile ``model`` may hold.
+
+    A profile of the user's own is the user's word on what flew: only a built-in one says whose
+    firmware its craft has, and can contradict."""
     from groundstation.dynamics.model import model_vehicle
     from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
 
@@ -96,8 +99,12 @@ def require_family(recording: Recording, vehicle: str | None, model: Model | Non
             f"{recording.path}: {what} ({why}); say which with --vehicle {listed}, or a TOML"
             " profile"
         )
-    profile = model_vehicle(model) if model is not None and model.vehicle == vehicle else None
-    flown = profile or load_vehicle(vehicle)
+    if model is not None and model.vehicle == vehicle:
+        flown = model_vehicle(model)
+    else:
+        flown = load_vehicle(vehicle)
+    if flown.name not in BUILT_IN:
+        return
     if family != "unknown" and flown.firmware != family:
         raise BadInputError(
             f"{recording.path}: of a Crazyflie {family} ({why}), not of {vehicle!r}; say which"

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
 from groundstation.recording.channels import CHANNELS
-from groundstation.recording.column_map import map_of_header, read_mapped_csv
+from groundstation.recording.column_map import read_mapped_csv
 from groundstation.recording.delimited import Block, TextTable, open_table
-from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks, segments_of
+from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
+from groundstation.recording.map_plan import map_of_header
+from groundstation.recording.row_order import ROWS_METADATA, in_order, order_of
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import (
     ACCELEROMETER_M_S2,
@@ -136,14 +138,20 @@ def _read_thesis(table: TextTable, places: list[int]) -> Recording:
         channels.append(block.values[:, 1:15].astype(np.int32))
         debugs.append(block.values[:, 15].astype(np.uint32))
     ticks, counts, debug = np.concatenate(stamps), np.concatenate(channels), np.concatenate(debugs)
-    segment = segments_of(ticks)
-    host_time_ns = host_time_from_ticks(ticks, TICK_S, segment)
+    order = order_of(ticks, TICK_S, [counts, debug])
+    ticks, counts, debug = order.ticks, order.of(counts), order.of(debug)
+    host_time_ns = host_time_from_ticks(ticks, TICK_S, order.segment)
+    samples = _from_counts(ticks, counts, debug, order.segment, host_time_ns)
+    samples.copies[:] = order.copies
     return Recording(
         path=table.path,
         kind="csv",
-        samples=_from_counts(ticks, counts, debug, segment, host_time_ns),
+        samples=samples,
         raw=_as_packets(ticks, counts, debug, host_time_ns),
-        metadata={"host_time": dict(SYNTHESISED)},
+        metadata={
+            "host_time": dict(SYNTHESISED),
+            **({ROWS_METADATA: order.notes} if order.notes else {}),
+        },
         damage=table.damage,
     )
 
@@ -229,14 +237,16 @@ def _read_physical(table: TextTable, positions: dict[str, int]) -> Recording:
             samples.host_time_ns[:] = np.rint(values["host_time_s"] * 1e9)
         blocks.append(samples)
     samples = SampleBatch.concatenate(blocks) if blocks else empty_samples(0, _TABLE_TICK_S)
-    if "segment" not in positions:
-        samples.segment[:] = segments_of(samples.ticks)
     metadata = {}
+    if "segment" not in positions:
+        samples, order = in_order(samples)
+        if order.notes:
+            metadata = {ROWS_METADATA: order.notes}
     if "host_time_s" not in positions:
         samples.host_time_ns[:] = host_time_from_ticks(
             samples.ticks, samples.tick_s, samples.segment
         )
-        metadata = {"host_time": dict(SYNTHESISED)}
+        metadata["host_time"] = dict(SYNTHESISED)
     return Recording(table.path, "csv", samples, metadata=metadata, damage=table.damage)
 
 

@@ -2,7 +2,8 @@
 
 Accepted: comma, semicolon or tab; decimal comma; quotes; CRLF; a byte-order mark; Excel's
 ``sep=;`` line; a leading column of row numbers with or without a name; a separator at the end
-of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line. A last line
+of each line; ``1,23E+09`` unquoted in the last column of a comma-separated line; comments and other
+lines before the header, and units below it (``table_header``). A last line
 without its end that does not read is taken for a torn write: it is left out and named in
 ``damage``. Any other cell that is not a number is an error with its line and column.
 """
@@ -22,13 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.table_header import (
+    SPLIT_EXPONENT,
+    find_header,
+    is_number,
+    plain,
+)
 
 BLOCK_BYTES = 8 << 20
 _HEAD_BYTES = 1 << 16
-_SPLIT_EXPONENT = re.compile(rb",(\d),(\d+[eE]\+\d+)$", re.MULTILINE)
+_EXPONENT = re.compile(rb",(\d),(\d+[eE]\+\d+)$", re.MULTILINE)
 """A last number whose decimal comma was taken for a separator."""
 _EXPONENT = re.compile(rb"\d\.\d+[eE]\+\d+")
-_QUOTED = re.compile(rb'"((?:[^"\n]|"")*)"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,8 @@ class TextTable:
 
     names: one per field of a row, "" where the header has none. Empty for a file without a
         header line.
+    units: one per name, as the file says them, "" where it does not.
+    said: key -> text of lines before the header.
     damage: filled while reading.
     """
 
@@ -66,6 +74,8 @@ class TextTable:
     damage: list[str] = field(default_factory=list)
     _data_offset: int = 0
     _data_line: int = 1
+    units: list[str] = field(default_factory=list)
+    said: dict[str, str] = field(default_factory=dict)
 
     def blocks(self, columns: Sequence[int], *, integers: bool = False) -> Iterator[Block]:
         """The numbers in ``columns`` (positions in a row), in blocks of many rows.
@@ -110,11 +120,11 @@ class TextTable:
 
     def _normalise(self, text: bytes) -> bytes:
         """Plain cells: no quotes, decimal points, one separator, line feeds only."""
-        text = _plain(text, self.separator)
+        text = plain(text, self.separator)
         if self.separator == b"," and (b"E+" in text or b"e+" in text):
             rows = text.count(b"\n") + (not text.endswith(b"\n"))
             if text.count(b",") > rows * (self.width - 1):
-                text = _SPLIT_EXPONENT.sub(rb",\1.\2", text)
+                text = SPLIT_EXPONENT.sub(rb",\1.\2", text)
         return text
 
     def _parse(
@@ -178,18 +188,52 @@ class TextTable:
             cells = line.split(self.separator)
             for column in columns:
                 cell = cells[column].strip()
-                if (cell or integers) and not _is_number(cell):
+                if (cell or integers) and not is_number(cell):
                     shown = cell[:40].decode("latin-1")
                     why = f"{shown!r} is not a number" if cell else "the cell is empty"
                     raise self.cell_error(first_line + number, column, why)
 
 
-def open_table(path: Path) -> TextTable:
-    """Find out how a delimited file is laid out.
+def open_table(path: Path, skip: int = 0) -> TextTable:
+    """Find out how a delimited file is laid out. skip: lines before its header.
+
+    Lines that begin with ``#``, ``%`` or ``//`` and lines of another width before the header are
+    passed over, and lines without a number below it; units among these are kept.
 
     Raises RecordingError where the file cannot be opened, BadInputError where it is empty or
     not a table of text.
     """
+    head, offset = _head(path)
+    lines = [one for one in _lines(head, offset) if one[0] > skip]
+    if len(head) == _HEAD_BYTES and len(lines) > 1:
+        lines.pop()  # possibly cut
+    if not lines:
+        raise BadInputError(f"{path}: nothing behind the first {skip} lines")
+    announced = re.fullmatch(rb"sep=([,;\t])", lines[0][2].strip())
+    if announced and len(lines) > 1:
+        lines = lines[1:]
+    found = find_header([line for _, _, line in lines], announced.group(1) if announced else b"")
+    layout = TextTable(path, found.separator, found.names, len(found.names), [])
+    layout.said, layout.units = found.said, found.units
+    if found.data < len(lines):
+        layout._data_line, layout._data_offset, first = lines[found.data]
+        if found.names:
+            row = plain(first, found.separator)
+            layout.names = _align(found.names, row, found.separator)
+            if layout.names[:1] == [""]:
+                layout.units = ["", *layout.units]
+        else:
+            layout.width = len(
+                plain(first, found.separator, keep_commas=True).split(found.separator)
+            )
+    else:
+        layout._data_line, layout._data_offset = lines[-1][0] + 1, len(head)
+    layout.width = len(layout.names) or layout.width
+    return layout
+
+
+def _head(path: Path) -> tuple[bytes, int]:
+    """The file's first bytes, and where its text begins."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
@@ -199,23 +243,9 @@ def open_table(path: Path) -> TextTable:
         raise BadInputError(f"{path}: the file is empty")
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BadInputError(f"{path}: the text is UTF-16; save it as CSV (UTF-8)")
-    offset = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     if b"\0" in head.split(b"\n", 1)[0]:
         raise BadInputError(f"{path}: not a text file")
-    lines = _lines(head, offset)
-    number, offset, first = next(lines)
-    announced = re.fullmatch(rb"sep=([,;\t])", first.strip())
-    if announced:
-        number, offset, first = next(lines, (2, len(head), b""))
-    separator = announced.group(1) if announced else _separator(first)
-    header = _plain(first, separator, keep_commas=True).split(separator)
-    names = [_text(cell) for cell in header]
-    if all(not cell.strip() or _is_number(cell.replace(b",", b".")) for cell in header):
-        return TextTable(path, separator, [], len(header), [], offset, number)
-    data_number, data_offset, second = next(lines, (number + 1, len(head), b""))
-    if second:
-        names = _align(names, _plain(second, separator), separator)
-    return TextTable(path, separator, names, len(names), [], data_offset, data_number)
+    return head, 3 if head.startswith(b"\xef\xbb\xbf") else 0
 
 
 def _lines(head: bytes, offset: int) -> Iterator[tuple[int, int, bytes]]:
@@ -230,29 +260,11 @@ def _lines(head: bytes, offset: int) -> Iterator[tuple[int, int, bytes]]:
         offset = end + 1
 
 
-def _separator(line: bytes) -> bytes:
-    bare = _QUOTED.sub(b"", line)
-    return next((mark for mark in (b"\t", b";") if mark in bare), b",")
-
-
-def _plain(text: bytes, separator: bytes, *, keep_commas: bool = False) -> bytes:
-    if b'"' in text:
-        text = _QUOTED.sub(
-            lambda cell: cell.group(1).replace(separator, b"." if separator == b"," else b" "),
-            text,
-        )
-    if b"\r" in text:
-        text = text.replace(b"\r\n", b"\n").rstrip(b"\r")
-    if separator != b"," and not keep_commas:
-        text = text.replace(b",", b".")
-    return text
-
-
 def _align(names: list[str], first_row: bytes, separator: bytes) -> list[str]:
     """Give each field of the first row its name: row numbers and end separators have none."""
     fields = first_row.split(separator)
     if separator == b"," and len(fields) > len(names):
-        fields = _SPLIT_EXPONENT.sub(rb",\1.\2", first_row).split(separator)
+        fields = SPLIT_EXPONENT.sub(rb",\1.\2", first_row).split(separator)
     if len(fields) == len(names) + 1:
         return [*names, ""] if not fields[-1].strip() else ["", *names]
     return names
@@ -297,18 +309,3 @@ def _as_integers(block: Block) -> Block:
         block._text,
         block._first_line,
     )
-
-
-def _is_number(cell: bytes) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
-def _text(cell: bytes) -> str:
-    try:
-        return cell.strip().decode("utf-8")
-    except UnicodeDecodeError:
-        return cell.strip().decode("latin-1")

@@ -1,4 +1,4 @@
-"""Device time of files that carry no host stamps: segments, and host stamps made from it."""
+"""Host stamps of files that carry none, made from device time."""
 
 from __future__ import annotations
 
@@ -14,13 +14,6 @@ _LATEST_NS = 1 << 61
 
 SYNTHESISED = {"source": "made from device time"}
 """Metadata record ``host_time`` of a recording whose host stamps were never measured."""
-
-
-def segments_of(ticks: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Segment number of each row, shape (n,): a clock that runs backwards has restarted."""
-    segment = np.zeros(len(ticks), np.int32)
-    np.cumsum(np.diff(ticks) < 0, out=segment[1:])
-    return segment
 
 
 def host_time_from_ticks(

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from groundstation.errors import BadInputError, RecordingError
+from groundstation.errors import BadInputError, GroundStationError, RecordingError
 from groundstation.recording.mcap_scan import looks_like_mcap
 from groundstation.recording.ros_bag import is_bag
 from groundstation.recording.session import Recording
@@ -51,12 +51,20 @@ FORMATS = (
         "ulog_file.read_ulog",
         mapped="ulog_file.read_ulog",
     ),
-    Format(looks_like_mcap, "mcap_reader.read_mcap", ".mcap", "recording_file.write_mcap", True),
+    Format(
+        looks_like_mcap,
+        "ros_bag.read_recovered",
+        ".mcap",
+        "recording_file.write_mcap",
+        keeps_raw=True,
+        mapped="ros_bag.read_bag",
+    ),
     Format(
         lambda head: head.startswith(b"PAR1"),
         "parquet_file.read_parquet",
         ".parquet",
         "parquet_file.write_parquet",
+        mapped="parquet_file.read_parquet",
     ),
     Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
     Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
@@ -79,12 +87,10 @@ def read_as(path: Path, head: bytes, raw: bool) -> Recording:
     """
     for one in FORMATS:
         if one.has(head):
-            options = {"raw": raw} if one.keeps_raw else {}
-            recording: Recording = _function(one.reader)(path, **options)
-            return recording
+            return _read(path, one.reader, {"raw": raw} if one.keeps_raw else {})
     raise RecordingError(
-        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording, a ROS 2 bag, a ULog nor the"
-        " stand-in's .npz"
+        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording, a ROS bag, a ULog, a Parquet"
+        " table nor the stand-in's .npz"
     )
 
 
@@ -97,9 +103,23 @@ def read_mapped(path: Path, head: bytes, source: str | Path) -> Recording:
         if one.has(head):
             if not one.mapped:
                 break
-            recording: Recording = _function(one.mapped)(path, source)
-            return recording
-    raise BadInputError(f"{path}: not a CSV file, ROS 2 bag or ULog, so it takes no column map")
+            return _read(path, one.mapped, {"source": source})
+    raise BadInputError(
+        f"{path}: not a CSV file, Parquet table, ROS bag or ULog, so it takes no column map"
+    )
+
+
+def _read(path: Path, reader: str, options: dict[str, Any]) -> Recording:
+    """Raises RecordingError for whatever a reader did not expect of a stranger's file."""
+    try:
+        recording: Recording = _function(reader)(path, **options)
+    except (GroundStationError, MemoryError):
+        raise
+    except Exception as error:
+        name = reader.partition(".")[2].removeprefix("read_").replace("_", " ")
+        what = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        raise RecordingError(f"{path}: does not read as {name} ({what})") from error
+    return recording
 
 
 def writer_of(

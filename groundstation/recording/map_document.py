@@ -9,8 +9,12 @@
     unit = "deg/s"
     sign = -1
 
-``column`` is a name of the header line or a number counted from 1 (the only choice for a file
-without a header). ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
+``column`` is a name of the header line, with its unit or without (``gyro (deg/s)``), or a number
+counted from 1 (the only choice for a file without a header). Where a header says the unit of a name
+given without, that unit holds. ``scale`` is multiplied with a cell to be in ``unit``; ``per`` names
+a line before the header that says how many are one unit instead. ``unit`` may list several that
+begin elsewhere: the numbers tell it, or ``told_by`` a line before the header that holds their least
+and largest. ``sign = -1`` turns an axis into the design's frame: body x forward, y left,
 z up; roll left side up, pitch nose down, yaw counter-clockwise positive. Fields: time;
 battery; duty.m1..m4; gyro.x..z; accelerometer.x..z; attitude.roll, .pitch, .yaw or
 quaternion.w..z; rotor.m1..m4; debug. Only time is required. A field may list several columns: the
@@ -22,6 +26,8 @@ name of their own. Of the map itself:
 - ``partial``: any column but time may be missing; ``signature``: columns by which such a file is
   recognised (without: all of them).
 - ``yaw_from``: where a yaw of 0 looks.
+- ``skip``: lines before the header. ``only``: parameter of a log -> values without which its motors
+  are not those of a quadrotor, and left out.
 - ``kind``, ``rows``: in a log of many series (``"ulog"``, ``"rosbag"``) a column is
   ``SERIES.FIELD`` and ``rows`` the series that gives the rows: ``series_map`` reads those.
 
@@ -81,6 +87,8 @@ to 2047, ``pwm-us`` from 1000 to 2000.
 """
 ZERO = {"dshot": 48.0, "pwm-us": 1000.0}
 """What stands for nothing in the units that begin elsewhere; less is nothing as well."""
+MOST = {"dshot": 2047.0, "pwm-us": 2000.0}
+"""What stands for all in these."""
 
 NAMED = {path.stem: path for path in sorted((Path(__file__).parent / "maps").glob("*.toml"))}
 """The maps that ship with the program."""
@@ -90,8 +98,15 @@ class Column(msgspec.Struct, forbid_unknown_fields=True):
     """Where one channel comes from."""
 
     column: Annotated[str, msgspec.Meta(min_length=1)] | Annotated[int, msgspec.Meta(ge=1)]
-    unit: str
+    unit: str | Annotated[list[str], msgspec.Meta(min_length=2)]
     sign: Literal[1, -1] = 1
+    scale: Annotated[float, msgspec.Meta(gt=0.0)] = 1.0
+    per: str = ""
+    told_by: str = ""
+
+    @property
+    def units(self) -> list[str]:
+        return self.unit if isinstance(self.unit, list) else [self.unit]
 
 
 class Clock(msgspec.Struct, forbid_unknown_fields=True):
@@ -160,6 +175,8 @@ class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
     signature: list[str] = []
     kind: Kind = "csv"
     rows: str = ""
+    skip: Annotated[int, msgspec.Meta(ge=0)] = 0
+    only: dict[str, list[int]] = {}
     yaw_from: Literal["east", "north"] = "east"
 
 

@@ -28,7 +28,8 @@ from groundstation.recording.mcap_schemas import metadata_checksum
 
 LIBRARY = f"groundstation {__version__} ({LIBRARY_IDENTIFIER})"
 CHECKSUM_KEY = "crc32"
-CHUNK_BYTES = 256 * 1024
+CHUNK_BYTES, CHUNK_NS = 256 * 1024, 1_000_000_000
+"""A chunk is closed before it holds more, or more of the recording's time: a damage costs one."""
 _PENDING_BYTES = 1024 * 1024
 
 _RECORD = struct.Struct("<BQ")
@@ -148,7 +149,9 @@ class McapFile:
     ) -> None:
         """Add a message; it reaches the disk with its chunk, at the next ``flush`` at latest."""
         log_time_ns = max(log_time_ns, 0)  # the format has no times before 1970
-        if self._chunk and len(self._chunk) + len(data) > self._chunk_bytes:
+        first, last = _widen(self._chunk_times, log_time_ns)
+        is_full = len(self._chunk) + len(data) > self._chunk_bytes
+        if self._chunk and (is_full or last - first > CHUNK_NS):
             self._close_chunk()
         entries = self._chunk_messages.setdefault(channel_id, bytearray())
         entries += _INDEX_ENTRY.pack(log_time_ns, len(self._chunk))
@@ -175,9 +178,14 @@ class McapFile:
         """Wait until the disk has what was flushed: survives a power loss."""
         os.fdatasync(self._stream.fd)
 
-    def is_removed(self) -> bool:
-        """True when no directory holds the file any more."""
-        return os.fstat(self._stream.fd).st_nlink == 0
+    def taken_away(self) -> str:
+        """What another program did to the file, in words, or nothing."""
+        status = os.fstat(self._stream.fd)
+        if status.st_nlink == 0:
+            return "the file was removed"
+        if status.st_size < self._stream.size:
+            return f"another program cut the file to {status.st_size} bytes"
+        return ""
 
     def free_bytes(self) -> int:
         """Free space of the file system, for users without special rights."""

@@ -90,6 +90,10 @@ def _is_held(path: Path) -> bool:
     return False
 
 
+class ForeignMcapError(RecordingError):
+    """An MCAP file of another program, which may be a ROS bag all the same."""
+
+
 class RawStream:
     """The packets of a recording in order, in memory for a few thousand at a time.
 
@@ -162,9 +166,10 @@ class _Topics:
             return
         shown = ", ".join(topics[:_NAMED_TOPICS]) or "none"
         more = f" and {len(topics) - _NAMED_TOPICS} more" if len(topics) > _NAMED_TOPICS else ""
-        raise RecordingError(
+        raise ForeignMcapError(
             f"{self._scan.path}: an MCAP file of another program, without {SAMPLES_TOPIC} and "
-            f"{RAW_TOPIC} (its topics: {shown}{more})"
+            f"{RAW_TOPIC} (its topics: {shown}{more}); ROS bags are read, other messages as CSV"
+            " with a column map"
         )
 
     def damage(self) -> list[str]:

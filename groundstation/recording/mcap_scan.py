@@ -32,7 +32,7 @@ from groundstation.recording.mcap_records import (
     parse_attachment,
     parse_contents,
 )
-from groundstation.recording.mcap_schemas import TOPICS, metadata_checksum
+from groundstation.recording.mcap_schemas import TOPICS, metadata_checksum, usual_topic
 from groundstation.recording.recording_file import CHANNELS_METADATA
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
@@ -297,7 +297,7 @@ class McapScan:
         self._place(contents.first_ns)
         unknown = 0
         for message in contents.messages():
-            if message[0] in self.channels or self._recall_channel(message[0]):
+            if message[0] in self.channels or self._recall_channel(message[0], message[3]):
                 yield message
             else:
                 unknown += 1
@@ -305,26 +305,30 @@ class McapScan:
         if unknown:
             self._note(Damage(offset, 0, f"{unknown} messages belong to no known channel"))
 
-    def _recall_channel(self, channel_id: int) -> bool:
-        """Define a channel whose chunk was lost, from the metadata this program writes."""
-        for name, items in self.metadata:
-            topic = TOPICS.get(items.get(str(channel_id), ""))
-            if name == CHANNELS_METADATA and topic is not None:
-                self.schemas[channel_id] = Schema(
-                    id=channel_id,
-                    name=topic.schema_name,
-                    encoding=topic.schema_encoding,
-                    data=topic.schema,
-                )
-                self.channels[channel_id] = Channel(
-                    id=channel_id,
-                    topic=topic.name,
-                    message_encoding=topic.message_encoding,
-                    schema_id=channel_id,
-                    metadata={},
-                )
-                return True
-        return False
+    def _recall_channel(self, channel_id: int, payload: memoryview | bytes) -> bool:
+        """Define a channel whose chunk was lost, from the metadata this program writes, or, where
+        the beginning of the file is lost with it, from what its messages are."""
+        listed = [items for name, items in self.metadata if name == CHANNELS_METADATA]
+        named = [items[str(channel_id)] for items in listed if str(channel_id) in items]
+        topic = TOPICS.get(named[-1]) if named else None
+        if topic is None and not listed and not self.library:
+            topic = usual_topic(channel_id, payload)
+        if topic is None:
+            return False
+        self.schemas[channel_id] = Schema(
+            id=channel_id,
+            name=topic.schema_name,
+            encoding=topic.schema_encoding,
+            data=topic.schema,
+        )
+        self.channels[channel_id] = Channel(
+            id=channel_id,
+            topic=topic.name,
+            message_encoding=topic.message_encoding,
+            schema_id=channel_id,
+            metadata={},
+        )
+        return True
 
     def _add_metadata(self, body: memoryview) -> None:
         fields = Fields(body)

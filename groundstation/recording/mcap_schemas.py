@@ -160,6 +160,25 @@ ROS2_TOPICS: dict[str, Topic] = {
 """The same for the MCAP profile ``ros2``, which knows no JSON: its text is a string there."""
 
 
+def usual_topic(channel_id: int, payload: bytes | memoryview) -> Topic | None:
+    """The topic of one of our messages where the file does not say it any more, by its channel's id
+    and its content; None where that is not surely one of ours."""
+    name = dict(enumerate(TOPICS, start=1)).get(channel_id, "")
+    try:
+        if name in ENTRY_TOPICS:
+            decode_entry(payload)
+            return (TOPICS if bytes(payload[:1]) == b"{" else ROS2_TOPICS)[name]
+        if name == RAW_TOPIC:
+            RAW_DEFINITION.decode(payload)
+            return TOPICS[name]
+        if name == SAMPLES_TOPIC:
+            SAMPLES_DEFINITION.decode(payload)
+            return TOPICS[name]
+    except ValueError:
+        return None
+    return None  # of the standard types, which are made of the samples
+
+
 def encode_raw(batch: RawBatch) -> bytes:
     """A ``groundstation_msgs/msg/RawPackets`` message."""
     return RAW_DEFINITION.encode({"host_time_ns": batch.host_time_ns, "packets": batch.packets})

@@ -85,9 +85,9 @@ class McapRecorder:
     """Records into a new MCAP file until ``finish``.
 
     A killed process loses what arrived in the last ``flush_s``; the file is readable without
-    having been finished. When the disk fails, its free space falls
-    under ``low_space_bytes`` or the file is removed, the recording stops, ``on_fault`` gets
-    one line (from the recorder's thread) and what was written stays good.
+    having been finished. When the disk fails, its free space falls under ``low_space_bytes`` or
+    another program removes or cuts the file, the recording stops, ``on_fault`` gets one line (from
+    the recorder's thread) and what was written stays good.
 
     path: must not exist; its folder is created.
     metadata: name -> key -> text; see ``session_metadata`` for the one named ``session``.
@@ -235,13 +235,14 @@ class McapRecorder:
     def _record(self) -> None:
         while True:
             finishing = self._finishing.wait(self._flush_s)
+            # before more is written, which would leave a hole where the file was cut
+            if taken := self._out.file.taken_away():
+                self._stop("failed", f"recording stopped: {taken}")
+                return
             self._write_queued()
             self._report_overflow()
             self._out.file.flush()
             self._syncer.request(self._out.file.size)
-            if self._out.file.is_removed():
-                self._stop("failed", "recording stopped: the file was removed")
-                return
             if self._space_is_low():
                 self._finish_file()
                 self._stop("low_space", "recording finished early: the disk is almost full")

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.craft_family import TODAY
-from groundstation.recording.device_time import SYNTHESISED
+from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
 from groundstation.recording.microsd_channels import GyroUnit, samples_from_columns
 from groundstation.recording.microsd_scan import CRC_BYTES, longest_in_order, scan, scan_damaged
+from groundstation.recording.row_order import ROWS_METADATA, in_order
 from groundstation.recording.session import Recording, Table
 
 MAGIC = 0xBC
@@ -104,6 +105,8 @@ def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
         columns = {name: values[usable] for name, values in columns.items()}
         time_us = time_us[usable]
     samples, notes = samples_from_columns(columns, time_us, TICK_S, gyro_unit)
+    samples, order = in_order(samples)
+    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
     return Recording(
         path=path,
         kind="microsd",
@@ -113,6 +116,7 @@ def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
             "host_time": dict(SYNTHESISED),
             "vehicle": {"family": TODAY, "because": "no 1.0 carries a microSD deck"},
             "microsd": {"version": str(layout.version), **notes},
+            **({ROWS_METADATA: order.notes} if order.notes else {}),
         },
         damage=damage,
     )

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import attitude_of_quaternion, body_rates
-from groundstation.recording.device_time import host_time_from_ticks, segments_of
 from groundstation.telemetry.packet import FULL_16_BIT, STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch, empty_samples
 
@@ -40,12 +39,10 @@ def samples_from_columns(
     """Samples of the fixed-frequency event, and notes on what was decided about units.
 
     columns: variable -> (n,) as stored. time_us: (n,) device time in ticks of ``tick_s``.
-    A channel without its variables is NaN.
+    A channel without its variables is NaN; segments and host stamps are whoever's reads the file.
     """
     samples = empty_samples(len(time_us), tick_s)
     samples.ticks[:] = time_us
-    samples.segment[:] = segments_of(samples.ticks)
-    samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, tick_s, samples.segment)
     _fill_attitude(samples, columns)
     _fill(samples.accelerometer, columns, [f"acc.{axis}" for axis in "xyz"], STANDARD_GRAVITY)
     _fill(samples.rotor_rev_s, columns, [f"rpm.m{m}" for m in range(1, 5)], 1 / 60)

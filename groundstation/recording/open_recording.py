@@ -7,9 +7,10 @@ from pathlib import Path
 from groundstation.documents import read_document, seems
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.file_window import FileWindow
-from groundstation.recording.formats import read_as, read_mapped
+from groundstation.recording.formats import is_text, read_as, read_mapped
 from groundstation.recording.ros_bag import is_bag_folder, read_bag
 from groundstation.recording.session import Recording
+from groundstation.recording.unread import refuse_unread
 
 _HEAD_BYTES = 4096
 
@@ -17,8 +18,8 @@ _HEAD_BYTES = 4096
 def open_recording(
     path: str | Path, *, raw: bool = False, column_map: str | Path | None = None
 ) -> Recording:
-    """Read an MCAP, CSV, microSD or rerun recording, a ROS 2 bag (also its folder) or a ULog,
-    whatever its name ends with.
+    """Read an MCAP, CSV, microSD or rerun recording, a ROS bag (also its folder), a ULog or a
+    Parquet table, whatever its name ends with.
 
     raw: also the packets as received, where the file has them.
     column_map: what the columns of another program's file mean: the name of a map that ships with
@@ -37,6 +38,8 @@ def open_recording(
         window.close()
     if not head:
         raise RecordingError(f"{path}: is empty (0 bytes)")
+    if column_map is None or not is_text(head):
+        refuse_unread(path, head)
     if head.lstrip()[:1] == b"{":
         raise BadInputError(f"{path}: not a recording{seems(read_document(path))}")
     if column_map is not None:

@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import NoReturn
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
+from groundstation.recording.column_map import (
+    UNCLEAR_METADATA,
+    mapped_recording,
+    place_of,
+    samples_of,
+)
+from groundstation.recording.map_document import NAMED, load_column_map
+from groundstation.recording.map_plan import Said, decided, map_of_header, plan_of
 from groundstation.recording.session import Recording
+from groundstation.recording.table_header import base_name, called
 
+SHOWN = 12
+"""Columns that an error names."""
 ROW_GROUP = 1 << 16
 """Rows that are read at once: two minutes of flight."""
 
@@ -46,9 +60,72 @@ def write_parquet(recording: Recording, path: str | Path) -> None:
         raise RecordingError(f"{path}: cannot be written: {error}") from error
 
 
-def read_parquet(path: Path) -> NoReturn:
-    """Raises RecordingError: the packets, and what came between the rows, are not in it."""
-    raise RecordingError(
-        f"{path}: a Parquet table is written for other programs and not read back; give the"
-        " recording that it was made of"
-    )
+def read_parquet(path: Path, source: str | Path | None = None) -> Recording:
+    """Read a table of another program by a column map (None: the named one that knows its columns).
+
+    Raises BadInputError where no map fits, a column is missing or holds no numbers; RecordingError
+    where the file does not read, or was written here: the packets, and what came between the rows,
+    are not in it.
+    """
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        file = ParquetFile(path)
+        schema = file.schema_arrow
+        if any(key.startswith(b"groundstation.") for key in schema.metadata or {}):
+            raise RecordingError(
+                f"{path}: a Parquet table of ours is written for other programs and not read back;"
+                " give the recording that it was made of"
+            )
+        return _mapped(path, file, source)
+    except (OSError, ArrowException) as error:
+        why = str(error).partition("\n")[0]
+        raise RecordingError(f"{path}: a Parquet table that does not read: {why}") from error
+
+
+def _mapped(path: Path, file: Any, source: str | Path | None) -> Recording:
+    schema = file.schema_arrow
+    names = list(schema.names)
+    source = source or map_of_header(names)
+    if source is None:
+        raise BadInputError(
+            f"{path}: no known map fits its columns ({', '.join(names[:SHOWN])}); name one of"
+            " 'groundstation convert --list-columns' with --columns, or describe the columns in a"
+            " TOML file"
+        )
+    map_path = NAMED.get(str(source), Path(source))
+    column_map = load_column_map(map_path)
+    if column_map.kind != "csv":
+        raise BadInputError(f"{path}: a table, and {source} is a map of {column_map.kind} files")
+    units = dict(base_name(name) for name in names)
+    units |= {name: "ns" for name in names if str(schema.field(name).type).startswith("timestamp")}
+    plan = plan_of(column_map, map_path, called(names), Said(units))
+    wanted = [*plan.channels, *plan.kept]
+    places = [place_of(path, names, len(names), one, map_path) for one in wanted]
+    table = file.read(columns=sorted({names[place] for place in places}))
+    columns = [_numbers(path, table, names[place]) for place in places]
+    values = np.column_stack(columns)
+    plan, unclear = decided(plan, values)
+
+    def refuse(row: int, place: int, why: str) -> BadInputError:
+        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
+
+    samples = samples_of(plan, values, refuse)
+    kept = values[:, len(plan.channels) :]
+    recording = mapped_recording(path, plan, column_map, samples, kept, names, [])
+    recording.kind = "parquet"
+    if unclear:
+        recording.metadata[UNCLEAR_METADATA] = unclear
+    return recording
+
+
+def _numbers(path: Path, table: Any, name: str) -> NDArray[np.float64]:
+    """A column as numbers, NaN where it has none; dates in ns."""
+    column = table.column(name)
+    if str(column.type).startswith(("timestamp", "date")):
+        column = column.cast("timestamp[ns]").cast("int64")
+    try:
+        return np.asarray(column.to_numpy(), np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(f"{path}: column {name!r} holds {column.type}, no numbers") from error

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.recording.channels import CHANNELS, Channel
+from groundstation.recording.column_map import UNCLEAR_METADATA
 from groundstation.recording.device_time import SYNTHESISED
+from groundstation.recording.plausibility import (
+    FASTEST_HZ,
+    SLOWEST_HZ,
+    contradictions,
+    impossible,
+    motionless,
+    ranges_of,
+)
+from groundstation.recording.row_order import ROWS_METADATA
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import (
@@ -20,14 +29,30 @@ from groundstation.telemetry.packet import (
     STANDARD_GRAVITY,
     TICK_S,
 )
+from groundstation.telemetry.renewal import (
+    FIELDS,
+    HELD,
+    SETTINGS_HZ,
+    renewals,
+    rows_held,
+    slower_than_rows,
+)
+from groundstation.telemetry.row_clock import RowSteps, row_steps
 from groundstation.telemetry.samples import SampleBatch
 
 GAPS_LISTED = 100
 """The report lists this many of the longest gaps; ``gap_count`` counts all."""
+RENEWAL_ROWS = 100_000
+"""Samples by which it is measured how often channels are renewed."""
 LOSS_TOLERATED = 0.01
 GAP_TOLERATED_S = 0.05
 FEW = 10
 """Samples: 20 ms of telemetry."""
+RENEWED = {
+    "duty": "the motors' settings are renewed",
+    "gyro": "the gyro is renewed",
+    "accelerometer": "the accelerometer is renewed",
+}
 FULL_DUTY = 4088 / 4096
 """The largest duty of a 9-bit PWM."""
 LOW_BATTERY_V = 3.0
@@ -37,8 +62,6 @@ MARKS = ("mark", "gap", "gap ended")
 _GYRO_RANGES_DEG_S = (250, 500, 1000, 2000)
 _ACCELEROMETER_RANGES_G = (2, 4, 8, 16, 24)
 _RAIL = 0.9995
-_PERIOD_TOLERANCE = 0.05
-_SINGLE_STEPS = 0.02
 _ENVELOPE_BLOCKS = 50
 
 
@@ -60,7 +83,11 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     damage, verdict.
     """
     samples = recording.samples
-    steps = _steps(samples)
+    steps = row_steps(samples)
+    renewed = _renewed(samples)
+    held = {name: rows_held(rows) for name, rows in renewed.items()}
+    ranges, known = ranges_of(samples)
+    rows = recording.metadata.get(ROWS_METADATA, {})
     raw_packets = _raw_packets(recording)
     segments = len(np.unique(samples.segment))
     duration_s = float(steps.step_s.sum()) + segments * steps.period_s
@@ -78,6 +105,9 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "gap_count": int(np.count_nonzero(steps.lost)),
         **_packet_counts(recording),
         "repeated_times": int(np.count_nonzero(steps.step_s == 0)),
+        "out_of_order": int(rows.get("out_of_order", 0)),
+        "row_copies": int(rows.get("copies", 0)),
+        "clock": "host" if steps.by_host else "craft",
         "segments": segments,
         "clipping": _clipping(samples),
         "jitter": {
@@ -85,7 +115,15 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
             "host_arrival_s": _host_jitter(recording),
         },
         "battery": _battery(samples),
-        "ranges": _ranges(samples),
+        "ranges": ranges,
+        "missing_values": {
+            name: len(samples) - count for name, count in known.items() if count < len(samples)
+        },
+        "renewed_hz": {
+            name: 1 / (hold * steps.period_s)
+            for name, hold in held.items()
+            if steps.period_s > 0 and np.isfinite(hold)
+        },
         "missing": [
             channel.name
             for channel in CHANNELS
@@ -94,9 +132,10 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
         "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
+        "unclear": dict(recording.metadata.get(UNCLEAR_METADATA, {})),
         "being_written": recording.being_written,
     }
-    faults = list(_faults(report, samples))
+    faults = [*_faults(report, samples), *_content(report, samples, renewed)]
     verdict = f"{_grade(report, faults)}: {'; '.join(faults) or _summary(report)}"
     report["verdict"] = f"being recorded, so far {verdict}" if recording.being_written else verdict
     return report
@@ -108,11 +147,38 @@ def _grade(report: dict[str, Any], faults: list[str]) -> str:
     return "usable, with faults" if faults else "good"
 
 
+def _content(
+    report: dict[str, Any],
+    samples: SampleBatch,
+    renewed: Mapping[str, NDArray[np.intp]],
+) -> Iterator[str]:
+    """What cannot be in the numbers themselves, or does not agree with the rest."""
+    if report["samples"] < FEW:
+        return
+    steps_hz = 1 / report["period_s"] if report["period_s"] > 0 else 0.0
+    if steps_hz and not SLOWEST_HZ <= steps_hz <= FASTEST_HZ:
+        yield (
+            f"{steps_hz:.3g} samples a second, where telemetry of a flight has {SLOWEST_HZ:g} to"
+            f" {FASTEST_HZ:g}: check the time's unit"
+        )
+    ranges = {name: (one["min"], one["max"]) for name, one in report["ranges"].items()}
+    known = {name: len(samples) - report["missing_values"].get(name, 0) for name in ranges}
+    yield from impossible(samples, known, ranges)
+    yield from motionless(samples, report["period_s"])
+    for name, what in RENEWED.items():
+        hz = report["renewed_hz"].get(name, np.inf)
+        if hz < SETTINGS_HZ and slower_than_rows(renewed[name]) > HELD:
+            yield f"{what} {hz:.3g} times a second in {1 / report['period_s']:.3g} samples"
+    yield from report["unclear"].values()
+    yield from contradictions(samples)
+
+
 def _summary(report: dict[str, Any]) -> str:
     lost, samples = report["lost_samples"], report["samples"]
     share = 100 * lost / (lost + samples)
     loss = f"{lost} samples lost ({share:.2g} %)" if lost else "nothing lost"
-    return f"{report['duration_s']:.3g} s at {report['rate_hz']:.4g} Hz, {loss}"
+    stamped = ", stamped by a host" if report["clock"] == "host" else ""
+    return f"{report['duration_s']:.3g} s at {report['rate_hz']:.4g} Hz{stamped}, {loss}"
 
 
 def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
@@ -135,6 +201,10 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         )
     elif longest and longest["duration_s"] > GAP_TOLERATED_S:
         yield f"a gap of {longest['duration_s']:.3g} s at {longest['start_s']:.3f} s"
+    if report["out_of_order"]:
+        yield f"{report['out_of_order']} samples were out of order, and sorted"
+    if report["row_copies"]:
+        yield f"{report['row_copies']} rows were copies of others, and left out"
     if report["repeated_times"]:
         yield f"{report['repeated_times']} samples repeat the time of the one before"
     if report["segments"] > 1:
@@ -156,42 +226,7 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         yield f"the battery went down to {report['battery']['min_v']:.2f} V"
 
 
-@dataclass(frozen=True, slots=True)
-class _Steps:
-    """From each sample to the next inside a segment.
-
-    rows: (m,) index of the first sample. step_s: (m,). lost: (m,) samples that fit between.
-    """
-
-    rows: NDArray[np.intp]
-    step_s: NDArray[np.float64]
-    lost: NDArray[np.int64]
-    period_s: float
-
-
-def _steps(samples: SampleBatch) -> _Steps:
-    rows = np.flatnonzero(np.diff(samples.segment) == 0)
-    step_s = np.diff(samples.ticks)[rows].astype(np.float64) * samples.tick_s
-    moving = step_s[step_s > 0]
-    period_s = float(np.median(moving)) if len(moving) else 0.0
-    if samples.tick_s == TICK_S:
-        # Half of the steps may be gaps: a few single steps tell the telemetry's period.
-        single = np.abs(moving / SAMPLE_PERIOD_S - 1) < _PERIOD_TOLERANCE
-        if len(moving) == 0 or single.mean() > _SINGLE_STEPS:
-            period_s = SAMPLE_PERIOD_S
-    lost = np.zeros(len(rows), np.int64)
-    for own in np.unique(samples.segment[rows]):  # a radio may have gone on more slowly
-        part = samples.segment[rows] == own
-        step = step_s[part]
-        period = period_s
-        if samples.tick_s != TICK_S and (step > 0).any():
-            period = float(np.median(step[step > 0]))
-        if period > 0:
-            lost[part] = np.where(step > 1.5 * period, np.rint(step / period) - 1, 0)
-    return _Steps(rows, step_s, lost, period_s)
-
-
-def _gaps(samples: SampleBatch, steps: _Steps) -> list[dict[str, Any]]:
+def _gaps(samples: SampleBatch, steps: RowSteps) -> list[dict[str, Any]]:
     """The longest gaps in order of time; ``start_s`` counts from the segment's first sample."""
     where = np.flatnonzero(steps.lost)
     if len(where) > GAPS_LISTED:
@@ -221,9 +256,7 @@ def _raw_packets(recording: Recording) -> int:
 def _packet_counts(recording: Recording) -> dict[str, int]:
     """What became of the packets that are no sample: the decoder says so again."""
     raw = recording.raw
-    if recording.kind != "mcap":  # one made packet a sample, where there are any
-        return {"duplicates": 0, "malformed": 0, "damaged": 0}
-    if raw is None:
+    if raw is None or recording.kind != "mcap":  # one made packet a sample, where there are any
         copies = recording.samples.copies.astype(np.int64)
         return {"duplicates": int((copies - 1).clip(0).sum()), "malformed": 0, "damaged": 0}
     counts = decode_all(raw)[1]
@@ -266,7 +299,7 @@ def _at_rail(values: NDArray[np.float32], channel: Channel, is_packet: bool) -> 
     return 0
 
 
-def _device_jitter(steps: _Steps) -> dict[str, float] | None:
+def _device_jitter(steps: RowSteps) -> dict[str, float] | None:
     """How far the device's steps stray from their median; gaps are not jitter."""
     regular = steps.step_s[steps.lost == 0]
     if len(regular) == 0:
@@ -324,16 +357,16 @@ def _battery(samples: SampleBatch) -> dict[str, float] | None:
     }
 
 
-def _ranges(samples: SampleBatch) -> dict[str, dict[str, Any]]:
-    ranges = {}
-    for channel in CHANNELS:
-        shown = channel.shown(samples)
-        shown = shown[np.isfinite(shown)]
-        if len(shown):
-            ranges[channel.name] = {
-                "unit": channel.unit,
-                "min": float(shown.min()),
-                "max": float(shown.max()),
-                "mean": float(shown.mean()),
-            }
-    return ranges
+def _renewed(samples: SampleBatch) -> dict[str, NDArray[np.intp]]:
+    """Field -> rows with a new value, of at most ``RENEWAL_ROWS`` in the middle of a recording."""
+    first = max(0, (len(samples) - RENEWAL_ROWS) // 2)
+    middle = slice(first, first + RENEWAL_ROWS)
+    found = {}
+    for name in FIELDS:
+        values = getattr(samples, name)[middle]
+        if values.ndim > 1:  # a channel that is not there at all hides no other
+            values = values[:, np.isfinite(values).any(axis=0)]
+        rows = renewals(values) if values.size else np.empty(0, np.intp)
+        if len(rows):
+            found[name] = rows
+    return found

@@ -1,4 +1,5 @@
-"""ROS 2 bags (.mcap, .db3, or the folder with metadata.yaml), read by rosbags (extra ``logs``).
+"""ROS bags (.mcap, .db3 or the folder with metadata.yaml of ROS 2, .bag of ROS 1), read by rosbags
+(extra ``logs``).
 
 Every topic is a series: numbers by their path in the message (``angular_velocity.x``), arrays of
 few numbers by place (``values[0]``), and ``time``, seconds since the bag's first stamp. A message
@@ -18,18 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
 from groundstation.recording.series_map import Series, read_mapped_series
 from groundstation.recording.session import Recording
 
 if TYPE_CHECKING:
-    from rosbags.rosbag2 import Reader
     from rosbags.typesys.store import Typestore
 
+ROS1_MAGIC = b"#ROSBAG V2.0"
 SQLITE_MAGIC = b"SQLite format 3\0"
 _PROFILE = struct.pack("<I", 4) + b"ros2"
 _PROFILE_AT = 17
 """Behind MCAP's magic, the header's opcode and its length."""
+MOST_WORDS = 200
+"""Letters of a library's complaint that are passed on."""
 MOST_NUMBERS = 32
 """Longer arrays are pictures and scans."""
 LOG_TYPE = "crazyflie_interfaces/msg/LogDataGeneric"
@@ -39,11 +43,12 @@ MS_NS = 1_000_000
 
 
 def is_bag(head: bytes) -> bool:
-    """True for the first bytes of a ROS 2 bag's file that another program wrote."""
+    """True for the first bytes of a bag's file that another program wrote."""
     library_at = _PROFILE_AT + len(_PROFILE)
     is_ros = head[_PROFILE_AT:library_at] == _PROFILE
     is_ours = head[library_at + 4 :].startswith(b"groundstation")
-    return head.startswith(SQLITE_MAGIC) or (looks_like_mcap(head) and is_ros and not is_ours)
+    is_other = looks_like_mcap(head) and is_ros and not is_ours
+    return head.startswith((SQLITE_MAGIC, ROS1_MAGIC)) or is_other
 
 
 def is_bag_folder(path: Path) -> bool:
@@ -57,22 +62,45 @@ def read_bag(path: Path, source: str | Path | None = None) -> Recording:
     does not read.
     """
     try:
-        from rosbags.rosbag2 import Reader, ReaderError
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader
     except ImportError as error:
         raise BadInputError(
-            f"{path}: a ROS 2 bag, which rosbags reads: pip install -e '.[logs]'"
+            f"{path}: a ROS bag, which rosbags reads: pip install -e '.[logs]'"
         ) from error
-    from apsw import Error as DatabaseError
-
+    reader = Reader1 if _is_ros1(path) else Reader
     try:
-        with Reader(path) as bag:
-            series = _series(bag)
-    except (
-        *(ReaderError, OSError, ValueError, TypeError, KeyError, IndexError, AssertionError),
-        *(struct.error, DatabaseError, EOFError, MemoryError),
-    ) as error:
-        raise RecordingError(f"{path}: a ROS 2 bag that does not read: {error}") from error
-    return read_mapped_series(path, "rosbag", series, source)
+        with reader(path) as bag:
+            series, unread = _series(bag, ros1=reader is Reader1)
+    except Exception as error:  # whatever the library meets in a stranger's file
+        why = str(error).partition("\n")[0][:MOST_WORDS] or type(error).__name__
+        raise RecordingError(f"{path}: a ROS bag that does not read: {why}") from error
+    return read_mapped_series(path, "rosbag", series, source, unread=unread)
+
+
+def read_recovered(path: Path, *, raw: bool = False) -> Recording:
+    """Read an MCAP file: a recording, or a bag of another program that was recovered here.
+
+    Raises as ``read_mcap``, and as ``read_bag`` for a bag.
+    """
+    try:
+        return read_mcap(path, raw=raw)
+    except ForeignMcapError as foreign:
+        with path.open("rb") as file:
+            head = file.read(_PROFILE_AT + len(_PROFILE))
+        if not head.endswith(_PROFILE):
+            raise
+        try:
+            return read_bag(path)
+        except RecordingError as error:
+            raise foreign from error
+
+
+def _is_ros1(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(ROS1_MAGIC)) == ROS1_MAGIC
 
 
 @dataclass(slots=True)
@@ -87,13 +115,19 @@ class _Topic:
         return {name: np.array([row.get(name, np.nan) for row in self.rows]) for name in names}
 
 
-def _series(bag: Reader) -> list[Series]:
-    types = _types(bag)
+def _series(bag: Any, ros1: bool) -> tuple[list[Series], list[str]]:
+    """Every topic whose messages read, and the types of those that do not."""
+    types, unread = _types(bag, ros1)
+    read = types.deserialize_ros1 if ros1 else types.deserialize_cdr
     topics = {one.topic: _Topic(one.msgtype) for one in bag.connections}
     for connection, bag_ns, data in bag.messages():
-        if connection.msgtype not in types.fielddefs:
+        if connection.msgtype not in types.fielddefs or connection.msgtype in unread:
             continue
-        message = types.deserialize_cdr(data, connection.msgtype)
+        try:
+            message = read(data, connection.msgtype)
+        except Exception:  # a type that misses a part, or is not the one that was written
+            unread.append(connection.msgtype)
+            continue
         topic = topics[connection.topic]
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamp_ns = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
@@ -110,7 +144,7 @@ def _series(bag: Reader) -> list[Series]:
         given = {key: values[order] for key, values in columns[name].items()}
         given["time"] = ((clock[order] - first_ns) * 1e-9).astype(np.float64)
         series.append(Series(name, clock[order], given, topic.type))
-    return series
+    return series, unread
 
 
 def _set_by_craft(
@@ -145,15 +179,25 @@ def _numbers(message: Any, prefix: str) -> Iterator[tuple[str, float]]:
             yield from ((f"{name}[{place}]", float(one)) for place, one in enumerate(numbers))
 
 
-def _types(bag: Reader) -> Typestore:
-    """ROS's own types, those that the bag defines, and crazyswarm2's log."""
+def _types(bag: Any, ros1: bool) -> tuple[Typestore, list[str]]:
+    """ROS's own types, those that the bag defines, and crazyswarm2's log; and those that do not
+    parse."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    types = get_typestore(Stores.ROS2_HUMBLE)
-    defined = get_types_from_msg(_LOG_DEFINITION, LOG_TYPE)
+    types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    found = [get_types_from_msg(_LOG_DEFINITION, LOG_TYPE)]
+    unread = []
     for one in bag.connections:
         if one.msgdef.format == MessageDefinitionFormat.MSG:
-            defined.update(get_types_from_msg(one.msgdef.data, one.msgtype))
-    types.register({name: one for name, one in defined.items() if name not in types.fielddefs})
-    return types
+            try:
+                found.append(get_types_from_msg(one.msgdef.data, one.msgtype))
+            except Exception:  # what the library's grammar does not know
+                unread.append(one.msgtype)
+    for defined in found:
+        new = {name: one for name, one in defined.items() if name not in types.fielddefs}
+        try:
+            types.register(new)
+        except Exception:  # refers to a type that nobody defines
+            unread += new
+    return types, unread

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
 from groundstation.recording.column_map import (
-    NAMED,
-    Plan,
-    load_column_map,
-    map_of_series,
+    UNCLEAR_METADATA,
     mapped_recording,
-    plan_of,
     samples_of,
 )
+from groundstation.recording.map_document import NAMED, load_column_map
+from groundstation.recording.map_plan import Plan, map_of_series, plan_of
 from groundstation.recording.session import Recording
 
 
@@ -45,6 +43,20 @@ class Series:
 
 
 _Columns = Mapping[str, tuple[Series, NDArray[np.generic]]]
+NONE: Mapping[str, float] = {}
+MOTORS = ("duty", "rotor_rev_s")
+MAV_TYPES = {
+    **{
+        1: "a fixed wing",
+        3: "a coaxial helicopter",
+        4: "a helicopter",
+        10: "a rover",
+        11: "a boat",
+    },
+    **{12: "a submarine", 13: "a hexarotor", 14: "an octorotor", 15: "a tricopter"},
+    **dict.fromkeys((19, 20, 21, 22, 23, 24, 25), "a VTOL"),
+}
+"""Crafts by MAVLink's MAV_TYPE that are no quadrotor, which is 2."""
 SHOWN = 12
 """Series that an error names."""
 
@@ -55,8 +67,13 @@ def read_mapped_series(
     series: Sequence[Series],
     source: str | Path | None,
     damage: Sequence[str] = (),
+    unread: Sequence[str] = (),
+    parameters: Mapping[str, float] = NONE,
 ) -> Recording:
     """Read a log by a map (None: the named one that knows it).
+
+    unread: types of series that could not be read, told where a map finds too little. parameters:
+    of the craft, as far as the log has them.
 
     Raises BadInputError where no map fits, and as ``read_mapped_csv``.
     """
@@ -66,12 +83,14 @@ def read_mapped_series(
         for name, one in by_name.items()
         for field, values in one.columns.items()
     }
-    listed = ", ".join(f"{one.name} ({one.type})" if one.type else one.name for one in series)
+    listed = _cut([f"{one.name} ({one.type})" if one.type else one.name for one in series])
+    if unread:
+        listed += f"; types that do not parse: {_cut(unread)}"
     if source is None:
         source = map_of_series(kind, columns)
         if source is None:
             raise BadInputError(
-                f"{path}: no known map fits its series ({_cut(listed)}); name one of 'groundstation"
+                f"{path}: no known map fits its series ({listed}); name one of 'groundstation"
                 " convert --list-columns' with --columns, or describe the columns in a TOML file"
             )
     map_path = NAMED.get(str(source), Path(source))
@@ -79,17 +98,18 @@ def read_mapped_series(
     if column_map.kind != kind:
         raise BadInputError(f"{path}: a {kind} file, and {source} is a map of {column_map.kind}")
     rows = by_name.get(column_map.rows)
-    if rows is None:
+    if rows is None or (rows.type in unread and not len(rows.time_ns)):
         raise BadInputError(
-            f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {_cut(listed)}"
+            f"{path}: no series {column_map.rows!r} (rows in {map_path}); it has {listed}"
         )
     plan = plan_of(column_map, map_path, columns)
     for channel in (*plan.channels, *plan.kept):
         if channel.column not in columns:
             raise BadInputError(
                 f"{path}: no column {channel.column!r} ({channel.key} in {map_path}); a column is"
-                f" SERIES.FIELD, the series are {_cut(listed)}"
+                f" SERIES.FIELD, the series are {listed}"
             )
+    plan, unclear = _of_a_quadrotor(plan, column_map.only, parameters)
     values = _on_rows(plan, rows, columns)
 
     def refuse(row: int, place: int, why: str) -> BadInputError:
@@ -98,7 +118,27 @@ def read_mapped_series(
     samples = samples_of(plan, values, refuse)
     kept = values[:, len(plan.channels) :]
     names = [name.rpartition(".")[2] for name in columns]
-    return mapped_recording(path, plan, column_map, samples, kept, names, list(damage))
+    recording = mapped_recording(path, plan, column_map, samples, kept, names, list(damage))
+    if unclear:
+        recording.metadata[UNCLEAR_METADATA] = unclear
+    return recording
+
+
+def _of_a_quadrotor(
+    plan: Plan, only: Mapping[str, Sequence[int]], parameters: Mapping[str, float]
+) -> tuple[Plan, dict[str, str]]:
+    """The plan without motors where the log's parameters say that they are another craft's, and
+    that in words."""
+    for name, values in only.items():
+        if name in parameters and parameters[name] not in values:
+            channels = tuple(one for one in plan.channels if one.field not in MOTORS)
+            what = f"{name} {parameters[name]:g}"
+            if name == "MAV_TYPE" and parameters[name] in MAV_TYPES:
+                what += f", {MAV_TYPES[int(parameters[name])]}"
+            return replace(plan, channels=channels), {
+                "duty": f"not of a quadrotor ({what}): its motors are left out"
+            }
+    return plan, {}
 
 
 def _on_rows(plan: Plan, rows: Series, columns: _Columns) -> NDArray[np.float64]:
@@ -132,7 +172,6 @@ def _called(series: Sequence[Series]) -> dict[str, Series]:
     return {name: one for name, one in names if times[name] == 1 or name == one.name}
 
 
-def _cut(listed: str) -> str:
-    parts = listed.split(", ")
+def _cut(parts: Sequence[str]) -> str:
     more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
     return ", ".join(parts[:SHOWN]) + more

@@ -46,5 +46,19 @@ def read_ulog(path: Path, source: str | Path | None = None) -> Recording:
         columns = {field: values[order] for field, values in one.data.items()}
         series.append(Series(name, time_ns[order], columns))
     damage = ["the log is damaged; what was in order was read"] if log.file_corruption else []
-    damage += [f"the logger dropped {one.duration} ms" for one in log.dropouts]
-    return read_mapped_series(path, "ulog", series, source, damage)
+    damage += _dropped([int(one.duration) for one in log.dropouts])
+    parameters = {
+        name: float(value)
+        for name, value in log.initial_parameters.items()
+        if isinstance(value, (int, float))
+    }
+    return read_mapped_series(path, "ulog", series, source, damage, parameters=parameters)
+
+
+def _dropped(durations_ms: list[int]) -> list[str]:
+    """A line for all that the logger could not write, none where it could."""
+    if not durations_ms:
+        return []
+    places = f"in {len(durations_ms)} places, the longest {max(durations_ms)} ms"
+    where = "in one place" if len(durations_ms) == 1 else places
+    return [f"the logger dropped {sum(durations_ms)} ms {where}"]

@@ -108,7 +108,8 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
     client: who commands. armed: what the craft last said, None where it does not say. hindrance:
     what, as the craft says, keeps it from flying, or empty. crashed: whether it calls itself that.
-    held_level: by the operator. interventions: of the dead man."""
+    held_level: by the operator. interventions: of the dead man. out_of_reach: why the craft that is
+    heard cannot be stopped from here, or empty."""
 
     uri: str
     state: Literal["closed", "connecting", "connected", "lost"]
@@ -122,6 +123,7 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     superseded: int
     refused: int
     interventions: int
+    out_of_reach: str
 
 
 class StreamStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -139,12 +141,13 @@ class TaskStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class HealthStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """healthy, and why not. loop_lag_ms: worst delay of the event loop in a minute; what the
-    process uses."""
+    """healthy, and why not. loop_lag_ms: worst delay of the event loop in a minute; held_up_by: its
+    cause, empty below half a second; what the process uses."""
 
     healthy: bool
     problems: list[str]
     loop_lag_ms: float
+    held_up_by: str
     cpu_s: float
     memory_mb: float
     descriptors: int

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.links.factory import STAND_IN, is_stand_in, split_name
@@ -174,9 +176,8 @@ def _command(station: Station) -> list[Operation]:
         return requests.Done()
 
     async def setpoint(body: requests.Setpoint) -> Any:
-        time_ns = commander.setpoint(
-            body.token, body.roll_deg, body.pitch_deg, body.yaw_dps, body.thrust, body.height_m
-        )
+        values = msgspec.structs.asdict(body)
+        time_ns = commander.setpoint(values.pop("token"), **values)
         return requests.Sent(
             time_ns=time_ns,
             telemetry=station.newest.telemetry(),

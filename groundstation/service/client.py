@@ -151,6 +151,7 @@ class Pilot(Client):
         counter-clockwise. At most 100 a second; thrust 0..60000, or a height in its place.
         """
         values = {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "yaw_dps": yaw_dps}
+        values["made_s"] = time.monotonic()  # it grows old, whoever is held up
         at_height = {} if height_m is None else {"height_m": height_m}
         answer: dict[str, Any] = self._command("setpoint", **values, thrust=thrust, **at_height)
         return answer

@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import resource
 import sys
 
 from groundstation.errors import GroundStationError
 
 PATIENCE_S = 60.0
+MEMORY_SHARE = 0.5
+"""Of this machine's memory, for one process of ours beside the recorder."""
 
 
 def own_command(*arguments: str) -> tuple[str, ...]:
@@ -25,6 +28,14 @@ def own_environment() -> dict[str, str]:
     """For such a process: more threads than one would take the cores from the recorder."""
     threads = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
     return {**os.environ, "NO_COLOR": "1", **dict.fromkeys(threads, "1")}
+
+
+def limit_memory(pid: int) -> None:
+    """Let a process that has just been started, and those it starts, have no more than its share
+    of this machine's memory: it fails alone, and the recorder is not ended in its place."""
+    most = round(MEMORY_SHARE * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    with contextlib.suppress(ProcessLookupError):  # it has ended already
+        resource.prlimit(pid, resource.RLIMIT_DATA, (most, most))
 
 
 async def run_command(*arguments: str, patience_s: float = PATIENCE_S) -> tuple[int, bytes, str]:

@@ -12,7 +12,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterat
 from types import FrameType
 from typing import Any
 
-import h11
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
@@ -21,7 +20,6 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from groundstation.documents import decode_json
 from groundstation.errors import (
@@ -32,6 +30,7 @@ from groundstation.errors import (
 )
 from groundstation.service import overview
 from groundstation.service.api import Operation, operations
+from groundstation.service.connections import Headers, protocol
 from groundstation.service.control_socket import ControlPort, ControlSocket
 from groundstation.service.limits import RateLimit
 from groundstation.service.metrics import CONTENT_TYPE, metrics
@@ -48,15 +47,8 @@ keep them from the craft."""
 FAILURES_HZ, FAILURES_BURST = 5.0, 20.0
 FAILURE_S = 1.0
 """A request without the right token waits for so long, once there are more of them than that."""
-REQUEST_S = 10.0
-"""A request must have arrived after so long."""
-STALL_S = 20.0
-"""A client that takes nothing of an answer for so long is cut off."""
-
 ROWS_HZ_LEAST = 1.0
 """Of a stream: one that is silent for longer would be taken for dead."""
-
-_FULL = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 class ControlServer:
@@ -97,64 +89,6 @@ class _Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self.should_exit = True
-
-
-class _Protocol(H11Protocol):
-    """HTTP without endless patience: for a place, for a request, or for a reader."""
-
-    station: Station
-    expected: bytes | None
-    """What the header of an authorised request says; None where whoever connects may ask."""
-    _since_s = 0.0
-    _arriving: asyncio.TimerHandle | None = None
-    _stalled: asyncio.TimerHandle | None = None
-
-    # the server opens streams only: a narrower type than any transport's
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        super().connection_made(transport)
-        self._since_s = self.loop.time()
-        if len(self.connections) > CONNECTIONS_MOST:
-            self.station.turned_away += 1
-            strangers = [
-                one
-                for one in self.connections
-                if isinstance(one, _Protocol) and one is not self and _is_stranger(one)
-            ]
-            if not strangers:
-                transport.write(_FULL)
-                transport.close()
-                return
-            # who has shown nothing yet makes room, so that nobody can sit on every place
-            min(strangers, key=lambda one: one._since_s).transport.abort()
-        self._arriving = self.loop.call_later(REQUEST_S, transport.abort)
-
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
-        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
-            _cancel(self._arriving)
-            self._arriving = None
-        elif self._arriving is None:
-            self._arriving = self.loop.call_later(REQUEST_S, self.transport.abort)
-
-    def pause_writing(self) -> None:
-        super().pause_writing()
-        self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
-
-    def resume_writing(self) -> None:
-        super().resume_writing()
-        _cancel(self._stalled)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        _cancel(self._arriving)
-        _cancel(self._stalled)
-        super().connection_lost(exc)
-
-
-def _is_stranger(one: _Protocol) -> bool:
-    """On the port: without a whole request so far, or without the token in its last one."""
-    if one.expected is None or one.transport.is_closing():
-        return False
-    return one.headers is None or not _shows(one.headers, one.expected)
 
 
 def _shows(headers: Iterable[tuple[bytes, bytes]], expected: bytes) -> bool:
@@ -280,6 +214,12 @@ class _TooLargeError(GroundStationError):
 
 
 def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _Server:
+    def knows(headers: Headers) -> bool:
+        return expected is None or _shows(headers, expected)
+
+    def turned_away() -> None:
+        station.turned_away += 1
+
     # what strangers send is no news, and faults of ours are events
     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     return _Server(
@@ -288,7 +228,7 @@ def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _S
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=type("_Protocol", (_Protocol,), {"station": station, "expected": expected}),
+            http=protocol(CONNECTIONS_MOST, knows, turned_away),
             ws="none",
             # on the port so many are accepted at a time: fewer than there are places
             backlog=2048 if expected is None else CONNECTIONS_MOST // 2,
@@ -296,11 +236,6 @@ def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _S
             timeout_graceful_shutdown=1,
         )
     )
-
-
-def _cancel(timer: asyncio.TimerHandle | None) -> None:
-    if timer is not None:
-        timer.cancel()
 
 
 def _rows_hz(request: Request) -> float | None:

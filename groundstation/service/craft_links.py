@@ -104,7 +104,7 @@ class CraftLinks:
         present one stays: LinkError or BadInputError; TakenError while a client commands.
 
         model: file of the model that ``stand-in:MODEL`` names."""
-        self._require_free()
+        await self._commander.leave()
         async with self._another(name):
             link = telemetry_link(
                 self._config,
@@ -118,8 +118,10 @@ class CraftLinks:
             self._receiver.require_other(link)  # before anybody's port is given back
             before = self._receiver.link
             async with _port_of(before, link):
-                await self._receiver.switch(link)
-            if is_stand_in(before.name):  # the craft that took commands is gone
+                await self._receiver.switch(link, self._commander.leave)
+            if link.commands is not None:  # one connection carries both: commands follow
+                await self._command_by(link.commands)
+            elif is_stand_in(before.name):  # the craft that took commands is gone
                 await self._commander.disconnect()
         self.tell()
 
@@ -128,15 +130,14 @@ class CraftLinks:
         stand-in that is flown answers there. Raises BadInputError, TakenError."""
         if not uri.startswith(CRAFT):
             raise BadInputError(f"command link {uri!r}: give {' or '.join(CRAFT)}...")
-        self._require_free()
+        await self._commander.leave()
         telemetry = self._receiver.link
         own = telemetry.commands
         if own is None or own.uri != uri:
             own = make_command_link(uri, clock=self._clock)
         async with self._another(uri):
             await serve_commands(telemetry, uri)
-            await self._commander.replace(own)
-        self._listen(own)
+            await self._command_by(own)
         self._port = uri
         self.tell_no_craft()
 
@@ -152,14 +153,33 @@ class CraftLinks:
 
     def no_craft(self) -> str:
         """Why nothing that could be commanded is behind the telemetry, or empty."""
+        return "the link is being switched" if self._switching else self._mismatch()
+
+    def _mismatch(self) -> str:
         link = self._receiver.link
-        if self._switching:
-            return "the link is being switched"
         if link.finite:
             return f"{link.name} is a recording"
         if is_stand_in(link.name) and not self.command_uri.startswith("udp://"):
             # who watches a simulated flight must not fly a real craft
             return f"the telemetry is the stand-in's, and {self.command_uri} is another craft"
+        return ""
+
+    def is_heard(self, command: CommandLink) -> bool:
+        """Whether the telemetry is that of the craft that ``command`` leads to."""
+        own = self._receiver.link.commands
+        return not self._mismatch() and (own is None or own.uri == command.uri)
+
+    def out_of_reach(self) -> str:
+        """Why the craft that is heard cannot be stopped from here, or empty: where there is none,
+        or where commands go to it as far as anybody knows."""
+        telemetry, command = self._receiver.link, self._commander.link
+        if telemetry.finite or command is None or self._switching:
+            return ""
+        if telemetry.commands is not None and telemetry.commands.uri != command.uri:
+            return (
+                f"the craft that is heard ({telemetry.name}) cannot be stopped from here: commands"
+                f" go to {command.uri}"
+            )
         return ""
 
     def flies_by_dongle(self) -> bool:
@@ -208,15 +228,16 @@ class CraftLinks:
                 source=link.name,
             )
 
+    async def _command_by(self, link: CommandLink) -> None:
+        """From now on. Raises TakenError while motors are not known to have stopped."""
+        if link is not self._commander.link:
+            await self._commander.replace(link)
+            self._listen(link)
+
     def _listen(self, command: CommandLink) -> None:
         command.on_event = self._journal.take
         command.on_entry = self._on_entry
         self.command_uri = command.uri
-
-    def _require_free(self) -> None:
-        client = self._commander.client
-        if client is not None:
-            raise TakenError(f"{client} is commanding; it must release first")
 
 
 @contextlib.asynccontextmanager

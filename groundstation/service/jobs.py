@@ -17,7 +17,7 @@ import msgspec
 from groundstation.documents import read_document
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated
-from groundstation.service.commands import own_command, own_environment
+from groundstation.service.commands import limit_memory, own_command, own_environment
 from groundstation.text import printable
 
 FOLDER = "jobs"
@@ -116,6 +116,7 @@ class Jobs:
             if path.parent.name not in found:
                 with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
                     job = msgspec.json.decode(read_document(path), type=Job)
+                    job.id = path.parent.name  # whatever the file says
                     self._kept(job)
                     found[job.id] = job
         return [found[name] for name in sorted(found)]
@@ -185,6 +186,9 @@ class Jobs:
                 start_new_session=True,
                 env=own_environment(),
             )
+        limit_memory(process.pid)
+        if job.state == "cancelled":  # while it was being started
+            await self._end()
         return await process.wait()
 
     def _kept(self, job: Job) -> None:

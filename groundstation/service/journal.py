@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
+import itertools
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from operator import itemgetter
 
 import structlog
 
@@ -26,6 +29,7 @@ _WARNINGS = frozenset(
         "dead man",
         "stop",
         "deleted",
+        "held up",
         BEGAN,
     }
 )
@@ -39,7 +43,7 @@ class Journal:
     """
 
     def __init__(self, clock: HostClock, is_repetition: Callable[[str, str], bool]) -> None:
-        self.events: deque[LinkEvent] = deque(maxlen=EVENTS_KEPT)
+        self._kept = _Kept(EVENTS_KEPT)
         self.damaged = False
         """Whether the source had parts that could not be read."""
         self.faults = 0
@@ -48,6 +52,11 @@ class Journal:
         self._clock = clock
         self._is_repetition = is_repetition
         self._log = structlog.get_logger("groundstation")
+
+    @property
+    def events(self) -> list[LinkEvent]:
+        """The latest, in the order in which they came."""
+        return list(self._kept)
 
     def note(self, kind: str, text: str, *, source: str) -> None:
         """An event of the daemon itself."""
@@ -63,9 +72,32 @@ class Journal:
         event = replace(event, link=printable(event.link), text=printable(event.text))
         if self._is_repetition(event.link, event.kind):
             return
-        self.events.append(event)
+        self._kept.append(event)
         self.damaged |= event.kind == "damage"
         level = self._log.warning if event.kind in _WARNINGS else self._log.info
         level(event.text, source=event.link, kind=event.kind)
         for listener in self.listeners:
             listener(event)
+
+
+class _Kept:
+    """The latest events in order; a flood of one kind pushes out its own.
+
+    most: of all kinds. Beyond it the oldest of the kind that has most is forgotten.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._number = itertools.count()
+        self._by_kind: dict[str, deque[tuple[int, LinkEvent]]] = {}
+
+    def append(self, event: LinkEvent) -> None:
+        self._by_kind.setdefault(event.kind, deque()).append((next(self._number), event))
+        if len(self) > self._most:
+            max(self._by_kind.values(), key=len).popleft()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._by_kind.values()))
+
+    def __iter__(self) -> Iterator[LinkEvent]:
+        return (event for _, event in heapq.merge(*self._by_kind.values(), key=itemgetter(0)))

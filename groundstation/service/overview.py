@@ -15,6 +15,7 @@ def status(station: Station) -> dict[str, Any]:
     """The keys of the design's ``status --json``, and more (``answers.Status``)."""
     statistics, receiver = station.statistics, station.receiver
     link = receiver.link
+    command, out_of_reach = station.commander.status(), station.craft.out_of_reach()
     return {
         "link": {
             "name": link.name,
@@ -30,7 +31,7 @@ def status(station: Station) -> dict[str, Any]:
         "battery": station.batteries.status(),
         "viewer": station.viewer.status(),
         "page": station.page.status(),
-        "command": station.commander.status(),
+        "command": None if command is None else {**command, "out_of_reach": out_of_reach},
         "twin": station.twin.status(),
         "stream": {"clients": len(station.stream), "dropped": station.stream.dropped},
         "tasks": station.supervisor.status(),
@@ -61,5 +62,7 @@ def problems(station: Station) -> list[str]:
     command = station.commander.link
     if command is not None and command.state.value not in ("connected", "connecting"):
         found.append(f"command link {command.uri}: {command.state.value}")
+    if reason := station.craft.out_of_reach():
+        found.append(reason)
     found += [f"task {name} is dead" for name in station.supervisor.dead()]
     return found

@@ -119,10 +119,11 @@ class Receiver:
                     raise
                 self._swap(self._incoming)
 
-    async def switch(self, link: Link) -> None:
+    async def switch(self, link: Link, leave: Callable[[], Awaitable[None]] | None = None) -> None:
         """Go on with another link, from which nothing is lost and nothing attributed to the one
         before. Where it cannot be opened the present one stays, and LinkError or BadInputError
-        says why."""
+        says why. leave: awaited when the other one is open, before the present one is left; what
+        it raises keeps that."""
         self.require_other(link)
         if self._reading is None or self._incoming is not None:
             raise BadInputError("the link is being opened or switched; try again")
@@ -132,6 +133,8 @@ class Receiver:
             await _open_in_time(link)
             if self._reading.done():
                 raise BadInputError(f"{self.link.name} has ended, and the daemon with it")
+            if leave is not None:
+                await leave()
         except BaseException:
             self._incoming = None
             with contextlib.suppress(Exception):

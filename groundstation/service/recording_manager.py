@@ -67,11 +67,13 @@ class RecordingManager:
         """Begin a new session. Raises BadInputError when one is being recorded."""
         async with self._lock:
             self.sessions.require_idle()
-            self.sessions.detach()  # one that has failed ends by itself: nothing to wait for
-            path = self._begin(await self._create(continues=False))
-            self._wanted = True
-            self._note("recording", f"recording to {path}")
-            return path
+            return await self._start()
+
+    async def ensure(self) -> None:
+        """Begin a session, unless one is wanted already."""
+        async with self._lock:
+            if not self._wanted:
+                await self._start()
 
     async def stop(self) -> dict[str, Any]:
         """Finish the file; its final status. Raises BadInputError when there is none."""
@@ -90,6 +92,13 @@ class RecordingManager:
             self._wanted = False
             await self._finish(self.sessions.detach())
             await asyncio.gather(*self._finishing, return_exceptions=True)
+
+    async def _start(self) -> Path:
+        self.sessions.detach()  # one that has failed ends by itself: nothing to wait for
+        path = self._begin(await self._create(continues=False))
+        self._wanted = True
+        self._note("recording", f"recording to {path}")
+        return path
 
     def require_recording(self) -> None:
         """Raises BadInputError where a mark would not be recorded."""

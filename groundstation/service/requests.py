@@ -60,7 +60,8 @@ class Level(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One setpoint, in the signs of the telemetry: roll left side up, pitch nose down, yaw rate
     counter-clockwise from above. thrust: 0..60000, up to 10000 is none. height_m: 0..3, for
-    a craft that holds a height by itself, with no thrust."""
+    a craft that holds a height by itself, with no thrust. made_s: when it was made, by this
+    machine's monotonic clock: one that is 0.5 s old is not sent."""
 
     token: Token
     roll_deg: float = 0.0
@@ -68,6 +69,7 @@ class Setpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     yaw_dps: float = 0.0
     thrust: int
     height_m: float | None = None
+    made_s: float | None = None
 
 
 class Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

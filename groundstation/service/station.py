@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -138,22 +139,23 @@ class Station:
             show=self._show_twin,
         )
         self.supervisor = Supervisor(lambda text, name: self.journal.fault(text, source=name))
-        self.health = Health()
+        self.health = Health(self._noting("daemon"))
         listening = self.sessions.event, self.viewer.show_event, self.stream.event
         self.journal.listeners.extend(listening)
         self._recording_ended = False  # with a replay, not by an operator
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread = 0  # that the loop runs in
 
     def _commanding(self, link: Link) -> Commander:
         return Commander(
             command_link(self.config, link, self.clock),
             self.config.dead_man,
-            note=lambda kind, text: self.journal.note(
-                kind, text, source=self.craft.command_uri or "command"
+            note=lambda kind, text: self._in_the_loop(
+                lambda: self.journal.note(kind, text, source=self.craft.command_uri or "command")
             ),
             telemetry=lambda: (self.receiver.state, self.craft.no_craft()),
-            motors=lambda: None if self.craft.no_craft() else self.newest.motors(),
+            motors=lambda link: self.newest.motors() if self.craft.is_heard(link) else None,
         )
 
     def _recorded(self) -> Sessions:
@@ -180,7 +182,7 @@ class Station:
 
         announce: called once the viewer's ports are known to be free.
         """
-        self._loop = asyncio.get_running_loop()
+        self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
         self._loop.set_exception_handler(self._unexpected)
         # in reverse order, each whatever became of the others
         async with contextlib.AsyncExitStack() as closing:
@@ -237,7 +239,7 @@ class Station:
         await self.craft.switch(name, model)
         if self._recording_ended:
             self._recording_ended = False
-            await self.recordings.start()
+            await self.recordings.ensure()
 
     def reload(self) -> dict[str, list[str]]:
         """Take over what can be from the configuration: the keys that were, and those that need
@@ -286,7 +288,7 @@ class Station:
     async def _link_opened(self) -> None:
         self.craft.tell()
         if self.config.recording.enabled:
-            await self.recordings.start()
+            await self.recordings.ensure()  # an operator may have begun one before
 
     async def _linger(self) -> None:
         """The end of a replay: what there is to see stays on view until the operator stops."""
@@ -310,7 +312,14 @@ class Station:
         self.viewer.show_table(rows)
 
     def _take_command(self, entry: dict[str, Any]) -> None:
-        self.sessions.command(entry)
+        self._in_the_loop(lambda: self.sessions.command(entry))
+
+    def _in_the_loop(self, tell: Callable[[], None]) -> None:
+        """What the dead man tells from its own thread."""
+        if self._loop is None or self._thread == threading.get_ident():
+            tell()
+        elif not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(tell)
 
     async def _finish_twin(self) -> None:
         """All of a finite link has come: what the twin says of it, unless nobody waits for it."""

@@ -7,7 +7,6 @@ however the packets are cut into batches.
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -233,21 +232,13 @@ def _is_plausible(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
 
 @functools.cache
 def _compiled() -> Callable[..., Any]:
-    import numba
     from numba.extending import register_jitable
 
-    digest = hashlib.sha256()
+    from groundstation.compiled import kernel as compile_entry
+
     for module in (copies, device_time, main_chain, pending_chain, silence, kernel, layout):
-        digest.update(inspect.getsource(module).encode())
         for helper in vars(module).values():
             if inspect.isfunction(helper) and helper.__module__ == module.__name__:
                 register_jitable(helper)
-    stamp = int.from_bytes(digest.digest()[:6], "little")
-    feed = kernel.reassemble
-
-    def reassemble(s: Any, out: Any, words: Any, stamps: Any, counts: Any, host: Any) -> int:
-        feed(s, out, words, stamps, counts, host)
-        return stamp  # in the cache's key, which knows only this file besides
-
-    compiled: Callable[..., Any] = numba.njit(cache=True, nogil=True)(reassemble)
+    compiled: Callable[..., Any] = compile_entry(kernel.reassemble)
     return compiled

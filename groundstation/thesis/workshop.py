@@ -47,7 +47,7 @@ RECIPES = {
     "by_arx.json": "groundstation compare held.csv --model arx.json --json > by_arx.json",
     "by_rates.json": "groundstation compare held.csv --model rates.json --json > by_rates.json",
     "controllers.json": "groundstation pid evaluate --thesis --json > controllers.json",
-    "limits.json": "groundstation pid design --model thesis --form thesis --delay 2 --axis roll"
+    "limits.json": "groundstation pid design --model thesis --loop direct --delay 2 --axis roll"
     " --json > limits.json",
     "whole.toml": "groundstation pid convert printed.toml --model thesis --to whole -o whole.toml",
     "whole.json": "groundstation pid evaluate --model thesis --loop whole --gains whole.toml"

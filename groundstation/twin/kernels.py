@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from groundstation.compiled import kernel
 
 HOP = 8
 """Rows from one window to the next; a window is twice as long, weighted by a raised cosine."""
@@ -19,7 +21,7 @@ EVERY = 4
 """Rows between those on which products of what would be seen are taken."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@partial(kernel, fastmath=True)
 def score(
     signals: Any,
     enters: Any,

@@ -15,7 +15,7 @@ from groundstation.dynamics.own_effects import load_effects
 from groundstation.dynamics.reference import load_reference
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import RecordingError
-from groundstation.recording.column_map import load_column_map
+from groundstation.recording.map_document import load_column_map
 from groundstation.recording.mcap_schemas import decode_entry
 from groundstation.service.config import load_config
 

@@ -50,14 +50,14 @@ def test_a_client_believes_no_socket_of_another_user(tmp_path, monkeypatch):
 
 def test_a_lock_file_is_never_somebody_elses(tmp_path):
     victim = tmp_path / "victim"
-    victim.write_text("precious")
+    victim.write_text("4711")  # as a lock file holds
     (tmp_path / "a.lock").symlink_to(victim)
     (tmp_path / "b.lock").write_text("precious too")
     os.mkfifo(tmp_path / "c.lock")
     for name in "abc":
         with pytest.raises(GroundStationError):
             ControlSocket(tmp_path / f"{name}.sock")
-    assert victim.read_text() == "precious"
+    assert victim.read_text() == "4711"
     assert (tmp_path / "b.lock").read_text() == "precious too"
     for _ in range(2):  # one that a daemon left behind is no hindrance
         ControlSocket(tmp_path / "d.sock").close()

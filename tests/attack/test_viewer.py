@@ -9,6 +9,7 @@ import sys
 import threading
 
 import pytest
+from eventually import until
 from programs import run_program
 
 from groundstation.viewer import relay
@@ -51,8 +52,7 @@ async def relayed():
     try:
         yield port, flood
     finally:
-        while one._clients or flood.readers:
-            await asyncio.sleep(0.01)
+        await until(lambda: not (one._clients or flood.readers), "the last client's end")
         watching.cancel()
         server.close()
         beyond.close()
@@ -185,8 +185,7 @@ def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
         viewer = Viewer(ViewerMode.SERVE, port=port, web_port=web_port)
         await viewer.start()
         try:
-            while viewer.status()["state"] != "serving":
-                await asyncio.sleep(0.02)
+            await until(lambda: viewer.status()["state"] == "serving", "the viewer")
             return await asyncio.to_thread(look, port, web_port)
         finally:
             await viewer.stop()
@@ -264,12 +263,10 @@ def test_a_native_viewer_that_has_stopped_is_dropped_and_one_that_lives_is_not()
         )  # fmt: skip
         await viewer.start()
         try:
-            while viewer.status()["state"] != "serving":
-                await asyncio.sleep(0.02)
+            await until(lambda: viewer.status()["state"] == "serving", "the viewer")
             with native(port) as stopped, native(port) as living:
                 reading = asyncio.create_task(asyncio.to_thread(answered, living, ended))
-                while not any("dropped" in text for text in told):
-                    await asyncio.sleep(0.05)
+                await until(lambda: any("dropped" in text for text in told), "a dropped viewer")
                 ended.set()
                 kinds = await reading
                 with pytest.raises(ConnectionResetError):

@@ -62,6 +62,7 @@ def test_nothing_is_judged_on_the_ground():
 def test_all_channels_in_one_number_leave_out_what_is_not_there():
     floor = np.array([1.0, 1.0, np.nan])
     assert overall(np.array([2.0, 2.0, 5.0]), floor) == pytest.approx(2.0)
+    assert overall(np.array([1.0, 7.0, 5.0]), floor) == pytest.approx(5.0)
     assert np.isnan(overall(np.full(3, np.nan), floor))
 
 

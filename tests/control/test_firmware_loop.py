@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from loop_margins import loop_margins as stand_in_margins
 from offline_flight import fly_offline
 
 from firmware_sim.craft import StandInSettings
-from firmware_sim.margins import loop_margins as stand_in_margins
 from groundstation.control.firmware_loop import (
     CascadeJudge,
     Quirks,

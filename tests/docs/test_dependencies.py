@@ -1,6 +1,8 @@
 """docs/dependencies.md justifies what pyproject.toml asks for: all of it and nothing else."""
 
+import ast
 import re
+import sys
 import tomllib
 
 from pages import ROOT
@@ -24,3 +26,64 @@ def test_every_dependency_has_a_version_that_is_installed():
     }
     for one in project["dependencies"]:
         assert re.split(r"[<>=]", one)[0].lower().replace("_", "-") in fixed
+
+
+FACES_STRANGERS = (
+    "mcap",
+    "zstandard",
+    "lz4",
+    "pyarrow",
+    "msgspec",
+    "starlette",
+    "uvicorn",
+    "h11",
+    "prometheus_client",
+    "cflib",
+    "rosbags",
+    "pyulog",
+    "distributed",
+)
+"""What takes apart requests, or packets and files of others."""
+
+
+def test_what_faces_strangers_is_asked_for_in_no_older_version_than_is_tested():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = [*project["dependencies"]]
+    for name in ("radio", "logs", "fleet"):
+        asked += project["optional-dependencies"][name]
+    tested = dict(
+        line.split("==") for line in (ROOT / "constraints.txt").read_text().split() if "==" in line
+    )
+    least = dict(one.split(">=") for one in asked if ">=" in one)
+    for name in FACES_STRANGERS:
+        asked_for = least[name].split(".")
+        assert tested[name].split(".")[: len(asked_for)][:2] == asked_for[:2], name
+
+
+def test_what_the_program_imports_is_declared():
+    """What comes along with another package may cease to."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    declared = [*project["dependencies"], *(one for some in extras.values() for one in some)]
+    names = {re.split(r"[<>=]", one)[0].lower().replace("-", "_") for one in declared}
+    known = names | {MODULES.get(name, name) for name in names}
+    imported = set()
+    for path in (ROOT / "groundstation").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {(one.name.split(".")[0], path.name) for one in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add(((node.module or "").split(".")[0], path.name))
+    own = {"", "groundstation", "firmware_sim", *BROUGHT, *sys.stdlib_module_names}
+    assert {one for one in imported if one[0] not in known | own} == set()
+
+
+MODULES = {
+    "pyusb": "usb",
+    "pyserial": "serial",
+    "rerun_sdk": "rerun",
+    "pillow": "PIL",
+}
+"""Package -> what it is imported as."""
+BROUGHT = frozenset({"dask", "fsspec", "llvmlite", "apsw"})
+"""Parts of what distributed, numba and rosbags are: used with those alone."""

@@ -23,6 +23,16 @@ def test_the_mixer_is_equation_7_19():
 
 
 @pytest.mark.parametrize("vehicle", [PLUS, X], ids=["plus", "x"])
+def test_a_rotor_lifts_the_side_on_which_it_is_and_its_drag_turns_the_craft_against_its_spin(
+    vehicle,
+):
+    forward, left = np.sign(np.round(rotor_positions_m(vehicle), 9)).T
+    counter_clockwise = [1, -1, 1, -1]
+    rows = [left, -forward, np.negative(counter_clockwise)]
+    np.testing.assert_array_equal(MIXERS[vehicle.configuration], rows)
+
+
+@pytest.mark.parametrize("vehicle", [PLUS, X], ids=["plus", "x"])
 def test_torque_is_force_crossed_with_the_place_of_each_rotor(vehicle):
     speeds = np.array([210.0, 260.0, 240.0, 290.0])
     thrust, torque = thrust_and_torque(speeds, vehicle)

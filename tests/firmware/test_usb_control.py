@@ -8,8 +8,8 @@ import pytest
 from c_firmware import UsbControl, firmware, octets
 from hypothesis import given
 from hypothesis import strategies as st
+from usb_device import UsbBridge
 
-from firmware_sim.usb_device import UsbBridge
 from groundstation.telemetry.bridge_usb import (
     ALTERNATE,
     ENDPOINT,

@@ -16,6 +16,7 @@ import psutil
 import pytest
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
+from installed import until
 from served_craft import ServedCraft, served
 
 from firmware_sim.contents import PARAMETERS, VARIABLES
@@ -106,9 +107,12 @@ def test_log_blocks_come_100_times_a_second_and_setpoints_fly_the_craft(flight):
         crazyflie.log.add_config(log)
         log.data_received_cb.add_callback(arrived)
         log.start()
-        while not enough.is_set():
+
+        def steered():
             crazyflie.commander.send_setpoint(0.0, 0.0, 0.0, 46000)
-            enough.wait(0.02)
+            return enough.wait(0.02)
+
+        until(steered, "150 rows")
         steps = [b[0] - a[0] for a, b in itertools.pairwise(received)]
         assert statistics.median(steps) == 10
         assert received[-1][1]["stabilizer.thrust"] == 46000

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from loop_margins import loop_margins
 
 from firmware_sim.effects.catalogue import EFFECTS
-from firmware_sim.margins import loop_margins
 from firmware_sim.physics import parameters
 from firmware_sim.programme import BUILT_IN
 from firmware_sim.settings import Quirks, StandInSettings, load_settings

@@ -21,7 +21,7 @@ def heard(loss: Loss, packets: int = 20000, copies: int = 4):
     row = np.empty(packets * copies, np.int64)
     when, bit = np.empty_like(row), np.empty_like(row)
     state = np.zeros(1, np.int64)
-    count = transmit()(times, copies, numbers, state, seeded(1, RADIO_STREAM + 1), row, when, bit)
+    count = transmit(times, copies, numbers, state, seeded(1, RADIO_STREAM + 1), row, when, bit)
     return row[:count], when[:count], bit[:count]
 
 

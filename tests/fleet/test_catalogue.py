@@ -12,10 +12,17 @@ from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
 from groundstation.fleet.facts import COLUMNS as FACTS
-from groundstation.fleet.facts import KEY, _craft
+from groundstation.fleet.facts import KEY, _craft, facts_of
 from groundstation.fleet.flight_fit import fit_flight
 from groundstation.fleet.gather import gathered
-from groundstation.fleet.index import _deadly, index, recordings_of, usable, warn_of_older
+from groundstation.fleet.index import (
+    _deadly,
+    addresses_of,
+    index,
+    recordings_of,
+    usable,
+    warn_of_older,
+)
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
 
@@ -290,3 +297,28 @@ def test_nothing_else_loads_dask():
     modules = "groundstation.cli.app, groundstation.fleet.index, groundstation.fleet.fit"
     code = f"import sys, {modules}; print('dask' in sys.modules, 'distributed' in sys.modules)"
     assert run_program([sys.executable, "-c", code], check=True).stdout.split() == ["False"] * 2
+
+
+def test_a_part_that_another_program_made_is_one_clear_error(table, tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table.append([row("a")])
+    for foreign in ({"other": [1, 2]}, {"name": [1.5, None]}, {"name": [[1]], "value": ["x"]}):
+        pq.write_table(pa.table(foreign), tmp_path / "table" / "00000007.parquet")
+        for use in (table.rows, table.compact):
+            with pytest.raises(RecordingError, match=r"7.parquet: cannot be read .* remove it"):
+                use()
+
+
+def test_pipes_and_holes_among_recordings_are_set_aside_at_once(tmp_path):
+    """One never ends, the other after a terabyte of zeros."""
+    folder = tmp_path / "flights"
+    folder.mkdir()
+    os.mkfifo(folder / "pipe.csv")
+    with (folder / "hole.mcap").open("wb") as file:
+        file.truncate(1 << 40)
+    rows = {Path(address).name: facts_of(address) for address in addresses_of([str(folder)])}
+    assert {one["state"] for one in rows.values()} == {"damaged"}
+    assert "not a file" in rows["pipe.csv"]["reason"]
+    assert "1099511627776 bytes, of which the disk has" in rows["hole.mcap"]["reason"]

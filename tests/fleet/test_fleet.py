@@ -13,6 +13,7 @@ from installed import COMMAND, require_failure
 from programs import run_program
 from typer.testing import CliRunner
 
+from bench.fleet import make
 from groundstation.cli.app import app
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -56,7 +57,7 @@ def fits(catalogue):
 def flown(tmp_path_factory):
     """A folder with ``flights`` of four crafts, two of which change, and ``truth.json``."""
     folder = tmp_path_factory.mktemp("fleet")
-    command = [sys.executable, "-m", "firmware_sim.fleet", "--crafts", CRAFTS, "--flights", FLIGHTS]
+    command = [sys.executable, make.__file__, "--crafts", CRAFTS, "--flights", FLIGHTS]
     command += ["--for", 16, "--seed", 0, "--wear", 2, "-o", "flights", "--truth", "truth.json"]
     done = run_program([str(one) for one in command], cwd=folder, timeout=PATIENCE_S)
     assert done.returncode == 0, done
@@ -162,21 +163,15 @@ def test_a_flight_that_is_too_short_is_left_out_by_name_and_the_others_are_searc
     assert any("short.mcap" in words and "left out" in words for words in told["warnings"])
 
 
-def test_flights_beside_a_model_that_is_wrong_disagree_and_the_page_says_all(sound):
+def test_the_page_says_effects_and_what_is_otherwise_since_a_date(sound):
     folder, row = sound
-    (folder / "found.json").write_text(row["model"])
-    watched = answer_here(folder, "twin", "one", "--model", "found.json", "--workers", "1")
-    assert watched["watched"] == FLIGHTS
-    told = answer_here(folder, "twin", "one", "--model", "thesis", "--workers", "1")
-    assert (told["watched"], told["disagreeing"]) == (FLIGHTS, FLIGHTS)
     report = answer_here(
         folder, "report", "one", "--compare-before", "2026-01-06", "--html", "one.html"
     )
     assert [one["craft"] for one in report["effects"]] == [row["craft"]]
-    assert len(report["twin"]) == FLIGHTS
     assert set(report["to_fly"]) <= {row["craft"]}
     page = (folder / "one.html").read_text()
-    for heading in ("Effects", "Beside the model", "Before and after 2026-01-06"):
+    for heading in ("Effects", "Before and after 2026-01-06"):
         assert f">{heading}</h2>" in page
     refused = fleet(folder, "report", "one", "--compare-before", "yesterday")
     assert "not a date" in require_failure(refused)
@@ -192,8 +187,7 @@ def test_a_report_of_what_is_not_fitted_says_what_to_do(flown, tmp_path):
 def test_the_truth_never_lies_among_the_recordings_and_nothing_is_overwritten(flown):
     command = [
         sys.executable,
-        "-m",
-        "firmware_sim.fleet",
+        make.__file__,
         "-o",
         "others",
         "--truth",
@@ -202,6 +196,6 @@ def test_the_truth_never_lies_among_the_recordings_and_nothing_is_overwritten(fl
     done = run_program(command, cwd=flown)
     assert done.returncode == 1
     assert "must not lie among the recordings" in done.stderr
-    again = run_program([*command[:3], "-o", "flights"], cwd=flown)
+    again = run_program([*command[:2], "-o", "flights"], cwd=flown)
     assert again.returncode == 1
     assert "flights: exists already" in again.stderr

@@ -3,6 +3,7 @@
 import struct
 
 import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -71,7 +72,9 @@ def write_betaflight(path, samples, pwm=False):
     path.write_text("\n".join(lines) + "\n")
 
 
-def write_ulog(path, samples, motors="actuator_motors", motors_late_us=0):
+def write_ulog(
+    path, samples, motors="actuator_motors", motors_late_us=0, parameters=None, dropouts_ms=()
+):
     """By the public specification of the format: formats, subscriptions, then data as it came."""
     kinds = {
         "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;",
@@ -86,6 +89,9 @@ def write_ulog(path, samples, motors="actuator_motors", motors_late_us=0):
 
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message("B", bytes(40))]
     out += [message("F", f"{name}:{fields}".encode()) for name, fields in kinds.items()]
+    for name, value in (parameters or {}).items():
+        key = f"int32_t {name}".encode()
+        out.append(message("P", struct.pack("<B", len(key)) + key + struct.pack("<i", value)))
     names = ["sensor_combined", "vehicle_attitude", "battery_status", motors]
     out += [message("A", struct.pack("<BH", 0, n) + name.encode()) for n, name in enumerate(names)]
     down = np.array([1, -1, -1])
@@ -105,7 +111,66 @@ def write_ulog(path, samples, motors="actuator_motors", motors_late_us=0):
                 late_us = motors_late_us if number == 3 else 0
                 body = struct.pack(f"<HQ{len(values)}f", number, stamp_us + late_us, *values)
                 out.append(message("D", body))
+    out += [message("O", struct.pack("<H", one)) for one in dropouts_ms]
     path.write_bytes(b"".join(out))
+
+
+def write_ros1(path, samples):
+    """A bag of ROS 1 with one IMU."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    named = types.types
+    vector = named["geometry_msgs/msg/Vector3"]
+    with Writer1(path) as bag:
+        imu = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=types)
+        for row, time_s in enumerate(samples.time_s):
+            stamp_ns = UNIX_NS + round(time_s * 1e9)
+            stamp = named["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
+            one = named["sensor_msgs/msg/Imu"](
+                named["std_msgs/msg/Header"](row, stamp, "body"),
+                named["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+                np.zeros(9),
+                vector(*map(float, samples.gyro[row])),
+                np.zeros(9),
+                vector(*map(float, samples.accelerometer[row])),
+                np.zeros(9),
+            )
+            bag.write(imu, stamp_ns, types.serialize_ros1(one, imu.msgtype))
+
+
+def write_service_events(path, samples):
+    """An MCAP bag in which ROS 2 also recorded a service's events, whose type no library parses."""
+    from mcap.writer import Writer as McapWriter
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    named = types.types
+    vector = named["geometry_msgs/msg/Vector3"]
+    definition, _ = types.generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)
+    event = "int8 REQUEST=0\n===\nMSG: my_interfaces/srv/Arm_Event\nthis is : none\n---\nbool ok"
+    with path.open("wb") as file:
+        bag = McapWriter(file)
+        bag.start(profile="ros2", library="libmcap 0.8")
+        channels = [
+            bag.register_channel(name, "cdr", bag.register_schema(kind, "ros2msg", text.encode()))
+            for name, kind, text in (
+                ("/imu", "sensor_msgs/msg/Imu", definition),
+                ("/arm/_service_event", "my_interfaces/srv/Arm_Event", event),
+            )
+        ]
+        for row, time_s in enumerate(samples.time_s):
+            stamp_ns = UNIX_NS + round(time_s * 1e9)
+            one = named["sensor_msgs/msg/Imu"](
+                _header(named, stamp_ns),
+                named["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+                np.zeros(9),
+                vector(*map(float, samples.gyro[row])),
+                np.zeros(9),
+                vector(*map(float, samples.accelerometer[row])),
+                np.zeros(9),
+            )
+            data = bytes(types.serialize_cdr(one, "sensor_msgs/msg/Imu"))
+            bag.add_message(channels[0], stamp_ns, data, stamp_ns)
+        bag.add_message(channels[1], stamp_ns, b"\0\1\0\0\0", stamp_ns)
+        bag.finish()
 
 
 def write_ros2(folder, samples, storage):

@@ -16,12 +16,14 @@ LOG_DATA = 0x52
 class NarrowRadio:
     """most_hz: log packets a second that come through, any of them, however many are sent.
     stalled: neither side hears the other, and what is said meanwhile is lost. loses: told what a
-    client sends, whether it is lost. doubles: every answer comes twice."""
+    client sends, whether it is lost. ceases: the same of what the craft sends. doubles: every
+    answer comes twice. adds: what comes with each log packet."""
 
     def __init__(self, craft_port: int, most_hz: float) -> None:
         self.most_hz, self.stalled = most_hz, False
         self.loses: Callable[[bytes], bool] = lambda packet: False
-        self.doubles = False
+        self.ceases: Callable[[bytes], bool] = lambda packet: False
+        self.doubles, self.adds = False, list[bytes]()
         self._craft = ("127.0.0.1", craft_port)
         self._near = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -64,6 +66,8 @@ class NarrowRadio:
                 data = self._far.recv(2048)
             except TimeoutError:
                 continue
+            if self.ceases(data):
+                continue
             is_log = data[0] & 0xF3 == LOG_DATA
             if is_log:
                 came += 1
@@ -72,8 +76,9 @@ class NarrowRadio:
                 if chance.random() >= share:
                     continue
             if self._client is not None and not self.stalled:
-                for _ in range(1 if is_log or not self.doubles else 2):
-                    self._near.sendto(data, self._client)
+                times = 1 if is_log or not self.doubles else 2
+                for packet in [data] * times + (self.adds if is_log else []):
+                    self._near.sendto(packet, self._client)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """README and docs taken apart: fenced blocks, the commands in them, links, words in backticks."""
 
 import re
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,7 +84,3 @@ def anchors_of(page):
     """The names under which headings can be linked, as GitHub makes them."""
     heads = re.findall(r"^#+ (.*)$", prose_of(page), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads}
-
-
-def words_of(command):
-    return shlex.split(command)

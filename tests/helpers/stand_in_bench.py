@@ -7,31 +7,20 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numba.core.caching import FunctionCache
 from numpy.typing import NDArray
 
-from firmware_sim.compiled import source_stamp
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.layout import STATE
 from firmware_sim.physics import parameters
 from firmware_sim.plant import derivative, integrate
+from groundstation.compiled import kernel
 from groundstation.telemetry.packet import decode, motor_counts
-
-
-class _Stamped(FunctionCache):
-    """Compiled anew with any change of the stand-in's compiled code."""
-
-    def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return (*super()._index_key(sig, codegen), source_stamp())
 
 
 @functools.cache
 def callable_piece(piece: Any) -> Callable[..., Any]:
     """A piece of a kernel, compiled so that a test can call it by itself."""
-    function: Any = njit(error_model="numpy")(piece.py_func)
-    function._cache = _Stamped(piece.py_func)
-    called: Callable[..., Any] = function
+    called: Callable[..., Any] = kernel(piece.py_func)
     return called
 
 

@@ -34,7 +34,6 @@ PROGRAMS = (
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p")
 GUEST_MODULES = ("usbcore", "vhci-hcd")
 MEMORY_MB = 512
-FINISHED = "the-command-has-ended"
 
 
 class VmError(RuntimeError):

@@ -66,12 +66,19 @@ def test_too_short(good, kind, text):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("column", ["duty", "supply_v"])
 def test_holes_in_the_inputs(good, kind, column):
-    with pytest.raises(BadInputError, match="missing in some rows"):
+    with pytest.raises(BadInputError, match=r"missing in 10 of \d+ samples"):
         identify(kind, with_column(good[kind], column, slice(5000, 5010), np.nan))
 
 
+@pytest.mark.parametrize("kind", ["motor", "body"])
+def test_a_battery_that_is_nowhere_is_named_with_what_gives_one(kind, good):
+    run = with_column(good[kind], "supply_v", slice(None), np.nan)
+    with pytest.raises(BadInputError, match=r"the battery's voltage is nowhere in it.*--supply-v"):
+        identify(kind, run)
+
+
 def test_holes_in_the_gyro(good):
-    with pytest.raises(BadInputError, match="gyro is missing in some rows"):
+    with pytest.raises(BadInputError, match=r"gyro is missing in 1 of \d+ samples"):
         identify("body", with_column(good["body"], "gyro", 5000, np.nan))
 
 
@@ -156,7 +163,7 @@ def test_rotors_in_a_wrong_order(good):
 
 
 def test_measured_rotors_that_are_not_there(good):
-    with pytest.raises(BadInputError, match="measured rotor speed is not in every row"):
+    with pytest.raises(BadInputError, match="rotors' measured speed is nowhere"):
         identify("body", good["body"], measured=True)
     with pytest.raises(BadInputError, match="does not matter what drives the motors"):
         identify("body", good["body"], measured=True, effects=("supply_sag",))

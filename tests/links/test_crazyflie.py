@@ -9,11 +9,13 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from eventually import until
 from flown_link import flown
 from ports import free_port
 from served_craft import ServedCraft, served
 
 from firmware_sim.craft import CraftState
+from firmware_sim.supervisor import LOCKED
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import CrazyflieLink
@@ -84,12 +86,15 @@ def test_a_setpoint_is_recorded_as_sent() -> None:
     on_a_stand_in(scenario)
 
 
-def test_unknown_parameters_and_values_that_are_no_numbers_are_refused() -> None:
+def test_unknown_parameters_and_values_that_no_craft_should_get_are_refused() -> None:
     async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
         with pytest.raises(BadInputError, match="no parameter"):
             await link.write_parameter("pid_rate.nonsense", 1.0)
         with pytest.raises(BadInputError, match="finite"):
             await link.write_parameter("pid_rate.roll_kp", math.nan)
+        for value in (-1.0, 1000.5):
+            with pytest.raises(BadInputError, match=r"outside 0\.\.1000"):
+                await link.write_parameter("pid_rate.roll_kp", value)
         assert entries == []
 
     on_a_stand_in(scenario)
@@ -193,6 +198,33 @@ def test_a_craft_that_is_gone_is_said_to_be_gone_and_not_to_lack_a_deck() -> Non
 
     with served(craft="crazyflie21", height_deck=True) as craft:
         asyncio.run(fly(craft))
+
+
+@pytest.mark.parametrize("protocol", [10, 12])
+def test_an_emergency_stop_locks_the_craft_of_either_supervisor(protocol: int) -> None:
+    async def stop(craft: ServedCraft) -> None:
+        link = make_command_link(craft.uri)
+        kinds = []
+        link.on_entry = lambda entry: kinds.append(entry["kind"])
+        await link.open()
+        assert link.emergency_stop()
+        async with asyncio.timeout(5.0):  # it looks 25 times a second, and tells 10 times
+            await until(lambda: craft.craft.state().supervisor == LOCKED, "the lock")
+            await until(lambda: "has locked itself" in link.supervisor.trouble, "its word")
+        assert kinds == ["emergency stop"]
+        await link.close()
+        assert not link.emergency_stop()
+
+    with served(craft="crazyflie21", protocol=protocol) as craft:
+        asyncio.run(stop(craft))
+
+
+def test_firmware_of_2014_has_no_emergency_stop() -> None:
+    async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
+        assert not link.emergency_stop()
+        assert entries == []
+
+    on_a_stand_in(scenario)
 
 
 def test_a_craft_that_flies_is_left_its_height_where_it_does_not_know_it_for_a_moment() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from eventually import until
 from served_craft import ServedCraft, served
 
 from groundstation.links.base import LinkState
@@ -120,14 +121,6 @@ def test_an_hour_of_two_blocks_250_times_a_second_is_whole() -> None:
     assert (found, rows.counts().lost, rows.counts().restarts) == (900_000, 0, 0)
     assert last == start + hour_ms - 4
     assert rows.segment == 0
-
-
-def until(condition) -> object:
-    async def wait() -> None:
-        while not condition():
-            await asyncio.sleep(0.01)
-
-    return wait()
 
 
 @pytest.mark.parametrize(("silent_s", "segments"), [(0.5, 1), (5.0, 2), (60.0, 2)])

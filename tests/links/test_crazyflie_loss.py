@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import random
+import re
 import time
 from pathlib import Path
 
 import pytest
-from narrow_radio import narrow
+from narrow_radio import LOG_DATA, NarrowRadio, narrow
 from served_craft import served
 
-from groundstation.links.cflib_calls import CREATE_V2
+from groundstation.errors import LinkLostError
+from groundstation.links import crazyflie_log
+from groundstation.links.cflib_calls import CREATE_V2, START_V2
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
 
@@ -124,3 +127,65 @@ def test_answers_that_come_twice_clear_the_log_no_second_time() -> None:
         begun_s = asyncio.run(session(radio.uri))
     assert cleared
     assert max(cleared) < begun_s
+
+
+def block_of(packet: bytes) -> int | None:
+    return packet[1] if header(packet) == LOG_DATA else None
+
+
+def test_one_of_two_log_blocks_that_ceases_is_asked_for_again_on_the_same_connection() -> None:
+    """Rows need both: none came, and packets of the other block kept the link from being lost."""
+    asked: list[int] = []
+    told: list[str] = []
+
+    async def session(radio: NarrowRadio) -> int:
+        link = CrazyflieTelemetry(radio.uri, rate_hz=100)
+        link.on_event = lambda event: told.append(event.text)
+        async with link:
+            await link.read()
+            craft = link._connection.craft
+            radio.ceases = lambda packet: block_of(packet) == 2 and not asked
+
+            def loses(packet: bytes) -> bool:
+                if header(packet) == LOG_CONTROL and packet[1] == START_V2:
+                    asked.append(packet[2])
+                return False
+
+            radio.loses = loses
+            async with asyncio.timeout(20.0):
+                while not asked:
+                    await link.read()
+                while await link.read() is None:
+                    pass
+            assert link._connection.craft is craft
+            counts = link.sample_counts()
+            assert counts is not None
+            return counts.restarts
+
+    with served(craft="crazyflie21") as craft, narrow(craft.server.port) as radio:
+        assert asyncio.run(session(radio)) == 0
+    assert set(asked) == {2}
+    assert any(re.match(r"no acc, .* came for 0.8 s: asked for once more", text) for text in told)
+    assert any(re.match(r"no acc, .* received for 0.5 s", text) for text in told)
+
+
+def test_a_log_block_that_stays_away_is_a_link_that_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(crazyflie_log, "SILENT_S", 0.6)
+    monkeypatch.setattr(crazyflie_log, "CEASED_S", 0.2)
+
+    async def session(radio: NarrowRadio) -> None:
+        link = CrazyflieTelemetry(radio.uri, rate_hz=100)
+        async with link, asyncio.timeout(20.0):
+            await link.read()
+            radio.ceases = lambda packet: block_of(packet) == 1
+            while True:
+                await link.read()
+
+    with (
+        served(craft="crazyflie21") as craft,
+        narrow(craft.server.port) as radio,
+        pytest.raises(LinkLostError, match=r"no gyro, motor, pm came for 0.6 s; connecting again"),
+    ):
+        asyncio.run(session(radio))

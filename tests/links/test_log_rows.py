@@ -184,3 +184,14 @@ def test_a_second_block_of_the_same_moment_tells_nothing_more_of_the_motors():
     acted = samples.duty[1:, 0] * 65535 / 100.0
     assert acted == pytest.approx(np.rint(samples.time_s[1:] * 1000) - 4)
     assert np.isnan(samples.duty_step).all()
+
+
+@pytest.mark.parametrize("block", [0, 1])
+def test_while_one_block_stays_away_what_comes_of_the_other_is_not_hoarded(block):
+    rows = LogRows(PLAN, 4)
+    rows.add(in_order(packets(range(0, 40, 4), 0), packets(range(0, 40, 4), 1)))
+    for first in range(40, 40_000, 400):
+        assert len(rows.add(packets(range(first, first + 400, 4), block))) <= 1
+        assert max(map(len, rows._waiting)) < 30
+    late = in_order(packets(range(40_040, 41_000, 4), 0), packets(range(40_040, 41_000, 4), 1))
+    assert len(rows.add(late)) == 240

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from eventually import until
 from flights import flight
 from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
 from one_flight import BRIDGES, OneFlight, require_same_on_this_machine
@@ -120,11 +121,12 @@ def test_stamps_are_those_of_the_reads_not_of_the_batch(line):
             clock = link.clock
             link.clock = lambda: reads.append(clock()) or reads[-1]
             batches, sent = [], packets_of(8)
-            while len(reads) < 2 * len(batches) + 4:  # several reads in some batch
-                before = len(reads)
-                line.send(sent)
-                while len(reads) == before:
-                    await asyncio.sleep(0)
+            async with asyncio.timeout(PATIENCE_S):
+                while len(reads) < 2 * len(batches) + 4:  # several reads in some batch
+                    before = len(reads)
+                    line.send(sent)
+                    while len(reads) == before:
+                        await asyncio.sleep(0)
             return await link.read(), reads
 
     batch, reads = asyncio.run(session())
@@ -185,8 +187,7 @@ def test_damage_in_the_last_moment_before_silence_is_told_too(line, monkeypatch)
             for part in (frames[:half], frames[half:]):
                 os.write(line._fd, bytes(part))
                 await packets_read(link, 99)
-            while len(faults()) < 2:  # nothing more comes, nobody reads
-                await asyncio.sleep(0.01)
+            await until(lambda: len(faults()) >= 2)  # nothing more comes, nobody reads
             return link.damaged
 
     def faults():
@@ -223,8 +224,9 @@ def test_what_waits_for_a_reader_that_does_not_come_is_bounded_and_counted(line,
             for number in range(100):
                 before = link._received_bytes
                 line.send(packets_of(8, first=8 * number))
-                while link._received_bytes < before + 32 * FRAME_BYTES:
-                    await asyncio.sleep(0)
+                async with asyncio.timeout(PATIENCE_S):
+                    while link._received_bytes < before + 32 * FRAME_BYTES:
+                        await asyncio.sleep(0)
             assert link._waiting_bytes <= 3000
             batch = await link.read()
             return batch, link.dropped_bytes, link._received_bytes
@@ -243,8 +245,7 @@ def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
     async def session():
         async with link:
             line.send(packets_of(5))
-            while not link._waiting:
-                await asyncio.sleep(0)
+            await until(lambda: link._waiting)
             line.close()
             got = await packets_read(link, 20)
             for _ in range(2):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from eventually import until
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,8 +40,7 @@ def test_an_absent_device_is_told_at_once_and_then_waited_for():
             await link.open()
         assert link.state is LinkState.CLOSED
         waiting = asyncio.create_task(link.open())
-        while link.state is not LinkState.OPENING:
-            await asyncio.sleep(0)
+        await until(lambda: link.state is LinkState.OPENING)
         waiting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await waiting

@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError, RecordingError
-from groundstation.recording.column_map import NAMED, UNITS, load_column_map, read_mapped_csv
+from groundstation.recording.column_map import read_mapped_csv
 from groundstation.recording.csv_file import read_csv
+from groundstation.recording.map_document import NAMED, UNITS, load_column_map
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import write_mcap
 from groundstation.telemetry.packet import STANDARD_GRAVITY, TICK_S
@@ -161,7 +162,7 @@ def column(key, name="v", unit="deg/s", extra=""):
         ('[gyro.x]\ncolumn = "v"\nunit = "deg/s"', "missing required field `time`"),
         ('[time]\ncolumn = "t"', "missing required field `unit` - at `$.time`"),
         (column("gyro.x", extra="sign = 2"), "$.gyro.x.sign"),
-        (column("gyro.x", extra="scale = 2"), "unknown field `scale` - at `$.gyro.x`"),
+        (column("gyro.x", extra="factor = 2"), "unknown field `factor` - at `$.gyro.x`"),
         (column("gyro.w"), "unknown field `w` - at `$.gyro`"),
         (column("gyroscope.x"), "unknown field `gyroscope`"),
         (column("gyro.x", name=""), "length >= 1 - at `$.gyro.x.column`"),

@@ -19,6 +19,7 @@ from flights import (
     flight,
     record_flight,
 )
+from installed import until
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from programs import Program, run_program
@@ -28,8 +29,9 @@ from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_reader import read_mcap
 from groundstation.recording.mcap_writer import McapRecorder
 from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import session_metadata
+from groundstation.recording.recording_file import session_metadata, write_mcap
 from groundstation.recording.recover import recover
+from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import quaternion
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
 
@@ -39,6 +41,8 @@ METADATA = {
     "configuration": {"rate": "500"},
 }
 ROWS = 1500
+FAULT_S = 10.0
+"""In which a recorder that looks a hundred times a second does what it has to."""
 HELPERS = Path(__file__).parents[1] / "helpers"
 
 
@@ -268,11 +272,7 @@ def test_under_the_low_space_mark_the_file_is_finished_cleanly(small_disk, fault
     listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
     recorder = McapRecorder(path, METADATA, low_space_bytes=300_000, flush_s=0.01, on_fault=listen)
-    given = 0
-    while not heard.is_set():
-        record_flight(recorder, 100, first=given)
-        given += 100
-        heard.wait(0.01)
+    given = record_until(heard.is_set, recorder)
     status = recorder.finish()
     assert status.state == "low_space"
     assert faults == [status.text]
@@ -289,21 +289,27 @@ def test_a_full_disk_keeps_every_whole_chunk_and_says_so_once(small_disk, faults
     listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
     recorder = McapRecorder(path, METADATA, low_space_bytes=0, flush_s=0.01, on_fault=listen)
-    given = 0
-    while recorder.status().samples < 500:
-        record_flight(recorder, 100, first=given)
-        given += 100
-        heard.wait(0.01)
+    given = record_until(lambda: recorder.status().samples >= 500, recorder)
     fill(small_disk / "something_else")
-    while not heard.is_set():
-        record_flight(recorder, 100, first=given)
-        given += 100
-        heard.wait(0.01)
+    given = record_until(heard.is_set, recorder, given)
     status = recorder.finish()
     assert status.state == "failed"
     assert faults == [status.text]
     assert "No space left" in status.text
     assert_holds_the_beginning(path, given)
+
+
+def record_until(condition, recorder, given=0):
+    """Go on with the flight from sample ``given``; how many there are in the end."""
+
+    def holds():
+        nonlocal given
+        record_flight(recorder, 100, first=given)
+        given += 100
+        return condition()
+
+    until(holds, "what ends the recording", FAULT_S)
+    return given
 
 
 def fill(path):
@@ -356,6 +362,37 @@ def assert_holds_the_beginning(path, rows):
     assert "not finished" in recording.damage[0]
     assert_same_samples(recording.samples, flight(0, kept)[1])
     assert_same_packets(recording.raw, flight(0, len(recording.raw) // COPIES)[0])
+
+
+@pytest.mark.parametrize("left", [0, 1000])
+def test_a_file_that_another_program_cuts_is_a_fault_and_has_no_hole(path, faults, left):
+    """``> flight.mcap`` in a shell, say: what is written behind it would stand after zeros."""
+    raw, samples = flight(0, 500)
+    recorder = McapRecorder(path, METADATA, on_fault=faults.append, flush_s=0.02)
+    recorder.raw(raw)
+    recorder.samples(samples)
+    deadline_s = time.monotonic() + 20.0
+    while recorder.status().samples < 500:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    os.truncate(path, left)
+    while recorder.status().state == "recording":
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    recorder.finish()
+    assert faults == [f"{path}: recording stopped: another program cut the file to {left} bytes"]
+    assert path.stat().st_size == left
+
+
+def test_one_damage_in_a_converted_recording_costs_a_second_or_two(path):
+    _, samples = flight(0, 10_000)  # 20 s in one piece
+    write_mcap(Recording(path=path, kind="csv", samples=samples), path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    report = recover(path)
+    assert report.chunks_skipped == 1
+    assert 0.0 < report.seconds_lost < 3.0
 
 
 def test_a_removed_file_is_a_fault(path, faults):
@@ -435,6 +472,12 @@ def test_an_overflowing_queue_counts_what_it_drops_and_never_blocks(path, faults
     assert_same_samples(recording.samples, expected[rows])
 
 
+def test_what_came_a_moment_ago_is_in_the_file_while_the_recording_goes_on(path):
+    with McapRecorder(path, METADATA, flush_s=0.01) as recorder:
+        record_flight(recorder, 100)
+        until(lambda: len(read_mcap(path).samples) == 100, "the samples in the file", FAULT_S)
+
+
 def test_a_slow_sync_does_not_keep_data_from_the_operating_system(path, monkeypatch):
     """A memory card may take seconds; a killed process must not lose them."""
     syncing, disk = threading.Event(), threading.Event()
@@ -446,12 +489,9 @@ def test_a_slow_sync_does_not_keep_data_from_the_operating_system(path, monkeypa
     monkeypatch.setattr(McapFile, "sync", slow_sync)
     recorder = McapRecorder(path, METADATA, flush_s=0.01)
     record_flight(recorder, 100)
-    assert syncing.wait(60)
+    assert syncing.wait(FAULT_S)
     record_flight(recorder, 100, first=100)
-    while recorder.status().samples < 200:
-        disk.wait(0.01)
-    while recorder.status().bytes > path.stat().st_size or len(read_mcap(path).samples) < 200:
-        disk.wait(0.01)
+    until(lambda: len(read_mcap(path).samples) == 200, "the samples in the file", FAULT_S)
     assert_same_samples(read_mcap(path).samples, flight(0, 200)[1])
     disk.set()
     assert recorder.finish().state == "finished"
@@ -464,12 +504,35 @@ def test_a_failing_sync_is_a_fault(path, faults, monkeypatch):
     monkeypatch.setattr(McapFile, "sync", failing_sync)
     listen, heard = fault_event(faults)
     recorder = McapRecorder(path, METADATA, flush_s=0.01, on_fault=listen)
-    record_flight(recorder, 100)
-    while not heard.is_set():
-        recorder.event({"time_ns": START_NS})
-        heard.wait(0.01)
+    record_until(heard.is_set, recorder)
     assert recorder.finish().state == "failed"
     assert "Input/output error" in faults[0]
+
+
+def test_the_name_of_a_new_file_and_the_whole_of_a_finished_one_are_on_the_disk(path, monkeypatch):
+    synced, sync = [], os.fsync
+
+    def noting_sync(fd):
+        status = os.fstat(fd)
+        synced.append((status.st_ino, status.st_size))
+        sync(fd)
+
+    monkeypatch.setattr(os, "fsync", noting_sync)
+    recorder = McapRecorder(path, METADATA)
+    assert [inode for inode, _ in synced] == [path.parent.stat().st_ino]
+    record_flight(recorder, 100)
+    recorder.finish()
+    assert synced[1:] == [(path.stat().st_ino, path.stat().st_size)]
+
+
+def test_what_the_system_takes_in_pieces_is_written_whole(path, monkeypatch):
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:1000]))
+    with McapRecorder(path, METADATA) as recorder:
+        record_flight(recorder, 100)
+    recording = read_mcap(path)
+    assert recording.damage == []
+    assert_same_samples(recording.samples, flight(0, 100)[1])
 
 
 def test_samples_of_another_clock_start_a_new_message(path):

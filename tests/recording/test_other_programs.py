@@ -10,14 +10,18 @@ from foreign_logs import (
     write_betaflight,
     write_cfclient,
     write_crazyswarm2,
+    write_ros1,
     write_ros2,
+    write_service_events,
     write_ulog,
 )
 from programs import run_program
 
 from groundstation.errors import BadInputError
 from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.recover import recover
 
 GROUNDSTATION = Path(sys.executable).parent / "groundstation"
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"
@@ -101,11 +105,39 @@ def test_a_file_of_a_bag_reads_like_its_folder(flight, tmp_path):
         assert np.array_equal(open_recording(file).samples.gyro, whole.samples.gyro)
 
 
-def test_pulses_look_like_dshot_and_are_read_where_they_are_asked_for(flight, tmp_path):
+def test_pulses_that_never_rest_may_be_dshot_and_are_asked_for(flight, tmp_path):
     write_betaflight(tmp_path / "log.csv", flight, pwm=True)
-    pulses = open_recording(tmp_path / "log.csv", column_map="betaflight_pwm").samples
-    assert np.abs(pulses.duty - flight.duty).max() < 1e-3
-    assert np.abs(open_recording(tmp_path / "log.csv").samples.duty - flight.duty).max() > 0.1
+    pulses = open_recording(tmp_path / "log.csv", column_map="betaflight_pwm")
+    assert np.abs(pulses.samples.duty - flight.duty).max() < 1e-3
+    assert "may be" not in inspect_recording(pulses)["verdict"]
+    unclear = open_recording(tmp_path / "log.csv")
+    assert np.abs(unclear.samples.duty - flight.duty).max() > 0.1
+    assert "may be dshot or pwm-us" in inspect_recording(unclear)["verdict"]
+
+
+@pytest.mark.parametrize("pwm", [False, True])
+def test_motors_that_rest_tell_pulses_from_dshot(pwm, flight, tmp_path):
+    flight = flight[:400]
+    flight.duty[:200] = 0.0
+    write_betaflight(tmp_path / "log.csv", flight, pwm=pwm)
+    found = open_recording(tmp_path / "log.csv")
+    assert np.abs(found.samples.duty - flight.duty).max() < 1e-3
+    assert found.metadata["column_map"]["duty.m1"].endswith("pwm-us" if pwm else "dshot")
+    assert "unclear" not in found.metadata
+
+
+@pytest.mark.parametrize("limits", ["48,2047", "1000,2000"])
+def test_what_the_explorer_says_before_its_header_holds(limits, flight, tmp_path):
+    low = 1000 if limits.startswith("1000") else 48
+    write_betaflight(tmp_path / "log.csv", flight, pwm=low == 1000)
+    header, *rows = (tmp_path / "log.csv").read_text().splitlines()
+    names = [one.strip().partition(" (")[0] for one in header.split(",")]
+    said = ['"Product","Blackbox"', '"acc_1G","1024"', f'"motorOutput","{limits}"']
+    lines = [*said, ",".join(f'"{name}"' for name in names), *rows]
+    (tmp_path / "explorer.csv").write_text("\n".join(lines))
+    found = open_recording(tmp_path / "explorer.csv").samples
+    assert np.abs(found.duty - flight.duty).max() < 1e-3
+    assert found.accelerometer[:, 2] == pytest.approx(2 * flight.accelerometer[:, 2], abs=0.006)
 
 
 def test_one_log_block_alone_is_read_for_what_it_has(flight, tmp_path):
@@ -205,3 +237,64 @@ def test_without_the_library_the_hint_installs_it_from_here(name, package, fligh
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert f"{package} reads: pip install -e '.[logs]'" in done.stderr
+
+
+def test_a_bag_of_ros_1_reads_like_one_of_ros_2(flight, tmp_path):
+    write_ros1(tmp_path / "flight.bag", flight[:200])
+    found = open_recording(tmp_path / "flight.bag")
+    assert found.samples.gyro == pytest.approx(flight.gyro[:200], abs=1e-6)
+    assert found.samples.accelerometer == pytest.approx(flight.accelerometer[:200], abs=1e-5)
+
+
+def test_a_type_that_does_not_parse_is_left_out_and_told_where_it_is_needed(flight, tmp_path):
+    write_service_events(tmp_path / "bag.mcap", flight[:200])
+    found = open_recording(tmp_path / "bag.mcap")
+    assert found.samples.gyro == pytest.approx(flight.gyro[:200], abs=1e-6)
+    (tmp_path / "map.toml").write_text(
+        'kind = "rosbag"\nrows = "/arm/_service_event"\n'
+        'time = { column = "/arm/_service_event.time", unit = "s" }\n'
+    )
+    with pytest.raises(BadInputError, match="types that do not parse: my_interfaces/srv/Arm_Event"):
+        open_recording(tmp_path / "bag.mcap", column_map=tmp_path / "map.toml")
+
+
+def test_a_recovered_bag_is_still_a_bag(flight, tmp_path):
+    write_service_events(tmp_path / "bag.mcap", flight[:200])
+    whole = (tmp_path / "bag.mcap").read_bytes()
+    (tmp_path / "torn.mcap").write_bytes(whole[:-200])
+    recover(tmp_path / "torn.mcap", tmp_path / "whole.mcap")
+    found = open_recording(tmp_path / "whole.mcap")
+    assert found.samples.gyro == pytest.approx(flight.gyro[:200], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"MAV_TYPE": 22}, "MAV_TYPE 22, a VTOL"),
+        ({"MAV_TYPE": 1}, "MAV_TYPE 1, a fixed wing"),
+        ({"MAV_TYPE": 13, "CA_ROTOR_COUNT": 6}, "MAV_TYPE 13, a hexarotor"),
+        ({"CA_ROTOR_COUNT": 8}, "CA_ROTOR_COUNT 8"),
+        ({"MAV_TYPE": 2, "CA_ROTOR_COUNT": 4}, None),
+    ],
+)
+def test_motors_of_another_craft_are_no_quadrotor_s(parameters, said, flight, tmp_path):
+    write_ulog(tmp_path / "log.ulg", flight[:200], parameters=parameters)
+    found = open_recording(tmp_path / "log.ulg")
+    assert np.isfinite(found.samples.gyro).all()
+    assert np.isnan(found.samples.duty).all() == (said is not None)
+    if said:
+        verdict = inspect_recording(found)["verdict"]
+        assert f"not of a quadrotor ({said}): its motors are left out" in verdict
+
+
+@pytest.mark.parametrize(
+    ("dropouts", "said"),
+    [
+        ((), None),
+        ((12,), "the logger dropped 12 ms in one place"),
+        ((0, 26, 31, 62), "the logger dropped 119 ms in 4 places, the longest 62 ms"),
+    ],
+)
+def test_what_a_logger_dropped_is_summed(dropouts, said, flight, tmp_path):
+    write_ulog(tmp_path / "log.ulg", flight[:200], dropouts_ms=dropouts)
+    assert open_recording(tmp_path / "log.ulg").damage == ([said] if said else [])

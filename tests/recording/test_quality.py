@@ -11,9 +11,10 @@ from packet_recordings import packet_recording, packet_recordings
 
 from groundstation.recording.csv_file import read_csv, write_table_csv
 from groundstation.recording.microsd import read_microsd
-from groundstation.recording.quality import GAPS_LISTED, _steps, inspect_recording
+from groundstation.recording.quality import GAPS_LISTED, inspect_recording
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import SAMPLE_TICKS, TICK_S
+from groundstation.telemetry.row_clock import row_steps
 from groundstation.telemetry.samples import RawBatch, empty_samples
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -254,7 +255,7 @@ def test_rows_that_come_more_slowly_in_a_later_segment_are_not_taken_for_gaps():
     steps_us = np.where(samples.segment == 0, 4000, 10_000)
     steps_us[[50, 150]] *= 3  # two rows of each are missing
     samples.ticks[:] = np.cumsum(steps_us)
-    assert _steps(samples).lost.sum() == 4
+    assert row_steps(samples).lost.sum() == 4
 
 
 def test_one_sample_is_described_without_a_rate_to_measure():

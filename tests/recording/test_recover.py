@@ -273,3 +273,19 @@ def test_the_records_of_a_recovery_are_all_indexed(path, finished):
 def test_errors_are_the_projects_own(tmp_path):
     with pytest.raises(GroundStationError):
         recover(tmp_path)
+
+
+@pytest.mark.parametrize("finish", [True, False])
+def test_a_recording_whose_first_4_kb_are_zero_gives_the_rest(path, finish):
+    """All that says what is in it stands there, and again only at the end of a finished one."""
+    write_flight(path, 500, finish=finish)
+    content = bytearray(path.read_bytes())
+    content[:4096] = bytes(4096)
+    path.write_bytes(content)
+    report = recover(path)
+    kept = read_mcap(report.output, raw=True)
+    assert kept.damage == []
+    assert len(kept.samples) >= 450
+    assert_same_samples(kept.samples, flight(500 - len(kept.samples), len(kept.samples))[1])
+    assert len(kept.raw) == COPIES * len(kept.samples)
+    assert kept.events

@@ -75,6 +75,23 @@ def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, a
         asyncio.run(scenario(craft))
 
 
+def test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm():
+    async def scenario(craft):
+        link = CrazyflieLink(craft.uri)
+        kinds = []
+        link.on_entry = lambda entry: kinds.append(entry["kind"])
+        await link.open()
+        lying(craft, ON_ITS_BACK)
+        await until(lambda: link.supervisor.tumbled)
+        with pytest.raises(LinkError, match="refuses to arm its motors: the craft lies on its"):
+            await ask_to_arm(link, True)
+        assert kinds == []
+        await link.close()
+
+    with served(craft="brushless", protocol=12) as craft:
+        asyncio.run(scenario(craft))
+
+
 def test_firmware_of_2014_has_nothing_to_recover_from():
     async def scenario(craft):
         link = CrazyflieLink(craft.uri)

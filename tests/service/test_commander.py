@@ -246,7 +246,7 @@ def test_an_operator_stops_the_motors_of_whoever_commands(fly, path, stations):
         with Pilot(path, "a program") as pilot:
             steer(pilot, 0.5)
             ask(path, "POST", "/command/stop")
-            with pytest.raises(GroundStationError, match="not \\(or no more\\) in force"):
+            with pytest.raises(GroundStationError, match="the operator has stopped the motors"):
                 pilot.setpoint(0.0, 0.0, 0.0, HOVER)
             until(lambda: stations[0].newest.telemetry().motors == [0.0] * 4, "the motors stand")
         ask(path, "POST", "/command/stop")  # also where nobody commands
@@ -270,6 +270,7 @@ def test_an_operator_holds_the_craft_level_and_leaves_the_thrust_to_the_client(f
             ask(path, "POST", "/command/level", {"on": False})
             steer(pilot, 0.3, roll=12.0)
             ask(path, "POST", "/command/level", {"on": True})
+            pilot.stop()
         assert ask(path, "GET", "/status")["command"]["held_level"] is False
         with Pilot(path, "another") as pilot:
             steer(pilot, 0.1, roll=13.0)
@@ -283,7 +284,7 @@ def test_an_operator_holds_the_craft_level_and_leaves_the_thrust_to_the_client(f
 
 
 def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, stations):
-    """The dead man's time is up, though it is not his turn yet: the motors stay off."""
+    """The dead man does not wait for the loop that stands still: level, then off."""
 
     async def stand_still(commander, token):
         time.sleep(0.8)
@@ -297,9 +298,13 @@ def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, 
 
     entries = setpoints(fly(conversation))
     last = max(k for k, entry in enumerate(entries) if entry["client"] == "stale")
-    assert {(entry["client"], entry["thrust"]) for entry in entries[last + 1 :]} == {
-        ("dead man", 0)
-    }
+    after = entries[last + 1 :]
+    assert {entry["client"] for entry in after} == {"dead man"}
+    assert [entry["thrust"] for entry in after] == sorted(
+        (entry["thrust"] for entry in after), reverse=True
+    ), "thrust comes back after the stop"
+    off = next(entry for entry in after if entry["thrust"] == 0)
+    assert (off["time_ns"] - entries[last]["time_ns"]) * 1e-9 < 0.6 + LATE_S
 
 
 def test_a_lease_that_ends_ends_what_is_being_written(fly, path, stations):

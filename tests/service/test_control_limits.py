@@ -15,7 +15,7 @@ from ports import free_port
 from programs import run_program
 
 from groundstation.errors import GroundStationError, TakenError
-from groundstation.service import control
+from groundstation.service import connections, control
 from groundstation.service.client import Client, ask, live
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.control import BODY_MOST, ControlServer
@@ -117,7 +117,7 @@ def test_a_flood_is_refused_and_soon_over(serve, path, monkeypatch):
 
 
 def test_one_who_never_finishes_a_request_is_cut_off(serve, path, monkeypatch):
-    monkeypatch.setattr(control, "REQUEST_S", 0.3)
+    monkeypatch.setattr(connections, "REQUEST_S", 0.3)
 
     def conversation(station):
         for words in (b"", b"GET /status HTTP/1.1\r\nHost", b"POST /link HTTP/1.1\r\n"
@@ -131,8 +131,14 @@ def test_there_is_a_limit_to_connections_and_room_afterwards(serve, path, monkey
     monkeypatch.setattr(control, "CONNECTIONS_MOST", 5)
 
     def conversation(station):
+        silent = [connect(path) for _ in range(8)]
+        assert ask(path, "GET", "/status")["link"]["name"] == "stand-in", "they make room"
         peers = [connect(path) for _ in range(5)]
-        time.sleep(0.2)
+        for peer in peers:
+            peer.sendall(b"GET /stream HTTP/1.1\r\nHost: x\r\n\r\n")
+        until(lambda: len(station.stream) == 5, "all five hold a place")
+        for one in silent:
+            one.close()
         with pytest.raises(GroundStationError, match=r"503|reset|closed|Broken"):
             ask(path, "GET", "/status")
         for peer in peers:
@@ -144,7 +150,7 @@ def test_there_is_a_limit_to_connections_and_room_afterwards(serve, path, monkey
 
 
 def test_a_stream_client_that_never_reads_costs_its_own_data_only(serve, path, monkeypatch):
-    monkeypatch.setattr(control, "STALL_S", 1.0)
+    monkeypatch.setattr(connections, "STALL_S", 1.0)
 
     def conversation(station):
         deaf = connect(path)

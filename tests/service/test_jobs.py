@@ -1,5 +1,6 @@
 """Jobs of a real station: the commands that people type, on recordings that are there."""
 
+import asyncio
 import json
 import shutil
 
@@ -8,9 +9,10 @@ import pytest
 from installed import RECORDINGS, until
 from served_station import serve
 
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
+from groundstation.service.jobs import Jobs
 
 FLIGHT = "stand_in_flight.mcap"
 ENDED = ("done", "failed", "cancelled")
@@ -114,6 +116,22 @@ def test_a_job_whose_folder_is_deleted_has_failed_and_the_next_one_runs(talk, tm
     talk(conversation)
 
 
+@pytest.mark.parametrize("name", ["../secret.mcap", "{outside}", "jobs/../../secret.mcap", "."])
+@pytest.mark.parametrize("which", ["recordings", "validate"])
+def test_no_name_leads_out_of_the_recordings_folder(tmp_path, name, which):
+    folder, secret = tmp_path / "sessions", tmp_path / "secret.mcap"
+    (folder / "jobs").mkdir(parents=True)
+    for path in (secret, folder / "own.mcap"):
+        path.write_bytes(b"")
+    jobs = Jobs(lambda: folder, lambda kind, text: None)
+    named = {"recordings": ["own.mcap"], "validate": []}
+    jobs.add("fit", **named, model="")
+    named[which] = [name.format(outside=secret)]
+    with pytest.raises(BadInputError, match="no such recording"):
+        jobs.add("fit", **named, model="")
+    assert len(jobs.entries()) == 1
+
+
 @pytest.mark.parametrize(
     ("body", "says"),
     [
@@ -136,3 +154,57 @@ def test_what_is_not_in_the_folder_is_refused(talk, body, says):
         assert ask("GET", "/jobs") == []
 
     talk(conversation)
+
+
+def test_the_name_in_a_job_s_own_file_is_not_believed(talk, tmp_path):
+    jobs = tmp_path / "sessions" / "jobs"
+    (jobs / "2026-01-01T00-00-00-000Z_fit").mkdir(parents=True)
+    entry = {"id": "../../etc", "kind": "fit", "recordings": [], "state": "done"}
+    (jobs / "2026-01-01T00-00-00-000Z_fit" / "job.json").write_text(json.dumps(entry))
+    (found,) = talk(lambda ask: ask("GET", "/jobs"))
+    assert found["id"] == "2026-01-01T00-00-00-000Z_fit"
+
+
+def test_a_job_cancelled_while_it_is_started_ends_and_the_next_one_runs(tmp_path, monkeypatch):
+    (tmp_path / FLIGHT).write_bytes(b"")
+    started = asyncio.Event()
+    begin = asyncio.create_subprocess_exec
+
+    async def slowly(*command, **options):
+        started.set()
+        await asyncio.sleep(0.1)
+        return await begin("sleep", "60", start_new_session=True)
+
+    async def session():
+        jobs = Jobs(lambda: tmp_path, lambda kind, text: None)
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", slowly)
+        job = jobs.add("inspect", [FLIGHT], [], "")
+        running = asyncio.create_task(jobs.run())
+        await started.wait()
+        await jobs.cancel(job.id)
+        started.clear()
+        following = jobs.add("inspect", [FLIGHT], [], "")
+        async with asyncio.timeout(10):
+            await started.wait()
+        await jobs.close()
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        return job.state, following.state
+
+    assert asyncio.run(session()) == ("cancelled", "cancelled")
+
+
+def limits_of_jobs():
+    found = {one.rlimit(psutil.RLIMIT_DATA)[1] for one in processes_of_jobs()}
+    return found - {psutil.RLIM_INFINITY}
+
+
+def test_a_job_has_no_more_than_its_share_of_the_memory(talk):
+    def conversation(ask):
+        name = start(ask, "fit", FLIGHT)
+        limits = until(limits_of_jobs, "it runs and is limited")
+        ask("POST", "/jobs/cancel", {"id": name})
+        return limits
+
+    (limit,) = talk(conversation)
+    assert limit == pytest.approx(0.5 * psutil.virtual_memory().total, rel=0.01)

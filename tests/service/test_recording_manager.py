@@ -146,6 +146,18 @@ def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
     assert len(told) == station.recordings.deleted
 
 
+def test_the_oldest_go_first_and_no_more_of_them_than_must(tmp_path):
+    """By the time in the name: neither size nor the file's own date decides."""
+    names = [f"2026-0{month}-01T00-00-00-000Z_usb.mcap" for month in range(1, 7)]
+    for age, name in enumerate(reversed(names)):
+        (tmp_path / name).write_bytes(b"x" * (100 + age))
+        os.utime(tmp_path / name, (1e9 + age, 1e9 + age))
+    assert delete_oldest(tmp_path, 420, set()) == (names[:2], [])
+    assert sorted(path.name for path in tmp_path.iterdir()) == names[2:]
+    assert delete_oldest(tmp_path, 210, {names[2]}) == (names[3:5], [])
+    assert sorted(path.name for path in tmp_path.iterdir()) == [names[2], names[5]]
+
+
 def test_a_link_that_points_elsewhere_is_never_followed_to_delete(tmp_path):
     folder = tmp_path / "sessions"
     folder.mkdir()

@@ -85,6 +85,28 @@ def live(tmp_path, monkeypatch):
     return living
 
 
+def test_a_recording_begun_before_the_craft_is_there_goes_on_when_it_appears(tmp_path):
+    async def session():
+        recording = RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0)
+        station = Station(Config(link=LinkConfig(name="stand-in"), recording=recording))
+        link = FedLink()
+        link.on_event, link.clock = station.journal.take, station.clock
+        link.present.clear()
+        station.receiver.link = link
+        running = asyncio.create_task(station.run())
+        await until(lambda: link.state is LinkState.OPENING)
+        path = await station.recordings.start()
+        link.present.set()
+        link.queue.put_nowait(flight(0, 100)[1])
+        link.queue.put_nowait(None)
+        await running  # does not fail
+        return path
+
+    path = asyncio.run(session())
+    assert list(path.parent.iterdir()) == [path]
+    assert len(open_recording(path).samples) == 100
+
+
 def pieces(raw, size=37):
     return [
         RawBatch(raw.packets[at : at + size], raw.host_time_ns[at : at + size])

@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from eventually import until
 
 from groundstation.service import supervisor as supervisor_module
 from groundstation.service.config import Config, RecordingConfig
@@ -71,8 +72,7 @@ def test_an_adopted_task_that_fails_is_told_and_counts_as_dead():
 
     async def conversation(supervisor):
         supervisor.adopt("control", asyncio.create_task(broken()))
-        while not supervisor.dead():
-            await asyncio.sleep(0.001)
+        await until(supervisor.dead)
         assert supervisor.dead() == ["control"]
 
     ((name, text),) = run(conversation)

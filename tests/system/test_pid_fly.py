@@ -183,6 +183,16 @@ def test_sigterm_stops_the_motors_and_puts_the_gains_back(station):
     assert station.gain() == STOCK
 
 
+def test_a_flight_that_the_operator_stops_says_so_and_puts_the_gains_back(station):
+    with station.flying("--gains", GAINS, *SHORT) as flight:
+        station.daemon.ask("POST", "/command/stop")
+        _, stderr = flight.communicate(timeout=60)
+    assert flight.returncode == 1
+    assert "Stopped by the operator, motors off" in stderr
+    assert "the former gains are back" in stderr
+    assert station.gain() == STOCK
+
+
 def test_an_impatient_ctrl_c_does_not_keep_the_motors_from_being_stopped(station):
     with station.flying("--gains", GAINS, *SHORT) as flight:
         flight.send_signal(signal.SIGINT)

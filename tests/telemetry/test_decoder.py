@@ -251,6 +251,17 @@ def test_copies_that_disagree_are_outvoted(seed: int, damage: float, loss: float
     assert counts.samples + counts.duplicates + refused == counts.packets == len(reception.sample)
 
 
+@pytest.mark.parametrize("damaged", range(4))
+def test_one_damaged_copy_of_four_is_never_taken_for_the_sample(damaged: int) -> None:
+    sent = encode(*([0] * 2), [[8] * 4], [[1, 2, 3]], [[4, 5, 6]], [[7, 8, 9]], 10)
+    packets = np.repeat(sent, 4, axis=0)
+    packets[damaged, 12] ^= 0x40  # the gyro's, where nothing tells damage
+    stamps = EPOCH_NS + np.arange(4) * (PERIOD_NS // 4)
+    samples, decoder = decode_in_batches(RawBatch(packets, stamps), 4)
+    np.testing.assert_array_equal(packets_of(samples), sent)
+    assert (int(samples.copies[0]), decoder.counts().disagreeing) == (3, 1)
+
+
 @settings(max_examples=30)
 @given(seed=seeds, shift=st.integers(1, 31), length=st.integers(1, 200))
 def test_shifted_bytes_give_no_sample_and_are_counted(seed: int, shift: int, length: int) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -128,6 +128,7 @@ def test_a_reader_that_comes_in_the_middle_misses_what_was_under_way_only(packet
     assert deframer.damaged == 0
 
 
+@example(np.full((1, 32), 7, np.uint8), 40, 3)
 @given(packets_of_any_content, st.integers(0, 1 << 30), st.integers(0, 7))
 def test_any_single_flipped_bit_costs_its_frame_and_at_most_the_next(packets, at, bit):
     before, after = np.full((2, 32), 9, np.uint8), np.full((2, 32), 5, np.uint8)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
+from groundstation.compiled import kernel
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def free_run_errors(
     orders: Any, a: Any, b: Any, inputs: Any, outputs: Any, window: int, first: int, sums: Any
 ) -> None:
@@ -35,7 +35,7 @@ def free_run_errors(
         sums[s] += total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def steps_ahead(
     a: Any, b: Any, nk: int, inputs: Any, outputs: Any, steps: int, first: int, predicted: Any
 ) -> None:
@@ -57,7 +57,7 @@ def steps_ahead(
         predicted[t] = y
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def step_turns_one_way(a: Any, b: Any, nk: int, settled: int, rows: int) -> bool:
     """Whether the response to a unit step stays positive and never falls, from row ``nk`` +
     ``settled`` on for ``rows`` rows after the delay. a: (4,), b: (nb,)."""

@@ -10,10 +10,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from groundstation.compiled import kernel, spliced
 from groundstation.dynamics.chains import call_law
-from groundstation.dynamics.compiled import kernel, spliced
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.law import STATE_SLOTS
 from groundstation.dynamics.quaternion import to_body, to_inertial
@@ -73,7 +72,7 @@ def run_law(
         out[k] = x[:numbers]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def predict_rates(
     gyro: Any,
     known: Any,
@@ -149,7 +148,7 @@ def body_velocity(
         az -= gravity
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def carried_rotation(reported: Any, gyro: Any, period: float, follow_s: float, out: Any) -> None:
     """Rotation matrices (n, 3, 3), body to inertial, that the gyro (n, 3) carries on from the
     first row.
@@ -191,7 +190,7 @@ def carried_rotation(reported: Any, gyro: Any, period: float, follow_s: float, o
         out[k] = m
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def linear_filter(
     to: Any, of: Any, weight: Any, start: Any, first: int, values: Any, out: Any
 ) -> None:
@@ -219,7 +218,7 @@ def linear_filter(
             given[states + axes + i] = values[k, i]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def axes_filter(step: Any, start: Any, first: int, values: Any, out: Any) -> None:
     """``linear_filter`` of one filter of second order on each of three axes: step (3, 4), start
     (2, 3). Three chains side by side take as long as one."""
@@ -244,7 +243,7 @@ def axes_filter(step: Any, start: Any, first: int, values: Any, out: Any) -> Non
         ux, uy, uz = x, y, z
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def first_order(values: Any, keep: float, out: Any) -> None:
     """y_k = keep y_(k-1) + (1 - keep) x_k along the rows of (n, m), settled at the first."""
     for j in range(values.shape[1]):
@@ -254,7 +253,7 @@ def first_order(values: Any, keep: float, out: Any) -> None:
             out[k, j] = state
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def late_rotors(
     end: Any, square: Any, late: float, period: float, mean: Any, last: Any, rotor: Any, slope: Any
 ) -> None:

@@ -29,7 +29,7 @@ from groundstation.identification.motor.problem import (
     robust_spread,
 )
 from groundstation.identification.motor.rotor_speed import speed_from_gate
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 
 Array = NDArray[np.float64]
 
@@ -76,6 +76,7 @@ def bench_run(run: Run, motor: int = 0) -> MotorRun:
 
     motor: index of the motor that carries the gate.
     """
+    require_known(run, ("duty", "supply_v"), "the motor model needs both")
     reading = speed_from_gate(run)
     voltage = armature_mv(run.duty, run.supply_v)[:, motor]
     return MotorRun(

@@ -31,7 +31,7 @@ from groundstation.identification.motor.rotors import (
     simulate_rotor,
     validate_rotor,
 )
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 
 Array = NDArray[np.float64]
 Four = list[MotorRun | None]
@@ -169,10 +169,7 @@ def rotor_runs(runs: Sequence[Run]) -> tuple[list[Four], list[str]]:
     left_out: list[str] = []
     for run in runs:
         voltage = armature_mv(run.duty, run.supply_v)
-        if not np.isfinite(voltage).all():
-            raise BadInputError(
-                f"{run.name}: PWM or battery voltage is missing in some rows; the motors need both"
-            )
+        require_known(run, ("duty", "supply_v"), "the motors need it")
         readings = rotor_readings(run)
         left_out += readings.left_out
         nothing = np.zeros(len(run))

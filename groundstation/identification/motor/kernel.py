@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from groundstation.compiled import kernel, spliced
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def motor_sensitivities(
     constants: Any, voltage: Any, period: float, start: float, speed: Any, sensitivity: Any
 ) -> None:
@@ -46,7 +47,7 @@ def motor_sensitivities(
         sensitivity[k, 2], sensitivity[k, 3] = s2, s3
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def flawed_sensitivities(
     constants: Any, voltage: Any, period: float, start: float, speed: Any, sensitivity: Any
 ) -> None:
@@ -98,7 +99,7 @@ def flawed_sensitivities(
         sensitivity[k] = s
 
 
-@njit(nogil=True, error_model="numpy", inline="always")
+@spliced
 def _step(
     s: float,
     h: float,
@@ -118,7 +119,7 @@ def _step(
     return s + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def motor_normal_equations(
     speed: Any,
     sensitivity: Any,

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.dynamics.motor import each_motor, simulate_motor
 from groundstation.dynamics.vehicle import MotorConstants, Motors, Vehicle
-from groundstation.errors import BadInputError
 from groundstation.identification.estimate import inverse, rms, sandwich
 from groundstation.identification.motor.fit import MotorFit, bench_run, fit_motor
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.battery_rhythm import held, reading_rhythm
 
 Array = NDArray[np.float64]
@@ -99,11 +98,7 @@ def undo_supply(
     """
     found, estimates = [], []
     for run in runs:
-        if not (np.isfinite(run.duty).all() and np.isfinite(run.supply_v).all()):
-            raise BadInputError(
-                f"{run.name}: PWM or battery voltage is missing in some rows; a supply cannot be"
-                " modelled without them"
-            )
+        require_known(run, ("duty", "supply_v"), "a supply cannot be modelled without it")
         estimate = estimate_supply(run, motor, vehicle, effects)
         found.append(replace(run, supply_v=estimate.motors_v))
         estimates.append(estimate)

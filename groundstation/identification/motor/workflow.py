@@ -42,7 +42,7 @@ from groundstation.identification.motor.supply import (
     supply_terms,
 )
 from groundstation.identification.preparation import bench_preparation
-from groundstation.identification.runs import Run
+from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.spans import spans
 
@@ -156,8 +156,7 @@ def _driven(
 def _turning(runs: Sequence[Run], selection: Selection) -> list[Run]:
     """The stretches with turning motors, without their start; of these, what is selected."""
     for run in runs:
-        if not np.isfinite(run.duty).all():
-            raise BadInputError(f"{run.name}: the PWM is missing in some rows")
+        require_known(run, ("duty",), "the motor needs it")
     parts = [
         part[round(START_S / part.period_s) :]
         for run in runs

@@ -63,15 +63,42 @@ function recordingRow(one, use) {
     link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
 }
 
+const LOADING_MOST = 2; // of the six requests that a browser has for all its pages, Stop among them
+const waiting = [];
+let loading = 0;
+
+function loadNext() {
+  while (loading < LOADING_MOST && waiting.length) {
+    const { made, src } = waiting.shift();
+    loading += 1;
+    for (const end of ["load", "error"]) made.addEventListener(end, ended, { once: true });
+    made.src = src;
+  }
+}
+
+function ended() {
+  loading -= 1;
+  loadNext();
+}
+
+const seen = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    if (!isIntersecting) continue;
+    seen.unobserve(target);
+    waiting.push({ made: target, src: target.dataset.src });
+  }
+  loadNext();
+});
+
 function picture(one) {
   if (pictures.has(one.file)) return pictures.get(one.file); // rows are made anew, these are not
   const made = document.createElement("img");
-  made.loading = "lazy"; // drawn by the daemon when somebody looks
   made.width = 160;
   made.height = 40;
   made.alt = `Motors, roll and pitch of ${one.file}`;
   pictures.set(one.file, made);
-  made.src = `file/thumbnail/${encodeURIComponent(one.file)}`;
+  made.dataset.src = `file/thumbnail/${encodeURIComponent(one.file)}`;
+  seen.observe(made); // drawn by the daemon when somebody looks
   return made;
 }
 

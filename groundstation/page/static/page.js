@@ -108,8 +108,9 @@ function showStatus(status) {
   at("doing").hidden = at("doing-title").hidden = !link.doing;
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
     + (command.client ? `, ${command.client} commands` : ""));
+  at("stop-why").className = command && !command.out_of_reach ? "soft" : "bad";
   write("stop-why", !command ? "No command link: these motors cannot be stopped from here."
-    : command.state === "connected" ? "At once, whoever commands." : `The command link is ${command.state}.`);
+    : command.out_of_reach ? `${command.out_of_reach}.` : command.state === "connected" ? "At once, whoever commands." : `The command link is ${command.state}.`);
   at("stop").disabled = !command;
   at("level").disabled = !command?.client;
   const connected = command?.state === "connected";
@@ -206,7 +207,7 @@ async function change(path, content, done) {
       body: content === null ? null : JSON.stringify(content),
     });
     const found = await answer.json();
-    write("said", answer.ok ? done : found.error);
+    write("said", answer.ok ? (found.motors ? `Motors: ${found.motors}.` : done) : found.error);
     return answer.ok ? found : null;
   } catch {
     write("said", "No answer: it is not known whether this was done.");
@@ -264,8 +265,12 @@ at("disarm").addEventListener("click", () =>
 at("recover").addEventListener("click", () =>
   change("/command/recover", null, "The craft has recovered."));
 
+let looking = false; // one request at a time: a browser has six for everything, Stop too
+
 /** What there is to choose from, asked for when somebody is about to choose. */
 async function offer() {
+  if (looking) return;
+  looking = true;
   try {
     const answer = await fetch("devices");
     if (!answer.ok) return;
@@ -274,7 +279,7 @@ async function offer() {
     for (const [id, names] of [["links", links], ["commands", commands]]) {
       at(id).replaceChildren(...names.map((name) => new Option(described(name), name)));
     }
-  } catch { /* the alarms say so */ }
+  } catch { /* the alarms say so */ } finally { looking = false; }
 }
 for (const id of ["link-name", "command-uri"]) at(id).addEventListener("focus", offer);
 

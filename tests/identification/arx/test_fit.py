@@ -73,6 +73,9 @@ def test_one_gram_matrix_gives_the_least_squares_of_every_structure():
         theta, left, *_ = np.linalg.lstsq(regressors / scale, data.outputs[rows], rcond=None)
         np.testing.assert_allclose([*axis.a, *axis.b], theta / scale, rtol=1e-4)
         assert candidate.rms_step == pytest.approx(np.sqrt(left[0] / len(rows)), rel=1e-4)
+        spread = np.linalg.inv((regressors / scale).T @ (regressors / scale))
+        variance = left[0] / (len(rows) - len(theta)) * np.diag(spread)
+        np.testing.assert_allclose(candidate.stderr, np.sqrt(variance) / scale, rtol=1e-3)
 
 
 @pytest.mark.parametrize("criterion", list(Criterion))

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from usb_device import UsbBridge
+from usbip import attach, serve
 
-from firmware_sim.usb_device import UsbBridge
-from firmware_sim.usbip import attach, serve
 from groundstation.errors import LinkError, LinkLostError
 from groundstation.telemetry.bridge_usb import FRAME_S
 

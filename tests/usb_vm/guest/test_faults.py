@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from emulated_bridge import EmulatedBridge, RecordedFlight, open_when_there
 from link_contract import joined
+from usb_device import Fault, FaultKind
 
-from firmware_sim.usb_device import Fault, FaultKind
 from groundstation.errors import LinkLostError
 from groundstation.links.usb import UsbLink
 from groundstation.links.usb_ring import FRAMES

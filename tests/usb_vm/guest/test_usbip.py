@@ -1,4 +1,4 @@
-"""The stand-in's bridge as docs/hardware.md has users try it: ``python -m firmware_sim --usb``,
+"""The software craft's bridge as docs/hardware.md has users try it: ``tests/helpers/usbip.py``,
 plugged into this machine's kernel, or attached to it by the real ``usbip`` tool."""
 
 import asyncio
@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 
+import usbip as program
 from emulated_bridge import OUT, open_when_there, read_until_lost
 from link_contract import joined, read_span
 
@@ -23,7 +24,7 @@ def craft(where):
     """The software craft behind a sound radio; what it says at its end is for the test."""
     settings = OUT / "sound_flight.toml"
     with subprocess.Popen(
-        [sys.executable, "-m", "firmware_sim", "--usb", where, "--settings", settings],
+        [sys.executable, program.__file__, where, "--settings", settings],
         stdout=subprocess.PIPE, text=True,
         env={**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CACHE_DIR": str(OUT / "numba")},
     ) as process:  # fmt: skip

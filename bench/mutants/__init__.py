@@ -1,0 +1,1 @@
+"""Faults that the short suite must notice, put in one at a time: ``make mutants``."""

@@ -1,0 +1,136 @@
+"""What makes a figure honest: intervals, gates, rows that no fit has seen."""
+
+from bench.mutants.fault import Fault
+
+_ESTIMATE = "groundstation/identification/estimate.py"
+_ESTIMATES = "tests/identification/test_estimate.py"
+_DIVISION = "groundstation/identification/division.py"
+_DIVISIONS = "tests/identification/test_division.py"
+_JUDGED = "groundstation/discrepancy/division.py"
+_JUDGED_TESTS = "tests/discrepancy/test_division.py"
+_GATES = "groundstation/discrepancy/acceptance.py"
+_GATE_TESTS = "tests/discrepancy/test_acceptance.py"
+
+FAULTS = (
+    Fault(
+        "small-standard-errors",
+        "standard errors are 30 % too small",
+        _ESTIMATE,
+        "return np.sqrt(np.diag(self.covariance))",
+        "return 0.7 * np.sqrt(np.diag(self.covariance))",
+        (_ESTIMATES,),
+        least=2,
+    ),
+    Fault(
+        "small-sandwich",
+        "errors that are correlated in time count as half of what they are",
+        _ESTIMATE,
+        "meat = scores.T @ scores * (blocks / max(blocks - count, 1))",
+        "meat = scores.T @ scores * 0.5",
+        (_ESTIMATES,),
+        least=2,
+    ),
+    Fault(
+        "narrow-intervals",
+        "95 % intervals hold the truth in 90 % of cases",
+        _ESTIMATE,
+        "t.ppf(0.5 + 0.5 * probability, self.degrees_of_freedom)",
+        "t.ppf(probability, self.degrees_of_freedom)",
+        (_ESTIMATES,),
+        least=2,
+    ),
+    Fault(
+        "small-errors-of-arx",
+        "standard errors of polynomials are 30 % too small",
+        "groundstation/identification/arx/fit.py",
+        "variance = left / max(rows - len(chosen), 1)",
+        "variance = 0.5 * left / max(rows - len(chosen), 1)",
+        (
+            "tests/identification/arx/test_fit.py::test_one_gram_matrix_gives_the_least_squares_of_every_structure",
+        ),
+    ),
+    Fault(
+        "held-out-rows-fitted",
+        "rows that judge the fit are fitted",
+        _DIVISION,
+        "                fitted.append((at, a))",
+        "                fitted.append((at, b))",
+        (f"{_DIVISIONS}::test_every_row_is_fitted_or_held_out_once",),
+    ),
+    Fault(
+        "last-third-fitted",
+        "the fit sees the whole run of which the last third judges it",
+        _DIVISION,
+        "        fit_on += [run[a:b] for a, b in fitted]\n",
+        "        fit_on += [run for _ in fitted]\n",
+        (f"{_DIVISIONS}::test_the_last_third_of_several_runs_cuts_one_of_them",),
+    ),
+    Fault(
+        "search-sees-the-proof",
+        "a search fits the rows that prove it",
+        _JUDGED,
+        "fit_on += [one.run[a:b] for a, b in one.with_ground(fitted)]",
+        "fit_on += [one.run for a, b in one.with_ground(fitted)]",
+        (f"{_JUDGED_TESTS}::test_the_last_third_is_held_out_where_it_serves",),
+    ),
+    Fault(
+        "short-flight-fitted-whole",
+        "a short flight is fitted and judged on the same rows",
+        _JUDGED,
+        "return Division([*fit_on, run[:edge]], [run[edge:]]",
+        "return Division([*fit_on, run], [run[edge:]]",
+        (
+            f"{_JUDGED_TESTS}::test_of_one_flight_that_is_no_three_pieces_long_the_last_seconds_are_held_out",
+        ),
+    ),
+    Fault(
+        "gate-of-significance",
+        "what chance can do has a name",
+        _GATES,
+        "enough = evidence.drop >= least and evidence.t >= LEAST_T",
+        "enough = evidence.drop >= least or evidence.t >= LEAST_T",
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
+    ),
+    Fault(
+        "gate-of-held-out-rows",
+        "a name is believed that predicts nothing new",
+        _GATES,
+        "enough = evidence.held_out >= max(LEAST_HELD_OUT, HELD_OUT_SHARE * evidence.expected)",
+        "enough = True",
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
+    ),
+    Fault(
+        "gate-of-plausible-sizes",
+        "a size that no craft has is believed",
+        _GATES,
+        "if not ends and plausible(trial.variant, point):",
+        "if not ends:",
+        (f"{_GATE_TESTS}::test_evidence_has_to_be_plausible_strong_and_hold_on_other_rows",),
+    ),
+    Fault(
+        "gate-of-the-superfluous",
+        "an effect stays that the others explain as well",
+        _GATES,
+        'return "superfluous once another effect had joined" if trial.removal < KEEP else ""',
+        'return ""',
+        (f"{_GATE_TESTS}::test_what_the_others_do_as_well_without_leaves",),
+    ),
+    Fault(
+        "gate-of-the-drowned",
+        "a hundredth of what is wrong is given a name",
+        _GATES,
+        'return "small beside a structure that nothing explains" if small else ""',
+        'return ""',
+        (f"{_GATE_TESTS}::test_a_name_for_a_hundredth_of_what_is_wrong_is_no_explanation",),
+    ),
+    Fault(
+        "gap-of-the-mean",
+        "one channel that is predicted badly does not show in the gap",
+        "groundstation/comparison/gap.py",
+        "return float(np.sqrt(np.mean(ratio[known] ** 2))) if known.any()",
+        "return float(np.min(ratio[known])) if known.any()",
+        (
+            "tests/comparison/test_gap.py::test_all_channels_in_one_number_leave_out_what_is_not_there",
+        ),
+    ),
+)

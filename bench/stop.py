@@ -1,0 +1,185 @@
+"""How long a Stop that is pressed on the page takes until zero thrust is handed to the radio.
+
+A daemon that flies the software craft, with a page, and what keeps the page busy beside it. The end
+is the time of the event that the daemon notes behind its setpoint; the largest of ``PRESSES``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import multiprocessing
+import os
+import re
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from bench.table import Row
+from groundstation.errors import GroundStationError
+from groundstation.service.client import ask
+
+PRESSES, EVERY_S, SETTLE_S = 40, 0.1, 2.0
+MOST_S = 0.3
+PAGE_PORT, COMMAND_PORT = 19081, 19851
+FLOOD, SILENT = 6, 230
+PATIENCE_S = 60.0
+
+
+def rows() -> Iterator[Row]:
+    with tempfile.TemporaryDirectory(prefix="bench-") as name, _daemon(Path(name)) as control:
+        browser = _Browser(control)
+        for _ in range(FLOOD):
+            time.sleep(0.5)
+            ask(control, "POST", "/record/stop")
+            ask(control, "POST", "/record/start")
+        pictures = [f"/file/thumbnail/{one['file']}" for one in ask(control, "GET", "/recordings")]
+        pictures = pictures[:FLOOD]
+        drawn = Path(name) / "sessions" / "thumbnails"
+
+        def thumbnails(number: int) -> None:
+            for picture in drawn.glob("*.svg"):
+                picture.unlink(missing_ok=True)
+            browser.get(pictures[number % len(pictures)])
+
+        loads: list[tuple[str, list[Callable[[int], None]], bool]] = [
+            ("idle", [], False),
+            ("six thumbnails", [thumbnails], False),
+            ("six device scans", [lambda number: browser.get("/devices")], False),
+            (
+                "a flood of wrong tokens",
+                [lambda number: browser.get("/?token=x", bare=True)],
+                False,
+            ),
+            (f"{SILENT} silent connections", [], True),
+        ]
+        every = [load for _, load_of, _ in loads for load in load_of]
+        loads.append(("all of them, and both cores busy", every, True))
+        for what, work, silent in loads:
+            busy = os.cpu_count() if len(work) > 1 else 0
+            with _under(work, silent, busy or 0):
+                time.sleep(SETTLE_S)
+                took_s = [_press(control, browser) for _ in range(PRESSES)]
+            took_s.sort()
+            yield Row(f"Stop, {what}: largest of {PRESSES}", took_s[-1], None, "s", most=MOST_S)
+            yield Row(f"Stop, {what}: median", took_s[PRESSES // 2], None, "s")
+
+
+class _Browser:
+    """One that was let in."""
+
+    def __init__(self, control: Path) -> None:
+        parts = urlsplit(_address(control))
+        answer = self._ask("GET", f"{parts.path}?{parts.query}", {})
+        self._cookie = {"Cookie": str(answer.headers["set-cookie"]).split(";")[0]}
+        document = self._ask("GET", "/", self._cookie).read().decode()
+        found = re.search(r'name="change-token" content="([^"]+)"', document)
+        assert found is not None
+        origin = f"http://127.0.0.1:{PAGE_PORT}"
+        self._change = {**self._cookie, "Origin": origin, "X-Change-Token": found[1]}
+
+    def get(self, path: str, *, bare: bool = False) -> None:
+        with contextlib.suppress(OSError, http.client.HTTPException):
+            self._ask("GET", path, {} if bare else self._cookie).read()
+
+    def stop(self) -> None:
+        self._ask("POST", "/do/command/stop", self._change).read()
+
+    def _ask(self, method: str, path: str, headers: dict[str, str]) -> http.client.HTTPResponse:
+        connection = http.client.HTTPConnection("127.0.0.1", PAGE_PORT, timeout=PATIENCE_S)
+        connection.request(method, path, headers=headers)
+        return connection.getresponse()
+
+
+def _press(control: Path, browser: _Browser) -> float:
+    pressed_ns = time.time_ns()
+    browser.stop()
+    stops = [one for one in ask(control, "GET", "/events") if one["kind"] == "stop"]
+    time.sleep(EVERY_S)
+    if not stops or stops[-1]["time_ns"] < pressed_ns:
+        return PATIENCE_S  # it never came
+    return float(stops[-1]["time_ns"] - pressed_ns) * 1e-9
+
+
+@contextlib.contextmanager
+def _under(work: list[Callable[[int], None]], silent: bool, busy: int) -> Iterator[None]:
+    ended = threading.Event()
+
+    def keep(load: Callable[[int], None], number: int) -> None:
+        while not ended.is_set():
+            load(number)
+
+    threads = [
+        threading.Thread(target=keep, args=(load, number), daemon=True)
+        for load in work
+        for number in range(FLOOD)
+    ]
+    spinning = [multiprocessing.Process(target=_spin, daemon=True) for _ in range(busy)]
+    sitting: list[socket.socket] = []
+    if silent:
+        threads.append(threading.Thread(target=_sit, args=(sitting, ended), daemon=True))
+    for one in (*threads, *spinning):
+        one.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for process in spinning:
+            process.terminate()
+        for one in threads:
+            one.join(PATIENCE_S)
+        for connection in sitting:
+            connection.close()
+
+
+def _sit(sitting: list[socket.socket], ended: threading.Event) -> None:
+    """Connections that say nothing, each begun anew when it is cut off."""
+    while not ended.wait(0.01):
+        if len(sitting) >= SILENT:
+            sitting.pop(0).close()
+        with contextlib.suppress(OSError):
+            sitting.append(socket.create_connection(("127.0.0.1", PAGE_PORT), 5.0))
+
+
+def _spin() -> None:
+    while True:
+        pass
+
+
+@contextlib.contextmanager
+def _daemon(folder: Path) -> Iterator[Path]:
+    control = folder / "control.sock"
+    daemon = subprocess.Popen(
+        [Path(sys.executable).with_name("groundstation"), "run", "--link", "stand-in",
+         "--command", f"udp://127.0.0.1:{COMMAND_PORT}", "--viewer", "off", "--page",
+         "--page-port", str(PAGE_PORT), "--recordings", folder / "sessions"],
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        _wait(control, lambda status: status["command"]["state"] == "connected")
+        yield control
+    finally:
+        daemon.terminate()
+        daemon.wait(30)
+
+
+def _address(control: Path) -> str:
+    _wait(control, lambda status: status["page"]["state"] == "serving")
+    return str(ask(control, "POST", "/page/address")["url"])
+
+
+def _wait(control: Path, holds: Callable[[dict], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
+        with contextlib.suppress(GroundStationError):
+            if holds(ask(control, "GET", "/status")):
+                return
+        time.sleep(0.2)
+    raise GroundStationError("bench: the daemon is not ready")

@@ -1,0 +1,94 @@
+"""What waits for the radio, and for how long it is worth sending."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+LOCKS_AFTER_S = 2.0
+"""Today's firmware stops a craft that heard no setpoint for so long, and locks its thrust."""
+REQUESTS_MOST = 8
+"""Requests to arm, disarm and stop; the oldest is dropped, for the newest is what is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Setpoint:
+    """until_s: monotonic; later it is worth nothing. unlocks: whether it holds thrust, which may
+    have to be unlocked first."""
+
+    send: Callable[[], None]
+    until_s: float
+    unlocks: bool
+
+
+class Outbox:
+    """The newest setpoint, and the requests in their order; safe to use from any thread.
+
+    unlock: sends zero thrust, for a firmware that takes thrust only after it, again after each
+    silence; None for one that does not. clock: monotonic, s. expired: setpoints that had grown too
+    old to be sent.
+    """
+
+    def __init__(
+        self, unlock: Callable[[], None] | None, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.expired = 0
+        self._unlock, self._clock = unlock, clock
+        self._sent_s = -LOCKS_AFTER_S
+        self._setpoint: _Setpoint | None = None
+        self._requests: deque[Callable[[], None]] = deque(maxlen=REQUESTS_MOST)
+        self._changed = threading.Condition()
+        self._closing = False
+
+    def put(self, send: Callable[[], None], until_s: float, *, unlocks: bool = True) -> bool:
+        """A setpoint, in the place of one that still waits; whether there was one."""
+        with self._changed:
+            replaced = self._setpoint is not None
+            self._setpoint = _Setpoint(send, until_s, unlocks)
+            self._changed.notify()
+        return replaced
+
+    def request(self, send: Callable[[], None]) -> None:
+        """Something that is sent before the setpoint that waits."""
+        with self._changed:
+            self._requests.append(send)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """What waits is still sent."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+
+    def wait(self) -> bool:
+        """Until something is to be sent; False when nothing will be any more."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._requests or self._setpoint is not None or self._closing
+            )
+            return bool(self._requests) or self._setpoint is not None
+
+    def send(self) -> None:
+        """Send what waits; may block for as long as the radio does."""
+        with self._changed:
+            requests = list(self._requests)
+            self._requests.clear()
+        for request in requests:
+            request()
+        with self._changed:
+            setpoint, self._setpoint = self._setpoint, None
+        if setpoint is None:
+            return
+        silent_s = self._clock() - self._sent_s
+        if self._unlock is not None and setpoint.unlocks and silent_s >= LOCKS_AFTER_S:
+            self._unlock()
+        # the last moment before the radio has it: a process may have stood still anywhere above
+        if self._clock() > setpoint.until_s:
+            self.expired += 1
+            return
+        setpoint.send()
+        if setpoint.unlocks:
+            self._sent_s = self._clock()

@@ -1,0 +1,51 @@
+"""Gains that no motor follows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.control.actuators import most_control, reason_not_followed
+from groundstation.control.pid import PidGains
+from groundstation.control.thesis_loop import Body, counts_per_control, run_whole
+from groundstation.dynamics.mixer import PWM_FULL
+from groundstation.dynamics.model import load_model
+
+MODEL = load_model(Path(__file__).parent / "data" / "body.json")
+
+
+def test_gains_that_leave_the_motors_room_are_followed():
+    counts = counts_per_control(MODEL)[0]
+    calm = PidGains(38.5 / counts, 0.04 / counts, 21.3 / counts)
+    assert reason_not_followed(MODEL, calm, "roll") == ""
+
+
+@pytest.mark.parametrize(
+    ("axis", "gains", "said"),
+    [
+        ("yaw", PidGains(7.5e6, 0.0, 1e5), "instead of 0"),  # of polynomials of held angles
+        ("roll", PidGains(1.53e6, 0.0, 10200.0), "behind which the loop is unstable"),  # Table 8.3
+        ("yaw", PidGains(217.0, 21.0, 1.46e5), "the angle misses the step by 0"),
+    ],
+)
+def test_gains_that_no_motor_follows_are_told_with_what_they_ask_and_what_there_is(
+    axis, gains, said
+):
+    reason = reason_not_followed(MODEL, gains, axis)
+    assert reason.startswith(f"{axis}: kp {gains.kp:.3g}, kd {gains.kd:.3g} ask u' = ")
+    assert "lag of 102 ms" in reason
+    assert said in reason
+
+
+def test_the_most_control_is_what_full_motors_on_one_side_give():
+    speeds = []
+    for thrust in (PWM_FULL, None):
+        kept = run_whole(
+            MODEL, [PidGains(0.0)] * 3, np.zeros((2000, 3)), Body.RIGID, thrust=thrust
+        ).pwm[-1, 0]
+        a0, a1, a2 = (getattr(MODEL.motor, name) for name in ("a0", "a1", "a2"))
+        speeds.append(np.roots([a2, a1, -a0 * 3700.0 * kept / PWM_FULL]).max())
+    full, hover = speeds
+    expected = 2 * min(full**2 - hover**2, hover**2)
+    assert most_control(MODEL, "roll") == pytest.approx(expected, rel=0.02)
+    assert most_control(MODEL, "yaw") == pytest.approx(2 * expected, rel=0.02)

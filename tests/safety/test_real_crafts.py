@@ -1,0 +1,44 @@
+"""The daemon between two crafts, over cflib and UDP."""
+
+import asyncio
+
+from eventually import until
+from served_craft import served
+
+from groundstation.links.command import CommandState
+from groundstation.service import overview
+from groundstation.service.config import Config, LinkConfig, RecordingConfig
+from groundstation.service.motor_stop import STOPPED
+from groundstation.service.station import Station
+
+
+def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
+    """One connection carries both; a craft that is heard and commanded elsewhere is named."""
+
+    async def session(one, other):
+        station = Station(
+            Config(
+                link=LinkConfig(name=one.uri),
+                recording=RecordingConfig(folder=str(tmp_path), enabled=False),
+            )
+        )
+        commander = station.commander
+        running = asyncio.create_task(station.run())
+        try:
+            await until(lambda: commander.link.state is CommandState.CONNECTED, "connected")
+            await station.switch_link(other.uri)
+            assert commander.link.uri == other.uri
+            await until(lambda: commander.link.state is CommandState.CONNECTED, "connected again")
+            assert await commander.stop() == STOPPED
+            assert overview.status(station)["command"]["out_of_reach"] == ""
+            await station.craft.connect_command(one.uri)
+            (reason,) = [text for text in overview.problems(station) if "stopped from here" in text]
+            assert other.uri in reason
+            assert one.uri in reason
+        finally:
+            station.stop()
+            await running
+
+    settings = {"craft": "crazyflie21", "plant": "reduced"}
+    with served(**settings) as one, served(**settings) as other:
+        asyncio.run(session(one, other))

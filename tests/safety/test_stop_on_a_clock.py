@@ -1,0 +1,263 @@
+"""Dead man, lease, age of setpoints and what follows a stop, on a clock that the test turns."""
+
+import asyncio
+
+import pytest
+from craft_in_hand import World
+
+from groundstation.errors import LinkError, NotAuthorisedError, TakenError
+from groundstation.links.base import LinkState
+from groundstation.service.commander import WATCH_S, Commander
+from groundstation.service.config import DeadManConfig
+from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
+
+HOVER = 40000
+
+
+class Flying:
+    """A daemon's commander, two crafts, and the loop that they share."""
+
+    def __init__(self, kind):
+        self.world = World()
+        self.one, self.other = (self.world.craft(name, kind) for name in ("one:1", "other:2"))
+        self.told = []
+        self.commander = Commander(
+            self.one,
+            DeadManConfig(),
+            note=lambda kind, text: self.told.append(text),
+            telemetry=lambda: (LinkState.STREAMING, ""),
+            motors=lambda link: link.motors(),
+            clock=self.world.time,
+        )
+        self.wait(0.2)  # they have said what state they are in
+
+    def run(self, work):
+        return self.world.run_until_complete(work)
+
+    def wait(self, seconds):
+        """As the daemon does: the loop turns, the dead man looks."""
+
+        async def turning():
+            end_s = self.world.now_s + seconds
+            while self.world.now_s < end_s:
+                self.commander.turn(self.world.now_s)
+                self.commander.look(self.world.now_s)
+                await asyncio.sleep(WATCH_S)
+
+        self.run(turning())
+
+    def steer(self, token, seconds, thrust=HOVER):
+        end_s = self.world.now_s + seconds
+        while self.world.now_s < end_s:
+            self.commander.setpoint(token, 0.0, 0.0, 0.0, thrust, None, self.world.now_s)
+            self.wait(0.05)
+
+    def stopped(self):
+        """What an operator who presses Stop is told."""
+
+        async def stop():
+            asked = asyncio.ensure_future(self.commander.stop())
+            while not asked.done():
+                self.commander.look(self.world.now_s)
+                await asyncio.sleep(WATCH_S)
+            return asked.result()
+
+        return self.run(stop())
+
+
+@pytest.fixture
+def flying(request):
+    made = Flying(getattr(request, "param", "crazyflie21"))
+    yield made
+    made.world.close()
+
+
+def lease(flying, client="a program"):
+    return flying.commander.acquire(client).token
+
+
+def thrusts(craft, since_s):
+    return [one.value for one in craft.delivered
+            if one.kind == "setpoint" and one.at_s > since_s]  # fmt: skip
+
+
+def test_a_client_that_falls_silent_means_level_and_then_motors_off(flying):
+    token = lease(flying)
+    flying.steer(token, 0.5)
+    last_s = flying.world.now_s - 0.05
+    flying.wait(0.3)
+    assert any("level attitude" in text for text in flying.told)
+    assert flying.one.turns
+    flying.wait(0.5)
+    assert max(thrusts(flying.one, last_s + 0.6 + 2 * WATCH_S)) == 0
+    assert not flying.one.turns
+    with pytest.raises(NotAuthorisedError, match="no setpoint came in time"):
+        flying.commander.setpoint(token, 0, 0, 0, HOVER)
+
+
+def test_a_lease_ends_by_the_clock_though_nobody_has_looked(flying):
+    token = lease(flying)
+    flying.world.pass_time(4.9)
+    flying.commander.keep(token)
+    flying.world.pass_time(5.1)
+    with pytest.raises(NotAuthorisedError, match="silent for 5 s"):
+        flying.commander.keep(token)
+    assert lease(flying, "another"), "an ended lease keeps another client out"
+
+
+def test_a_setpoint_that_was_made_too_long_ago_is_refused(flying):
+    token = lease(flying)
+    with pytest.raises(LinkError, match="too old"):
+        flying.commander.setpoint(token, 0, 0, 0, HOVER, None, flying.world.now_s - 0.6)
+    flying.wait(0.2)
+    assert thrusts(flying.one, 0.0) == []
+
+
+def test_a_setpoint_grows_old_while_the_radio_takes_nothing(flying):
+    token = lease(flying)
+    flying.steer(token, 0.3, thrust=0)
+    flying.one.stalls = True
+    begun_s = flying.world.now_s
+    flying.commander.setpoint(token, 0, 0, 0, HOVER, None, begun_s)
+    flying.world.pass_time(0.55)
+    flying.one.stalls = False
+    flying.world.pass_time(0.1)
+    assert thrusts(flying.one, begun_s) == []
+    assert flying.one.outbox.expired == 1
+
+
+@pytest.mark.parametrize("stood_s", [1.0, 4.0])
+def test_what_was_said_before_the_daemon_stood_still_turns_no_motor(flying, stood_s):
+    """The client is dead, its setpoint waits in a socket, and its lease may still be in force."""
+    token = lease(flying)
+    flying.steer(token, 0.3, thrust=0)
+    flying.world.pass_time(stood_s)
+    for turned in (False, True):  # the loop that wakes may hear it before or after its own clock
+        if turned:
+            flying.commander.turn(flying.world.now_s)
+        with pytest.raises(LinkError, match="stood still"):
+            flying.commander.setpoint(token, 0, 0, 0, HOVER)
+    flying.commander.setpoint(token, 0, 0, 0, 0)  # no thrust is never too old
+    flying.wait(0.6)
+    flying.commander.setpoint(token, 0, 0, 0, HOVER)
+
+
+def tried(craft):
+    """What was sent besides setpoints."""
+    return [(one.kind, one.value) for one in craft.delivered if one.kind != "setpoint"]
+
+
+def escalation(flying):
+    return [text.partition(": ")[2] for text in flying.told if STILL_TURN in text]
+
+
+def test_motors_that_go_on_turning_are_stopped_by_the_firmware(flying):
+    """Another program commands the craft, too; a brushed one that is disarmed arms itself again."""
+    flying.steer(lease(flying), 0.5)
+    flying.one.held = HOVER
+    asked_s = flying.world.now_s
+    assert flying.stopped() == STOPPED
+    assert tried(flying.one) == [("emergency stop", 1)]
+    assert escalation(flying) == ["asked again", "emergency stop"]
+    assert 1.0 < flying.world.now_s - asked_s < 1.5
+    assert not flying.one.turns
+
+
+@pytest.mark.parametrize("flying", ["brushless"], indirect=True)
+def test_motors_that_are_armed_by_request_are_disarmed_again_before_that(flying):
+    flying.run(flying.commander.arm(True))
+    flying.steer(lease(flying), 0.5)
+    flying.one.loses = 1
+    assert flying.stopped() == STOPPED
+    assert tried(flying.one) == [("arm", 1), ("arm", 0), ("arm", 0)]
+    assert escalation(flying) == ["disarmed"]
+    assert not flying.one.turns
+
+
+def test_what_is_tried_is_tried_again_and_stopped_is_not_said_before(flying):
+    flying.steer(lease(flying), 0.5)
+    flying.one.held, flying.one.craft.emergency_stop = HOVER, lambda: None
+    assert flying.stopped() == STILL_TURN
+    flying.wait(2.0)
+    assert len(tried(flying.one)) >= 4
+    assert not any("motors stopped" in text for text in flying.told)
+
+
+def test_nothing_is_known_of_motors_without_telemetry(flying):
+    flying.steer(lease(flying), 0.5)
+    flying.one.deaf = True
+    assert flying.stopped() == NOT_TOLD
+
+
+def test_a_stop_keeps_the_craft_that_it_was_pressed_for(flying):
+    flying.steer(lease(flying), 0.5)
+    flying.one.held = HOVER
+
+    async def press_and_connect():
+        asked = asyncio.ensure_future(flying.commander.stop())
+        await asyncio.sleep(0.15)
+        with pytest.raises(TakenError, match="being stopped"):
+            await flying.commander.replace(flying.other)
+        leaving = asyncio.ensure_future(flying.commander.leave())
+        while not asked.done():
+            flying.commander.look(flying.world.now_s)
+            assert not (flying.one.turns and leaving.done())
+            await asyncio.sleep(WATCH_S)
+        assert asked.result() == STOPPED
+        flying.one.held = 0
+        await leaving
+        await flying.commander.replace(flying.other)
+
+    flying.run(press_and_connect())
+    assert flying.other.delivered == []
+    assert flying.one.delivered[-1].kind in ("setpoint", "emergency stop")
+
+
+@pytest.mark.parametrize("flying", ["brushless"], indirect=True)
+@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.2, 0.4, 0.6])
+def test_a_stop_ends_a_request_to_arm(flying, after_s):
+    async def arm_and_stop():
+        arming = asyncio.ensure_future(flying.commander.arm(True))
+        await asyncio.sleep(after_s)
+        asked_s = flying.world.now_s
+        stopping = asyncio.ensure_future(flying.commander.stop())
+        while not (stopping.done() and arming.done()) or flying.world.now_s < asked_s + 3.0:
+            flying.commander.look(flying.world.now_s)
+            await asyncio.sleep(WATCH_S)
+        return arming, stopping.result(), asked_s
+
+    arming, told, asked_s = flying.run(arm_and_stop())
+    assert told == STOPPED
+    assert arming.exception() is not None
+    assert not [one for one in flying.one.delivered
+                if one.kind == "arm" and one.value and one.handed_s > asked_s]  # fmt: skip
+    state = flying.one.craft.state()
+    assert (state.armed, flying.one.turns) == (False, False)
+
+
+def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
+    token = lease(flying)
+    flying.steer(token, 0.5)
+    flying.one.held = HOVER
+
+    async def press():
+        asked = asyncio.ensure_future(flying.commander.stop_own(token))
+        await asyncio.sleep(0.1)
+        with pytest.raises(TakenError, match="being stopped"):
+            flying.commander.setpoint(token, 0, 0, 0, HOVER)
+        with pytest.raises(TakenError, match="being stopped"):
+            await flying.commander.arm(True)
+        while not asked.done():
+            flying.commander.look(flying.world.now_s)
+            await asyncio.sleep(WATCH_S)
+
+    flying.run(press())
+
+
+def test_a_client_that_was_stopped_by_the_operator_is_told_so_and_how_its_motors_are(flying):
+    token = lease(flying)
+    flying.steer(token, 0.5)
+    assert flying.stopped() == STOPPED
+    with pytest.raises(NotAuthorisedError, match="the operator has stopped the motors"):
+        flying.commander.setpoint(token, 0, 0, 0, HOVER)
+    assert flying.run(flying.commander.stop_own(token)) == STOPPED
