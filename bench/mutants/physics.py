@@ -12,6 +12,7 @@ _GYROSCOPIC = "groundstation/dynamics/effects/rotor_gyroscopic_torque.py"
 _COUPLING = "groundstation/dynamics/effects/inertia_coupling.py"
 _LAWS = "tests/dynamics/effects/test_laws.py"
 _MAP = "groundstation/recording/column_map.py"
+_PLAN = "groundstation/recording/map_plan.py"
 _MAPPED = "tests/recording/test_column_map.py"
 _SIGNS = "leans_and_turns_as_commanded_in_the_signs_of_the_telemetry"
 _LEANS = f"tests/service/test_commander.py::test_the_craft_{_SIGNS}"
@@ -164,15 +165,15 @@ FAULTS = (
     Fault(
         "map-without-signs",
         "the signs of a column map do nothing",
-        _MAP,
-        "scales = [_scale(key, quantity, one.unit, path) * one.sign for one in listed]",
-        "scales = [_scale(key, quantity, one.unit, path) for one in listed]",
+        _PLAN,
+        "factor = UNITS[quantity][units[0]] * scale * column.sign",
+        "factor = UNITS[quantity][units[0]] * scale",
         (f"{_MAPPED}::test_a_foreign_log_in_its_own_units_axes_and_signs",),
     ),
     Fault(
         "map-with-swapped-motors",
         "a foreign log's M1 and M2 are exchanged",
-        _MAP,
+        _PLAN,
         'yield f"{quantity}.{name}", quantity, field, index, column',
         'yield f"{quantity}.{name}", quantity, field, index ^ (quantity == "duty"), column',
         (

@@ -8,6 +8,10 @@ _DIVISION = "groundstation/identification/division.py"
 _DIVISIONS = "tests/identification/test_division.py"
 _JUDGED = "groundstation/discrepancy/division.py"
 _JUDGED_TESTS = "tests/discrepancy/test_division.py"
+_ENGINE = "groundstation/discrepancy/engine.py"
+_PROOF_ALONE = (
+    "tests/discrepancy/test_proof.py::test_a_search_is_given_nothing_of_the_recordings_of_the_proof"
+)
 _GATES = "groundstation/discrepancy/acceptance.py"
 _GATE_TESTS = "tests/discrepancy/test_acceptance.py"
 
@@ -81,6 +85,41 @@ FAULTS = (
         "return Division([*fit_on, run], [run[edge:]]",
         (
             f"{_JUDGED_TESTS}::test_of_one_flight_that_is_no_three_pieces_long_the_last_seconds_are_held_out",
+        ),
+    ),
+    Fault(
+        "given-proof-fitted",
+        "recordings of --validate are fitted",
+        _JUDGED,
+        'return _given(every, [run for part in held for run in part], "")',
+        'return _given([*every, *held[0]], [run for part in held for run in part], "")',
+        (f"{_JUDGED_TESTS}::test_given_recordings_are_held_out_as_they_are", _PROOF_ALONE),
+        least=2,
+    ),
+    Fault(
+        "search-is-given-the-proof",
+        "a search takes names and sizes from the recordings of --validate, too",
+        _ENGINE,
+        "find_effects(\n        parts.fit_on,",
+        "find_effects(\n        [*parts.fit_on, *parts.held_out],",
+        (_PROOF_ALONE,),
+    ),
+    Fault(
+        "proof-decides",
+        "recordings of --validate decide what they prove: what predicts them worse is taken back",
+        _ENGINE,
+        "judged=FittedRows(train.before, EVERY_S)",
+        "judged=FittedRows(proof_rows.before, EVERY_S)",
+        (_PROOF_ALONE,),
+    ),
+    Fault(
+        "left-out-flight-fitted",
+        "a flight that is left out is asked with a size that was taken from it, too",
+        "groundstation/discrepancy/evidence.py",
+        "inverse(whole.normal - one.normal) @ (whole.gradient - one.gradient)",
+        "inverse(whole.normal) @ whole.gradient",
+        (
+            "tests/discrepancy/test_evidence.py::test_a_flight_is_asked_with_the_size_that_the_others_say",
         ),
     ),
     Fault(

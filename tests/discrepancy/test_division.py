@@ -67,8 +67,8 @@ def test_lost_rows_and_recordings_in_pieces_are_divided_alike():
 def test_given_recordings_are_held_out_as_they_are():
     parts = divide([flown()], [flown(seed=2)], "plus")
     assert parts.what == ""
-    assert len(parts.held_out[0]) == 6000
-    assert len(parts.fit_on[0]) == 6000
+    assert [len(run) for run in parts.held_out] == [6000]
+    assert [len(run) for run in parts.fit_on] == [6000]
 
 
 def test_thirds_are_those_of_the_rows_in_the_air():

@@ -8,6 +8,7 @@ import pytest
 from compared_flights import judged
 from searched_flights import base_model, flights
 
+from groundstation.discrepancy import engine
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.proof import WORSE_T, FittedRows, worse_channels
 
@@ -42,6 +43,26 @@ def test_names_and_sizes_are_the_same_whatever_stands_in_the_recordings_of_the_p
     has_it, has_not, _ = (one.proof for one in proven)
     assert has_it.after.gap < has_it.before.gap
     assert has_not.after.gap > has_not.before.gap
+
+
+class AskedError(Exception):
+    """A search was asked for, and is not made."""
+
+
+def test_a_search_is_given_nothing_of_the_recordings_of_the_proof(monkeypatch):
+    fitted, proof = flights(4, span_s=9.0)
+    given = []
+
+    def search(runs, model, *, judged, **more):
+        given.extend((runs, [one.run for one in judged.before.errors]))
+        raise AskedError
+
+    monkeypatch.setattr(engine, "find_effects", search)
+    with pytest.raises(AskedError):
+        find_discrepancy([fitted], base_model(), [proof])
+    to_fit, to_predict = ([run.name for run in runs] for runs in given)
+    assert to_fit == to_predict == ["flight0", "flight1"]
+    assert [run.name for run in proof] == ["flight2"]
 
 
 def test_what_the_given_model_got_wrong_is_one_sum(proven):

@@ -189,6 +189,14 @@ def test_nothing_is_known_of_motors_without_telemetry(flying):
     assert flying.stopped() == NOT_TOLD
 
 
+def test_motors_that_stood_before_a_stop_are_not_known_to_stand_after_it(flying):
+    flying.steer(lease(flying), 0.3, thrust=0)
+    assert flying.one.motors().duty == 0.0
+    flying.one.deaf = True
+    assert flying.stopped() == NOT_TOLD
+    assert not any("motors stopped" in text for text in flying.told)
+
+
 def test_a_stop_keeps_the_craft_that_it_was_pressed_for(flying):
     flying.steer(lease(flying), 0.5)
     flying.one.held = HOVER
