@@ -88,8 +88,8 @@ class EffectFound(msgspec.Struct, frozen=True):
     evidence: dict[str, float]
     alternatives: list[Alternative]
     gap: Step
-    weight: float | None
     channels: list[str]
+    weight: float | None = None
 
 
 class LeftOver(msgspec.Struct, frozen=True):
@@ -163,10 +163,8 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     """``discrepancy --json``."""
 
     verdict: Literal["effects_found", "no_discrepancy", "unexplained"]
-    explained: Explained | None
     effects: list[EffectFound]
     base_changes: list[Changed]
-    disturbance: Disturbance | None
     where: list[Place]
     where_after: list[Place]
     gap: Gap
@@ -182,6 +180,8 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     model: str
     created_by: str
     stretches: list[StretchReport] = []
+    explained: Explained | None = None
+    disturbance: Disturbance | None = None
 
 
 def stretch_report(
@@ -285,8 +285,8 @@ def discrepancy_report(
                 one.evidence,
                 list(one.alternatives),
                 Step(one.gap_before, one.gap_after),
-                one.weight if np.isfinite(one.weight) else None,
                 list(one.channels),
+                one.weight if np.isfinite(one.weight) else None,
             )
             for one in findings.effects
         ],

@@ -1,4 +1,4 @@
-"""What was found has to predict held-out rows, or it is taken back; base constants alike."""
+"""What was found has to predict fitted samples, or it is taken back; base constants alike."""
 
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -129,7 +129,7 @@ def test_what_leaves_before_a_channel_is_right_again_is_told_as_no_more_than_the
     assert answer_to_predictions(hunt, judge)
     assert [one.label for one in hunt.accepted] == ["drag"]
     assert "costs the least to take out" in hunt.refused["bias"].words
-    assert "predicts accelerometer_x on held-out rows worse" in hunt.refused["lag"].words
+    assert "predicts accelerometer_x on fitted samples worse" in hunt.refused["lag"].words
 
 
 def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
