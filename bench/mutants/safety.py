@@ -71,7 +71,8 @@ FAULTS = (
         _COMMANDER,
         'self._end(f"the operator stops the motors; ',
         '(lambda *_, **more: None)(f"the operator stops the motors; ',
-        ("tests/service/test_commander.py::test_an_operator_stops_the_motors_of_whoever_commands",),
+        (_ON_A_CLOCK,),
+        least=2,
     ),
     Fault(
         "hold-level-ignored",
