@@ -309,7 +309,9 @@ class _Stream:
 def _create(path: Path) -> int:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        # at the end of what is there: where another program cuts the file, no hole is written
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+        fd = os.open(path, flags, 0o644)
     except FileExistsError as error:
         if os.path.isdir(path.parent):
             raise BadInputError(taken(path)) from error

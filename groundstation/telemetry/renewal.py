@@ -18,8 +18,11 @@ LEAST_CHANGES = 8
 SETTINGS_HZ = 400.0
 """Below it a channel that is renewed more slowly than its rows lacks something: controllers set the
 motors 500 times a second."""
+TOGETHER = 16
+"""Neighbouring distances of changes taken as one: a clock keeps their sum, whatever its ratio to
+the rows; where values change by chance, those of quantised settings in quiet air, it scatters."""
 EVEN, EVEN_SHARE = 0.25, 0.6
-"""Share of a hold by which distances of changes may differ, and share of them that do not."""
+"""Share of a hold by which distances and their sums may differ, and share of them that do not."""
 HELD = 1.5
 """Mean rows that a value stands from which the rows are faster than the channel."""
 
@@ -55,5 +58,9 @@ def slower_than_rows(rows: NDArray[np.intp]) -> float:
     hold = rows_held(rows)
     if not hold > HELD or np.median(apart) < 2.0:
         return 1.0  # in most places new in every row
-    even = np.abs(apart - np.median(apart)) <= max(1.0, EVEN * hold)
-    return hold if even.mean() > EVEN_SHARE else 1.0
+    for count in (1, min(TOGETHER, len(apart) // 2)):
+        together = np.convolve(apart, np.ones(count), "valid")
+        even = np.abs(together - np.median(together)) <= max(1.0, EVEN * hold)
+        if even.mean() <= EVEN_SHARE:
+            return 1.0
+    return hold

@@ -176,7 +176,7 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, with_stati
                     continue
                 told = carry_out(command, folder) or ""
                 said += told
-    require_no_channel_worse(told)
+    require_no_channel_silently_worse(told)
     overlooked = (ROOT / ".gitignore").read_text().split()
     left = {one.name for one in set(clone.iterdir()) - there if one.name not in OF_THE_TEST}
     assert folder.name in left
@@ -190,14 +190,15 @@ def require_said(block, said):
         assert any(alike(expected, line) for line in lines), f"{block.where}: {expected}\n{said}"
 
 
-def require_no_channel_worse(told):
+def require_no_channel_silently_worse(told):
     """Of the search on a real flight, which ends the story: its gaps on the flight held out."""
     gap = re.search(r"^gap over all channels: ([\d.]+), after ([\d.]+)", told, re.MULTILINE)
     assert float(gap[2]) < float(gap[1])
     channels = re.findall(r"^  (\S+) +([\d.]+) +([\d.]+) +\S+ .*, noise ", told, re.MULTILINE)
     assert len(channels) == 9
     for name, before, after in channels:
-        assert float(after) <= 1.01 * float(before), name  # both are rounded
+        worse = float(after) > 1.01 * float(before)  # both are rounded
+        assert not worse or f"worse on {name} on proof samples" in told
 
 
 def require_planned(block, said):

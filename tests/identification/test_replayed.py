@@ -77,7 +77,7 @@ def with_c0(factor):
 def test_a_run_without_battery_voltage_is_refused(quiet):
     run, _ = quiet
     dark = replace(run, supply_v=np.full(len(run), np.nan))
-    with pytest.raises(BadInputError, match="supply_v is missing"):
+    with pytest.raises(BadInputError, match="battery's voltage is nowhere in it"):
         simulate_run(MODEL, dark)
 
 

@@ -101,7 +101,7 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     expect(page.locator("#level")).to_have_attribute("aria-pressed", "true")
     page.get_by_label("Mark this moment").focus()
     page.keyboard.press("Escape")
-    expect(page.locator("#said")).to_have_text("Asked to stop the motors.")
+    expect(page.locator("#said")).to_contain_text("stopped")
     expect(page.locator("#motors")).to_have_text("off")
     expect(page.locator("#events")).to_contain_text("a program commands no more")
     expect(page.locator("#events")).to_contain_text("motors stopped")
@@ -277,7 +277,7 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     expect(page.locator("#said")).to_contain_text("Begun")
     report = report_of(page, "discrepancy")
     expect(report.locator("svg").first).to_be_visible()
-    expect(report.locator("body")).to_contain_text("held-out")
+    expect(report.locator("body")).to_contain_text("Proof:")
     fitted_model_flies_and_watches(page)
     page.get_by_role("link", name="Flights").click()
     with page.expect_popup() as opened:

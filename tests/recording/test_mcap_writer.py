@@ -372,7 +372,7 @@ def test_a_file_that_another_program_cuts_is_a_fault_and_has_no_hole(path, fault
     recorder.raw(raw)
     recorder.samples(samples)
     deadline_s = time.monotonic() + 20.0
-    while recorder.status().samples < 500:
+    while path.stat().st_size <= 1000:  # written, not only taken
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
     os.truncate(path, left)
@@ -380,8 +380,9 @@ def test_a_file_that_another_program_cuts_is_a_fault_and_has_no_hole(path, fault
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
     recorder.finish()
-    assert faults == [f"{path}: recording stopped: another program cut the file to {left} bytes"]
-    assert path.stat().st_size == left
+    (fault,) = faults
+    assert fault.startswith(f"{path}: recording stopped: another program cut the file to ")
+    assert bytes(512) not in path.read_bytes()[left:]
 
 
 def test_one_damage_in_a_converted_recording_costs_a_second_or_two(path):

@@ -54,8 +54,8 @@ def test_a_microsd_log_is_known_by_its_content(path):
     assert open_recording(path).kind == "microsd"
 
 
-def test_a_column_map_is_for_csv_files(path, tmp_path):
-    write_flight(path, 50)
+def test_a_column_map_is_for_files_of_other_programs(path, tmp_path):
+    write_rrd(Recording(path, "made", flight(0, 50)[1]), path)
     with pytest.raises(BadInputError, match="takes no column map"):
         open_recording(path, column_map=tmp_path / "map.toml")
 

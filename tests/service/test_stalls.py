@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
-import subprocess
 import threading
 import time
 from collections.abc import Callable
 
 import pytest
+from programs import Program
 
 from groundstation.service.health import Health
 from groundstation.service.stalls import Figures, explained
@@ -53,8 +53,8 @@ def wait_for_a_lock() -> None:
 def stop_the_process() -> None:
     pid = os.getpid()
     order = f"kill -STOP {pid}; sleep {HELD_S}; kill -CONT {pid}"
-    with subprocess.Popen(["sh", "-c", order]):
-        pass
+    with Program(["sh", "-c", order]) as resumes:
+        resumes.wait()
 
 
 def let_another_thread_keep_the_interpreter() -> None:

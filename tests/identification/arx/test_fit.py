@@ -296,7 +296,7 @@ def test_a_channel_that_is_not_there_is_refused(flights):
     with pytest.raises(BadInputError, match="attitude is not in every row"):
         arx_data(missing, "roll", THESIS_MOTOR)
     dark = replace(run, supply_v=np.full_like(run.supply_v, np.nan))
-    with pytest.raises(BadInputError, match="battery voltage is missing"):
+    with pytest.raises(BadInputError, match="battery's voltage is nowhere in it"):
         arx_data(dark, "roll", THESIS_MOTOR)
     full = replace(run, duty=np.ones_like(run.duty))
     with pytest.raises(BadInputError, match="saturated"):
