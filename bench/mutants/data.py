@@ -61,8 +61,8 @@ FAULTS = (
         "overwrites",
         "an existing recording is overwritten",
         _FILE,
-        "os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC",
-        "os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC",
+        "os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC",
+        "os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC",
         (f"{_TESTS}::test_an_existing_file_is_never_overwritten",),
     ),
     Fault(

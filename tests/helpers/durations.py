@@ -13,7 +13,6 @@ from collections import defaultdict
 from pathlib import Path
 
 import pytest
-from ci_limits import named, names
 
 LONG_PROCESSOR_S, LONG_WALL_S = 1.0, 3.0
 """From here on a test is listed: half of what CI allows a test that is not, so that a busy machine
@@ -23,6 +22,8 @@ HEADER = """\
 # The long part of the suite: `make test` leaves these out, `make test-all` and CI run them.
 # Written by `make test-durations`: each computes for a second or waits for three. A heavy test that
 # must stay in the short part stands in heavy_tests.txt, with its reason.
+tests/usb_vm  # in a virtual machine, by make test-usb
+tests/local  # on recordings that may not be published
 """
 
 
@@ -69,6 +70,8 @@ class _Writer:
 
 def long_tests(took, heavy):
     """What the list names, of {node: times}: whole files where all of their tests are long."""
+    from ci_limits import named  # here: a plugin may not be imported before it is one
+
     by_file = defaultdict(dict)
     for node, times in took.items():
         long = times["cpu_s"] >= LONG_PROCESSOR_S or times["wall_s"] >= LONG_WALL_S
@@ -86,6 +89,8 @@ def _processor_s():
 
 
 if __name__ == "__main__":
+    from ci_limits import names
+
     measured = json.loads(Path(sys.argv[1]).read_text())
     lines = long_tests(measured, names(TESTS / "heavy_tests.txt"))
     (TESTS / "long_tests.txt").write_text(HEADER + "".join(f"{line}\n" for line in lines))

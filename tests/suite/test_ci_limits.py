@@ -139,7 +139,8 @@ def test_what_the_lists_name_is_there(name):
     for node_id in names(ROOT / "tests" / f"{name}.txt", reasons=name != "long_tests"):
         path, *within = node_id.partition("[")[0].split("::")
         assert (ROOT / path).exists(), node_id
-        assert all(f" {one}(" in (ROOT / path).read_text() for one in within), node_id
+        # the outermost: what is inside a class may be inherited
+        assert all(f" {one}(" in (ROOT / path).read_text() for one in within[:1]), node_id
 
 
 def test_processor_time_counts_what_is_started_and_not_what_waits():

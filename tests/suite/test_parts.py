@@ -63,14 +63,5 @@ def test_what_computes_or_waits_for_long_is_listed_a_file_as_a_whole_where_all_d
     assert list(long_tests(took, heavy={"b.py::two": "safety"})) == ["a.py::two", "b.py::one"]
 
 
-@pytest.mark.parametrize("name", sorted({**LISTED, **HEAVY}))
-def test_what_the_lists_name_is_there(name):
-    file, _, test = name.partition("::")
-    assert (ROOT / file).exists(), name
-    if test:
-        function = test.partition("[")[0].rpartition("::")[2]
-        assert f"def {function}(" in (ROOT / file).read_text(), name
-
-
 def test_what_is_heavy_and_stays_in_the_short_part_is_not_in_the_long_one():
     assert not set(HEAVY) & set(LISTED), json.dumps(sorted(set(HEAVY) & set(LISTED)))
