@@ -36,7 +36,6 @@ LEAST_S = 5.0
 SOURCES = {
     "duty": "what the motors are set to",
     "gyro": "the gyro",
-    "rotor_rev_s": "the rotors' speed",
 }
 """Fields that the fits need in every row, in words."""
 
@@ -66,7 +65,8 @@ def renewed(samples: SampleBatch, label: str) -> SampleBatch:
     """The rows in which the slower of gyro and motors is renewed, where rows come faster than it.
 
     What acted between two of them is then as unknown as in a recording of that rate, and counts as
-    much. Rotor speeds that were measured drive a flight in place of the motors' settings.
+    much. Rotor speeds that were measured drive a flight in place of the motors' settings, and
+    how long they are held is part of their own noise (``speed_noise``).
 
     Raises BadInputError where it is renewed too seldom for inertial telemetry.
     """
@@ -105,9 +105,10 @@ def renewal_notes(samples: SampleBatch, name: str) -> list[str]:
 
 
 def _slowest(samples: SampleBatch) -> tuple[str, float]:
-    """The slower of what drives a flight and the gyro, and how many rows its values stand."""
-    driven = "rotor_rev_s" if np.isfinite(samples.rotor_rev_s).any() else "duty"
-    found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in (driven, "gyro")}
+    """The slower of gyro and, where no speeds were measured, motors' settings, and how many rows
+    its values stand."""
+    names = ["gyro"] if np.isfinite(samples.rotor_rev_s).any() else list(SOURCES)
+    found = {name: slower_than_rows(renewals(getattr(samples, name))) for name in names}
     return max(found.items(), key=lambda one: one[1])
 
 

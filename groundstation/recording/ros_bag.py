@@ -74,7 +74,9 @@ def read_bag(path: Path, source: str | Path | None = None) -> Recording:
             series, unread = _series(bag, ros1=reader is Reader1)
     except Exception as error:  # whatever the library meets in a stranger's file
         why = str(error).partition("\n")[0][:MOST_WORDS] or type(error).__name__
-        raise RecordingError(f"{path}: a ROS bag that does not read: {why}") from error
+        raise RecordingError(
+            f"{path}: no ROS bag that reads, with or without a column map: {why}"
+        ) from error
     return read_mapped_series(path, "rosbag", series, source, unread=unread)
 
 

@@ -17,6 +17,9 @@ import pytest
 LIMIT_S = 2.0
 """Of processor time in a test's own call: what the test's process and all that it started computed.
 Wall time would blame a test for a busy machine. What only waits costs nothing here."""
+FAILS_S = 3 * LIMIT_S
+"""From here on the run fails, below it is told only: the first test that needs something made once,
+a fit say, pays for those after it, and which test is the first depends on the workers."""
 PROPERTY = "processor_s"
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -86,7 +89,7 @@ class _Judge:
             **names(folder / "heavy_tests.txt"),
             **names(folder / "long_tests.txt", reasons=False),
         }
-        self._faults = {}
+        self._faults, self._slower = {}, {}
 
     def pytest_collectreport(self, report):
         """A file may skip itself while it is imported."""
@@ -96,7 +99,8 @@ class _Judge:
         self._judge_skip(report)
         took_s = dict(report.user_properties).get(PROPERTY, 0.0)
         if report.when == "call" and took_s > LIMIT_S and not named(report.nodeid, self._slow):
-            self._faults[report.nodeid] = (
+            told = self._faults if took_s > FAILS_S else self._slower
+            told[report.nodeid] = (
                 f"{took_s:.1f} s of processor time, and neither long_tests.txt nor heavy_tests.txt "
                 f"names it (limit {LIMIT_S:g} s)"
             )
@@ -116,3 +120,5 @@ class _Judge:
             terminalreporter.section("not allowed in CI", red=True, bold=True)
         for node_id, fault in self._faults.items():
             terminalreporter.write_line(f"CI: {node_id}: {fault}", red=True)
+        for node_id, fault in self._slower.items():
+            terminalreporter.write_line(f"slow: {node_id}: {fault}", yellow=True)

@@ -11,7 +11,7 @@ from pages import ROOT
 from programs import Program, run_program
 
 LIMIT_S = 0.3
-CONFTEST = f"import ci_limits\nci_limits.LIMIT_S = {LIMIT_S}\n"
+CONFTEST = f"import ci_limits\nci_limits.LIMIT_S = ci_limits.FAILS_S = {LIMIT_S}\n"
 TESTS = """
 import sys, time
 from subprocess import run
