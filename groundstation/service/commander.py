@@ -45,8 +45,8 @@ from groundstation.service.requests import Lease as Granted
 
 SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 """100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""
-WATCH_S = 0.05
-"""How often the dead man looks, and repeats what it sends."""
+WATCH_S, IDLE_S = 0.05, 0.25
+"""How often the dead man looks, and repeats what it sends; where there is no command link."""
 RECONNECT_S, RECONNECT_FAILED_S = 0.5, 5.0
 DEAD_MAN = "dead man"
 OPERATOR = "operator"
@@ -372,7 +372,11 @@ class Commander:
 
     async def watch(self) -> None:
         """The dead man and the standing still of this loop, for as long as the daemon runs."""
-        await watch(self.look, self.turn, self._clock, WATCH_S)
+
+        def every_s() -> float:
+            return WATCH_S if self.link is not None else IDLE_S
+
+        await watch(self.look, self.turn, self._clock, every_s)
 
     def turn(self, now_s: float) -> None:
         """The loop that hears the clients has turned."""

@@ -10,6 +10,8 @@ from groundstation.background import in_background
 
 STOOD_S = 0.3
 """A loop that did not turn for so long stood still."""
+TURN_S = STOOD_S / 3
+"""Between two turns that are counted."""
 WAKES_S = 0.5
 """So long after that requests come in that were made before."""
 
@@ -18,21 +20,21 @@ async def watch(
     look: Callable[[float], None],
     turn: Callable[[float], None],
     clock: Callable[[], float],
-    every_s: float,
+    every_s: Callable[[], float],
 ) -> None:
-    """Call ``look`` from a thread of its own and ``turn`` from this loop, each with the time.
-    Raises what ``look`` does."""
+    """Call ``look`` from a thread of its own, so often as ``every_s`` says each time, and ``turn``
+    from this loop, each with the time. Raises what ``look`` does."""
     ended = threading.Event()
 
     def keep_looking() -> None:
-        while not ended.wait(every_s):
+        while not ended.wait(every_s()):
             look(clock())
 
     looking = asyncio.ensure_future(in_background(keep_looking))
     try:
         while not looking.done():
             turn(clock())
-            await asyncio.sleep(every_s)
+            await asyncio.sleep(TURN_S)
         await looking
     finally:
         ended.set()

@@ -22,6 +22,9 @@ from types import FrameType
 from typing import Self
 
 POLL_S = 0.1
+READ_S = 0.5
+"""Between two readings of the kernel's figures, a file for each thread: as long as a delay is, from
+which on it is told."""
 KEPT = 8
 """Readings of the kernel's figures: those from before a delay are among them."""
 MOST = 0.5
@@ -109,7 +112,8 @@ class Witness:
                 return
             now_s = time.monotonic()
             if now_s - self._beat_s < 3 * POLL_S:
-                self._figures.append(Figures.now(self._collected))
+                if now_s - self._figures[-1].time_s >= READ_S:
+                    self._figures.append(Figures.now(self._collected))
                 continue
             self._late_s += max(now_s - self._asleep_s - POLL_S, 0.0)
             frame = sys._current_frames().get(self._watched)
