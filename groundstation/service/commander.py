@@ -90,7 +90,7 @@ class Commander:
         self._standstill = Standstill()
         self._connecting = asyncio.Lock()
         self._closing = False
-        self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
+        self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST, clock=clock)
 
     # -- what a client can do --------------------------------------------------------------
 
@@ -125,7 +125,7 @@ class Commander:
             if link.state is not CommandState.CONNECTED:
                 raise LinkError(f"{link.uri} is not connected ({link.state.value}); try again")
             lease = self._lease = Lease(client, secrets.token_urlsafe(24), self._clock())
-            self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST)
+            self._rate = RateLimit(SETPOINTS_HZ, SETPOINTS_BURST, clock=self._clock)
         self._note("command", f"{client} commands now")
         link.record_parameters(client)
         return Granted(

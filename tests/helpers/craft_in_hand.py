@@ -26,12 +26,13 @@ STEP_S, SAYS_S = 0.05, 0.1
 @dataclass(frozen=True)
 class Delivered:
     """What reached a craft: thrust, or 1 and 0 for arm and disarm. handed_s: when it was handed to
-    its link."""
+    its link. level: whether no angle was asked for."""
 
     kind: str
     value: int
     at_s: float
     handed_s: float
+    level: bool = True
 
 
 class CraftInHand(CommandLink):
@@ -127,7 +128,7 @@ class CraftInHand(CommandLink):
         handed_s = self.world.now_s
 
         def send() -> None:
-            self._note("setpoint", thrust, handed_s)
+            self._note("setpoint", thrust, handed_s, level=roll_deg == pitch_deg == 0.0)
             self.craft.command(roll_deg, -pitch_deg, -yaw_dps, thrust)
 
         self.superseded += self.outbox.put(send, until_s)
@@ -157,8 +158,8 @@ class CraftInHand(CommandLink):
 
         self.outbox.request(sent)
 
-    def _note(self, kind: str, value: int, handed_s: float) -> None:
-        self.delivered.append(Delivered(kind, value, self.world.now_s, handed_s))
+    def _note(self, kind: str, value: int, handed_s: float, *, level: bool = True) -> None:
+        self.delivered.append(Delivered(kind, value, self.world.now_s, handed_s, level))
 
 
 class World(asyncio.SelectorEventLoop):

@@ -5,13 +5,14 @@ import asyncio
 import pytest
 from craft_in_hand import World
 
-from groundstation.errors import LinkError, NotAuthorisedError, TakenError
+from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.base import LinkState
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import DeadManConfig
 from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
 
 HOVER = 40000
+ROUNDING_S = 1e-6
 
 
 class Flying:
@@ -83,16 +84,40 @@ def thrusts(craft, since_s):
 
 def test_a_client_that_falls_silent_means_level_and_then_motors_off(flying):
     token = lease(flying)
-    flying.steer(token, 0.5)
-    last_s = flying.world.now_s - 0.05
+    flying.commander.setpoint(token, 5.0, 5.0, 0.0, HOVER, None, flying.world.now_s)
+    last_s = flying.world.now_s
     flying.wait(0.3)
     assert any("level attitude" in text for text in flying.told)
     assert flying.one.turns
-    flying.wait(0.5)
-    assert max(thrusts(flying.one, last_s + 0.6 + 2 * WATCH_S)) == 0
+    flying.wait(0.7)
+    client, *after = [one for one in flying.one.delivered if one.handed_s >= last_s]
+    assert (client.level, client.value) == (False, HOVER)
+    assert all(one.level for one in after)
+    first_s = {one.value: one.handed_s - last_s for one in reversed(after)}
+    assert set(first_s) == {HOVER, 0}
+    assert 0.0 <= first_s[HOVER] - 0.2 + ROUNDING_S <= WATCH_S + 2 * ROUNDING_S
+    assert 0.0 <= first_s[0] - 0.6 + ROUNDING_S <= WATCH_S + 2 * ROUNDING_S
+    thrusts = [one.value for one in after]
+    assert thrusts == sorted(thrusts, reverse=True), "thrust comes back after the stop"
     assert not flying.one.turns
     with pytest.raises(NotAuthorisedError, match="no setpoint came in time"):
         flying.commander.setpoint(token, 0, 0, 0, HOVER)
+
+
+def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(flying):
+    token = lease(flying)
+
+    def sent(rate_hz):
+        for _ in range(rate_hz * 2):
+            flying.commander.setpoint(token, 1.0, 0.0, 0.0, 0)
+            flying.world.pass_time(1 / rate_hz)
+            flying.commander.turn(flying.world.now_s)
+
+    sent(100)
+    with pytest.raises(BadInputError, match="faster than 100 a second"):
+        sent(1000)
+    flying.wait(1.0)  # one that was held up for a second may catch up
+    sent(100)
 
 
 def test_a_lease_ends_by_the_clock_though_nobody_has_looked(flying):

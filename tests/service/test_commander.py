@@ -1,4 +1,8 @@
-"""Commanding through the daemon: cflib over UDP to a stand-in, whose pilot holds the height."""
+"""Commanding through the daemon: cflib over UDP to a stand-in, whose pilot holds the height.
+
+What happens and in which order; when it does is told on a clock that the test turns, in
+``tests/safety/test_stop_on_a_clock.py``.
+"""
 
 import asyncio
 import math
@@ -23,8 +27,6 @@ from groundstation.service.config import (
 HOVER = 40000
 PATIENT = {"level_s": 0.5, "stop_s": 2.0}
 """The dead man's limits where a loaded machine must not meet them."""
-LATE_S = 0.15
-"""What a loaded machine may add to a time limit."""
 
 
 @pytest.fixture
@@ -171,32 +173,33 @@ def test_a_client_that_vanishes_means_level_and_then_motors_off(fly, path):
         pilot = Pilot(path, "doomed").__enter__()
         steer(pilot, 1.5, roll=5.0)
         pilot.close()
-        until(lambda: ask(path, "GET", "/status")["command"]["client"] is None, "the lease is over")
+        until(
+            lambda: any("motors stopped, " in e["text"] for e in ask(path, "GET", "/events")),
+            "the motors stand",
+        )
         with Pilot(path, "next") as following:
             following.setpoint(0, 0, 0, 0)
 
-    recording = fly(conversation)
+    recording = fly(conversation, **PATIENT)
     entries = setpoints(recording)
     last = max(k for k, entry in enumerate(entries) if entry["client"] == "doomed")
     after = [entry for entry in entries[last + 1 :] if entry["client"] == "dead man"]
-
-    def since_s(entry):
-        return (entry["time_ns"] - entries[last]["time_ns"]) * 1e-9
-
-    level = [entry for entry in after if entry["thrust"] == HOVER]
-    stopped = [entry for entry in after if entry["thrust"] == 0]
-    print(f"level after {since_s(level[0]):.3f} s, motors off after {since_s(stopped[0]):.3f} s")
-    assert 0.2 <= since_s(level[0]) < 0.2 + LATE_S
     assert {(entry["roll_deg"], entry["pitch_deg"]) for entry in after} == {(0.0, 0.0)}
-    assert 0.6 <= since_s(stopped[0]) < 0.6 + LATE_S
-    samples = recording.samples
-    running = samples.host_time_ns[(samples.duty > 0).any(axis=1)]
-    off_s = (running[-1] - entries[last]["time_ns"]) * 1e-9
-    print(f"the last sample with a running motor {off_s:.3f} s after the last setpoint")
-    assert off_s < 0.6 + 2 * LATE_S
+    thrusts = [entry["thrust"] for entry in after]
+    assert set(thrusts) == {HOVER, 0}
+    assert thrusts == sorted(thrusts, reverse=True), "thrust comes back after the stop"
     told = [event["text"] for event in recording.events]
-    assert "no setpoint from doomed: level attitude" in told
-    assert "doomed has vanished: its motors are asked to stop" in told
+    level, vanished, stopped = (
+        next(k for k, text in enumerate(told) if part in text)
+        for part in (
+            "no setpoint from doomed: level attitude",
+            "doomed has vanished: its motors are asked to stop",
+            "motors stopped, ",
+        )
+    )
+    assert level < vanished < stopped
+    assert recording.samples.duty.any()
+    assert not recording.samples.duty[-1].any()
 
 
 def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_off(fly, path):
@@ -216,7 +219,7 @@ def test_a_client_that_vanishes_at_a_height_means_level_there_and_then_motors_of
             until(lambda: not any(motors()), "the motors stand")
 
     today = {"craft": "crazyflie21", "program": "wait", "height_deck": True}
-    recording = fly(conversation, today, stop_s=2.0)
+    recording = fly(conversation, today, **PATIENT)
     entries = setpoints(recording)
     last = max(k for k, entry in enumerate(entries) if entry["client"] == "doomed")
     assert entries[last]["height_m"] == 0.4
@@ -234,7 +237,7 @@ def test_a_daemon_that_ends_stops_the_motors_first(fly, path):
         steer(pilot, 1.5)
         pilot.close()  # and the station is stopped at once
 
-    recording = fly(conversation)
+    recording = fly(conversation, **PATIENT)
     last = setpoints(recording)[-1]
     assert (last["thrust"], last["client"]) == (0, "dead man")
 
@@ -287,8 +290,8 @@ def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, 
     """The dead man does not wait for the loop that stands still: level, then off."""
 
     async def stand_still(commander, token):
-        time.sleep(0.8)
-        with pytest.raises(NotAuthorisedError):
+        until(lambda: commander.client is None, "the dead man has ended the lease")  # blocks
+        with pytest.raises(NotAuthorisedError, match="no setpoint came in time"):
             commander.setpoint(token, 0.0, 0.0, 0.0, HOVER)
 
     def conversation():
@@ -296,15 +299,13 @@ def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, 
             steer(pilot, 0.5)
             in_the_loop(stations[0], stand_still(stations[0].commander, pilot.lease["token"]))
 
-    entries = setpoints(fly(conversation))
+    entries = setpoints(fly(conversation, **PATIENT))
     last = max(k for k, entry in enumerate(entries) if entry["client"] == "stale")
     after = entries[last + 1 :]
     assert {entry["client"] for entry in after} == {"dead man"}
-    assert [entry["thrust"] for entry in after] == sorted(
-        (entry["thrust"] for entry in after), reverse=True
-    ), "thrust comes back after the stop"
-    off = next(entry for entry in after if entry["thrust"] == 0)
-    assert (off["time_ns"] - entries[last]["time_ns"]) * 1e-9 < 0.6 + LATE_S
+    thrusts = [entry["thrust"] for entry in after]
+    assert set(thrusts) == {HOVER, 0}
+    assert thrusts == sorted(thrusts, reverse=True), "thrust comes back after the stop"
 
 
 def test_a_lease_that_ends_ends_what_is_being_written(fly, path, stations):
@@ -340,17 +341,17 @@ def test_nobody_can_begin_to_command_a_daemon_that_ends(fly, path, stations):
         pilot.close()
         in_the_loop(stations[0], end(stations[0].commander))
 
-    assert setpoints(fly(conversation))[-1]["thrust"] == 0
+    assert setpoints(fly(conversation, **PATIENT))[-1]["thrust"] == 0
 
 
-def test_a_silent_client_on_the_ground_loses_its_lease_unless_it_keeps_it(fly, path):
+def test_a_silent_client_on_the_ground_loses_its_lease(fly, path):
     def conversation():
         with Pilot(path, "patient") as pilot:
-            for _ in range(5):
-                time.sleep(0.25)
-                pilot.keep()
-            time.sleep(1.3)
-            with pytest.raises(GroundStationError, match="acquire a lease"):
+            until(
+                lambda: ask(path, "GET", "/status")["command"]["client"] is None,
+                "the lease is over",
+            )
+            with pytest.raises(GroundStationError, match="patient was silent for 1 s"):
                 pilot.keep()
 
     recording = fly(conversation, lease_s=1.0)
@@ -390,18 +391,9 @@ def test_parameters_are_written_all_or_none_and_read_back(fly, path):
     assert known["values"]["pid_rate.roll_kp"] == 70
 
 
-def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path, stations):
-    took = []
-
+def test_setpoints_that_come_too_fast_or_are_out_of_range_are_refused(fly, path, stations):
     def conversation():
         with Pilot(path, "fast") as pilot:
-            due_s = time.monotonic()
-            for _ in range(150):
-                started_s = time.monotonic()
-                pilot.setpoint(1.0, 0.0, 0.0, 0)
-                took.append(time.monotonic() - started_s)
-                due_s += 0.01
-                time.sleep(max(0.0, due_s - time.monotonic()))
             with pytest.raises(GroundStationError, match="faster than 100 a second"):
                 in_the_loop(stations[0], burst(stations[0].commander, pilot.lease["token"]))
             time.sleep(0.2)
@@ -410,11 +402,7 @@ def test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not(fly, path, stat
             with pytest.raises(GroundStationError, match="roll_deg 50"):
                 pilot.setpoint(50, 0, 0, 0)
 
-    recording = fly(conversation)
-    print(
-        f"a setpoint took {1e3 * np.median(took):.2f} ms, p99 {1e3 * np.quantile(took, 0.99):.2f}"
-    )
-    assert sum(entry["roll_deg"] == 1.0 for entry in setpoints(recording)) == 150
+    assert 100 <= len(setpoints(fly(conversation))) < 600
 
 
 def test_the_stream_carries_samples_events_and_marks(fly, path):
