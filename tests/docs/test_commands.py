@@ -1,4 +1,4 @@
-"""Every command printed in the pages is executed, and the story of getting_started told in order.
+"""Every command printed in the pages is executed; getting_started and the README's tour in order.
 
 Each one runs in a folder of its own that holds the recordings of a clone and whatever files the
 command names (``tests/helpers/larder.py``). What differs from what is printed:
@@ -106,7 +106,12 @@ def printed(pages):
     return found
 
 
-TOLD = printed([STORY])
+(TOUR,) = (
+    block
+    for block in blocks_of(ROOT / "README.md")
+    if block.holds_commands and "recordings/nanobench" in block.text
+)
+TOLD = {*printed([STORY]), *TOUR.commands()}
 COMMANDS = printed(page for page in PAGES if page != STORY)
 
 
@@ -117,14 +122,19 @@ def elsewhere(command):
 HERE = [command for command in COMMANDS if elsewhere(command) is None and command not in TOLD]
 
 
-@pytest.mark.parametrize("command", [c for c in HERE if not c.startswith(CLIENTS)])
+def each(commands):
+    """By its first words: an id must stay the same where pages change."""
+    return pytest.mark.parametrize("command", list(commands), ids=lambda command: command[:90])
+
+
+@each(c for c in HERE if not c.startswith(CLIENTS))
 def test_what_is_printed_works(command, folder, larder):
     for name in inputs_of(shlex.split(command)):
         larder.give(name, folder)
     carry_out(command, folder)
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if elsewhere(c) is not None])
+@each(c for c in COMMANDS if elsewhere(c) is not None)
 def test_what_is_not_run_here_is_run_elsewhere(command):
     _, path, sign = elsewhere(command)
     place = ROOT / path
@@ -183,6 +193,13 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, with_stati
     assert {f"/{name}/" for name in left} <= set(overlooked)
 
 
+@pytest.mark.timeout(900)
+def test_the_tour_of_the_readme_runs_as_it_stands(folder):
+    """On what a clone has, in order."""
+    for command in TOUR.commands():
+        carry_out(command, folder)
+
+
 def require_said(block, said):
     """Each line of the block is one that was said, in that order, numbers nearly."""
     lines = iter(said.splitlines())
@@ -236,7 +253,7 @@ def test_a_printed_number_that_is_off_is_noticed():
 
 
 # the last one: the daemon flies until the end of the module
-@pytest.mark.parametrize("command", [c for c in HERE if c.startswith(CLIENTS)])
+@each(c for c in HERE if c.startswith(CLIENTS))
 def test_what_is_printed_for_a_running_daemon_works(command, folder, larder, station):
     for name in inputs_of(shlex.split(command)):
         larder.give(name, folder)
