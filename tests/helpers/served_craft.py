@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from eventually import PATIENCE_S
+
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp_server import CrtpServer
 
@@ -58,7 +60,7 @@ class ServedCraft:
             self.craft.advance(flown_s)
             self.each_step()
 
-    def wait_for(self, condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float = PATIENCE_S) -> None:
         """Poll a condition of the running craft."""
         end = time.monotonic() + timeout_s
         while not condition():

@@ -6,6 +6,7 @@ import shutil
 
 import psutil
 import pytest
+from eventually import PATIENCE_S
 from installed import RECORDINGS, until
 from served_station import serve
 
@@ -184,7 +185,7 @@ def test_a_job_cancelled_while_it_is_started_ends_and_the_next_one_runs(tmp_path
         await jobs.cancel(job.id)
         started.clear()
         following = jobs.add("inspect", [FLIGHT], [], "")
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(PATIENCE_S):
             await started.wait()
         await jobs.close()
         running.cancel()

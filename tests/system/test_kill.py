@@ -18,26 +18,32 @@ from groundstation.telemetry.samples import COLUMNS
 KILLS, GROUPS = 20, 4
 TOGETHER = 2
 MISSING_MOST_S = 0.5
+"""Of the daemon's own time: a busy machine holds it and its recorder up alike."""
 SOURCE = RECORDINGS / "stand_in_flight.mcap"
 
 
 def kill_at(folder, delay_s, *arguments):
-    """Kill a recording daemon after ``delay_s``: the file, and the host time of the kill."""
+    """Kill a recording daemon after ``delay_s`` and what may be missing: the file, and how many
+    samples had come when so much was left."""
     with Daemon(folder, *arguments) as daemon:
-        daemon.recording()
-        time.sleep(delay_s)
-        killed_ns = time.time_ns()
+        told = [daemon.recording()]
+        ends_s = told[0]["uptime_s"] + MISSING_MOST_S + delay_s
+        while told[-1]["uptime_s"] < ends_s:
+            time.sleep(0.04)
+            told.append(daemon.status())
         assert daemon.stop(signal.SIGKILL) == -signal.SIGKILL
-        return daemon.only_file(), killed_ns
+    due_s = told[-1]["uptime_s"] - MISSING_MOST_S
+    counted = [one["recording"]["samples"] for one in told if one["uptime_s"] <= due_s]
+    return daemon.only_file(), counted[-1]
 
 
-def require_all_but_the_end(path, killed_ns):
+def require_all_but_the_end(path, least):
     """Nothing is missing but the last half second, before the repair and after it."""
     killed = open_recording(path, raw=True)
     report = inspect_recording(killed)
     assert (report["lost_samples"], report["gap_count"], report["segments"]) == (0, 0, 1)
-    for stamps in (killed.samples.host_time_ns, killed.raw.host_time_ns):
-        assert 0 <= (killed_ns - stamps[-1]) * 1e-9 <= MISSING_MOST_S
+    assert len(killed.samples) >= least > 0
+    assert len(killed.raw) >= least
     repair = recover(path)
     if not repair.sound:
         assert repair.output != path
@@ -62,8 +68,8 @@ def test_a_kill_at_a_random_moment_costs_at_most_the_last_half_second(tmp_path, 
             )
         )
     source = open_recording(SOURCE, raw=True)
-    for path, killed_ns in killed:
-        copy = require_all_but_the_end(path, killed_ns)
+    for path, least in killed:
+        copy = require_all_but_the_end(path, least)
         rows = len(copy.raw)
         np.testing.assert_array_equal(copy.raw.packets, source.raw.packets[:rows])
         rows = len(copy.samples)
@@ -74,5 +80,5 @@ def test_a_kill_at_a_random_moment_costs_at_most_the_last_half_second(tmp_path, 
 
 
 def test_a_killed_flight_of_the_stand_in_is_kept_too(tmp_path):
-    path, killed_ns = kill_at(tmp_path, 0.7)
-    assert require_all_but_the_end(path, killed_ns).link == "stand-in"
+    path, least = kill_at(tmp_path, 0.7)
+    assert require_all_but_the_end(path, least).link == "stand-in"
