@@ -117,7 +117,7 @@ def motor(
         effects=effects,
         motor=number,
         segment=None,
-        select="",
+        
         html=html,
         rerun=None,
         as_json=as_json,

@@ -54,12 +54,6 @@ RERUN = typer.Option(
 SEGMENT = typer.Option(
     None, "--segment", metavar="FROM:TO", help="Only these seconds of each recording; repeatable."
 )
-SELECT = typer.Option(
-    "",
-    "--select",
-    help="Only stretches that are, comma separated: hover, moving, steady_altitude, unsaturated,"
-    " saturated, auto, battery=LOW:HIGH (V).",
-)
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -84,7 +78,6 @@ def fit_motor(
     effects: str = WITH,
     motor: int = typer.Option(1, min=1, max=4, help="Motor that carries the speed sensor."),
     segment: list[str] | None = SEGMENT,
-    select: str = SELECT,
     html: Path | None = HTML,
     rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
@@ -109,7 +102,7 @@ def fit_motor(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, rerun, as_json),
-        *(vehicle, mass, model, select, segment),
+        *(vehicle, mass, model, segment),
         motor_runs_in,
     )
 
@@ -126,14 +119,7 @@ def fit_body(
     measured: bool = typer.Option(
         False, "--measured-rotors", help="Use recorded rotor speeds instead of the motor model."
     ),
-    by: str = typer.Option(
-        "",
-        "--by",
-        help="Fit groups apart as well, altitude, motion or recording, and tell which constants"
-        " differ beyond their errors.",
-    ),
     segment: list[str] | None = SEGMENT,
-    select: str = SELECT,
     html: Path | None = HTML,
     rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
@@ -153,13 +139,12 @@ def fit_body(
             measured,
             task.selection,
             progress,
-            by,
         )
 
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, rerun, as_json),
-        *(vehicle, mass, model, select, segment),
+        *(vehicle, mass, model, segment),
         bridged_runs_in,
     )
 
@@ -182,7 +167,6 @@ def fit_arx(
         " each other.",
     ),
     segment: list[str] | None = SEGMENT,
-    select: str = SELECT,
     html: Path | None = HTML,
     rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
@@ -214,7 +198,7 @@ def fit_arx(
     _carry_out(
         identify,
         _Files(recordings, validate or [], output, html, rerun, as_json),
-        *(vehicle, mass, model, select, segment),
+        *(vehicle, mass, model, segment),
     )
 
 
@@ -243,7 +227,6 @@ def _carry_out(
     vehicle: str | None,
     mass_kg: float | None,
     model: str | None,
-    select: str,
     segment: list[str] | None,
     read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
 ) -> None:
@@ -256,7 +239,7 @@ def _carry_out(
         if path is not None:
             require_new(path)
     require_apart(files.recordings, files.validate)
-    selection = parse_selection(select, tuple(segment or ()))
+    selection = parse_selection(tuple(segment or ()))
     with shown("reading") as progress:
         fit_on, held = ([open_one(path) for path in p] for p in (files.recordings, files.validate))
         for one in (*fit_on, *held):
@@ -379,22 +362,5 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
             f"  held out: {one['recording']}: fit {one['rotor_fit_percent']:.1f} %,"
             f" RMS {one['rotor_rms_rev_s']:.2f} rev/s"
         )
-    _print_groups(account.get("groups"))
     for line in account["warnings"]:
         show(f"  warning: {line}")
-
-
-def _print_groups(groups: dict[str, Any] | None) -> None:
-    """Constants of the groups beside each other, and what differs."""
-    if groups is None:
-        return
-    for one in groups["groups"]:
-        if one["estimates"] is not None:
-            names, values, errors = (one["estimates"][key] for key in ("names", "values", "stderr"))
-            found = ", ".join(
-                f"{name} {value:.5g} +- {error:.2g}"
-                for name, value, error in zip(names, values, errors, strict=True)
-            )
-            show(f"  {one['name']}, {one['seconds']:.0f} s: {found}")
-    for line in groups["lines"]:
-        show(f"  {line}")

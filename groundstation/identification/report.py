@@ -60,8 +60,6 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
             else meaning_of
         )
         _parameters(page, estimates, account, meaning)
-    if "groups" in account:
-        _groups(page, account["groups"])
     page.heading("Measured and modelled")
     page.text("Rows that no fit has seen, where the channel moves most.")
     for trace in evidence.traces:
@@ -189,29 +187,6 @@ def _parameters(
             " together. Right: standard error as a share of the value"
             + (" (bars), and as it was expected before the fit (marks)." if expected else "."),
         )
-
-
-def _groups(page: Page, groups: dict[str, Any]) -> None:
-    page.heading(f"By {groups['by']}")
-    page.bullets(groups["lines"])
-    fitted = [one for one in groups["groups"] if one["estimates"] is not None]
-    rows = []
-    for name in dict.fromkeys(name for one in fitted for name in one["estimates"]["names"]):
-        cells: list[Any] = [name]
-        for found in (one["estimates"] for one in fitted):
-            at = found["names"].index(name) if name in found["names"] else None
-            cells += [None, None] if at is None else [found["values"][at], found["stderr"][at]]
-        chance = groups["chance"].get(name)
-        rows.append([*cells, None if chance is None else 100 * chance])
-    head = ["constant"]
-    for one in fitted:
-        head += [f"{one['name']}, {one['seconds']:.0f} s", "standard error"]
-    page.table(
-        [*head, "chance, %"],
-        rows,
-        "Groups of rows (thesis 7.3.5), each fitted alone. Chance: of so large a difference where"
-        " the constant is one and the same; the motor's uncertainty, common to all, left out.",
-    )
 
 
 def _held_out(page: Page, account: dict[str, Any]) -> None:

@@ -73,7 +73,7 @@ def stretches_of(
         raise BadInputError(
             f"{names}: {seconds:.1f} s of uninterrupted flight after take-off{wanted}, at least"
             f" {LEAST_S:.0f} s are needed; record longer"
-            + (" or choose less strictly" if wanted else "")
+            + (" or choose more of it" if wanted else "")
         )
     return found
 

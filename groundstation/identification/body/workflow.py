@@ -16,7 +16,6 @@ from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen
 from groundstation.identification.body.fit import BodyFit, fit_body, vertical
-from groundstation.identification.body.groups import fit_groups, require_grouping
 from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
 from groundstation.identification.body.validation import (
     SHAKEN_S,
@@ -74,17 +73,13 @@ def identify_body(
     measured: bool = False,
     selection: Selection = EVERYTHING,
     progress: Progress = silent,
-    by: str = "",
 ) -> Identified:
     """c0, c1, c2, thrust_per_mass and the effects fitted along, from flights.
 
     before: the motor, with its covariance where it was identified, and effects that act already:
     what this fit knows of them is fitted again. held: what no fit sees (none: ``division``).
-    measured: recorded rotor speeds instead of the motor model. by: a grouping (``groups``) of the
-    rows, held-out ones too, whose groups are fitted beside it; empty: none.
+    measured: recorded rotor speeds instead of the motor model.
     """
-    if by:
-        require_grouping(by)
     names = _names(effects, before, measured)
     supplied = [name for name in names if name in SUPPLY_EFFECTS]
     steered, saturated = (runs, []) if measured else by_saturation(runs)
@@ -135,10 +130,6 @@ def identify_body(
     )
     if not measured:
         account["free_run_angles"] = _free_run_angles(model, fit_on, validate_on)
-    if by:
-        progress(0.85, f"fitting by {by}")
-        rows_of_all = [paced(one, fit.pace[0]) for one in fit_on] + validate_on
-        account["groups"] = fit_groups(rows_of_all, by, vehicle, names, tie_roll_pitch).as_dict()
     prepared = flight_preparation(fit_on, vehicle.configuration)
     evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
