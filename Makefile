@@ -1,4 +1,4 @@
-# Two commands for a fresh machine: `make run` and `make test`.
+# Two commands for a fresh machine: `make run` and `make test`. `make help` lists all.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,34 +7,33 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run demo test test-all test-long test-durations test-usb check-local lint mutants bench bench-real bench-discrepancy soak clean
+.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint mutants \
+	wheel bench bench-real bench-discrepancy soak clean
 
-run: $(VENV)/.ready
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 26
+
+run: $(VENV)/.ready ## the software craft, live: recorded, with viewer and page
 	$(BIN)/groundstation run --link stand-in --viewer serve --page $(ARGS)
 
-# The whole story on the software craft, and a report: `make demo ARGS="--seed 3"` for another.
-demo: $(VENV)/.ready-dev
+demo: $(VENV)/.ready-dev ## the whole story and a report, 3 to 7 minutes; ARGS="--seed 3" for another
 	$(BIN)/groundstation demo $(ARGS)
 
-# What protects safety, data and the main job, in five minutes on two cores. Each worker takes a
-# stretch of neighbours: what a file's tests share is made once. One worker more than there are
-# cores, for some tests wait for real time.
+# Each worker takes a run of neighbours: what a file's tests share is made once. One worker more
+# than there are cores, for some tests wait for real time.
 PYTEST := $(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
-test: $(VENV)/.ready-dev
+test: $(VENV)/.ready-dev ## lint and the tests that protect safety, data and the main job: five minutes
 	$(MAKE) --output-sync -j2 lint $(VENV)/.compiled
 	$(PYTEST) --part short $(ARGS)
 
-# Every test: some 20 minutes on two cores.
-test-all: $(VENV)/.ready-dev
+test-all: $(VENV)/.ready-dev ## every test: some 20 minutes on two cores
 	$(MAKE) --output-sync -j2 lint $(VENV)/.compiled
 	$(PYTEST) $(ARGS)
 
-# What `make test` leaves out: tests/long_tests.txt lists it.
-test-long: $(VENV)/.ready-dev $(VENV)/.compiled
+test-long: $(VENV)/.ready-dev $(VENV)/.compiled ## what `make test` leaves out: tests/long_tests.txt
 	$(PYTEST) --part long $(ARGS)
 
-# Measures every test on a quiet machine and writes that list anew.
-test-durations: $(VENV)/.ready-dev $(VENV)/.compiled
+test-durations: $(VENV)/.ready-dev $(VENV)/.compiled ## measures every test, writes that list anew
 	$(PYTEST) -p durations --durations-to $(VENV)/durations.json $(ARGS)
 	$(BIN)/python tests/helpers/durations.py $(VENV)/durations.json
 
@@ -44,54 +43,55 @@ $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -n
 	$(BIN)/python tests/helpers/compiled.py
 	touch $@
 
-# The USB link through a real kernel, in a virtual machine: about ten minutes, and qemu-system-x86,
-# busybox-static, kmod, cpio and usbip.
-test-usb: $(VENV)/.ready-dev
+# Needs qemu-system-x86, busybox-static, kmod, cpio and usbip.
+test-usb: $(VENV)/.ready-dev ## USB through a real kernel, in a virtual machine: ten minutes
 	$(BIN)/pytest tests/usb_vm -s -v -o faulthandler_timeout=0 $(ARGS)
 
-# Recordings that may not be committed: a folder with usd_card/, imrc/, imrc_brushed/, imrc_payload/
-# and nanobench/, or some of them. What its flights must show, a line each, then the tests.
-check-local: $(VENV)/.ready-dev
+# A folder with usd_card/, imrc/, imrc_brushed/, imrc_payload/ and nanobench/, or some of them. What
+# its flights must show, a line each, then the tests.
+check-local: $(VENV)/.ready-dev ## recordings that may not be published: what they must show, and tests
 	@$(BIN)/python -m bench.real $(GROUNDSTATION_LOCAL_DATA) accept; accepted=$$?; \
 	GROUNDSTATION_LOCAL_DATA=$(GROUNDSTATION_LOCAL_DATA) $(BIN)/pytest tests/local $(ARGS) \
 	&& exit $$accepted
 
-# Fits and findings on real flights beside estimates made apart: `make bench-real ARGS="fit agreement"`.
-bench-real: $(VENV)/.ready-dev
+bench-real: $(VENV)/.ready-dev ## fits and findings on real flights beside estimates made apart
 	$(BIN)/python -m bench.real $(GROUNDSTATION_LOCAL_DATA) $(ARGS)
 
-lint: $(VENV)/.ready-dev
+lint: $(VENV)/.ready-dev ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Faults put in one at a time, in memory only: each has to fail a test of the short suite.
-mutants: $(VENV)/.ready-dev $(VENV)/.compiled
+mutants: $(VENV)/.ready-dev $(VENV)/.compiled ## faults put in one at a time: a test must notice each
 	$(BIN)/python -m bench.mutants $(ARGS)
 
-bench: $(VENV)/.ready-dev
+wheel: $(VENV)/.ready-dev ## source distribution and wheel in dist/, checked
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist/*.whl
+
+bench: $(VENV)/.ready-dev ## what is fast, beside a reference in the same run
 	$(BIN)/python -m bench $(ARGS)
 
-# Hidden effects by the hundred, found and judged; sizes by ARGS, for example
-# ARGS="--only single --seeds 2 --results results". A run that was stopped goes on.
-bench-discrepancy: $(VENV)/.ready-dev
+# For example ARGS="--only single --seeds 2 --results results". A run that was stopped goes on.
+bench-discrepancy: $(VENV)/.ready-dev ## hidden effects by the hundred, found and judged
 	$(BIN)/python -m bench.sealed run $(ARGS)
 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@echo "once: an environment of its own in $(VENV)"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "once: groundstation and its libraries (about a minute)"
-	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e .
+	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[viewer]'
 	touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	@echo "once: what tests, demo and radio need besides"
-	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,radio,logs,fleet]'
+	@$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[viewer,docs,dev,radio,logs,fleet]'
 	touch $@
 
-# A day of telemetry through the real daemon, every file verified: `make soak ARGS="--hours 2"`.
-soak: $(VENV)/.ready-dev
+soak: $(VENV)/.ready-dev ## a day of telemetry through the daemon, every file verified; ARGS="--hours 2"
 	$(BIN)/python -m bench.soak $(ARGS)
 
-clean:
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+clean: ## removes the environment and what was built
+	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 PUBLIC: dict[str, tuple[str, ...]] = {
     "recording.open_recording": ("open_recording",),

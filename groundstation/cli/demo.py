@@ -45,7 +45,9 @@ def demo(
 
     from groundstation.demo.shell import Shell
     from groundstation.demo.story import STAGES, inputs, tell
+    from groundstation.rerun_log.installed import require_rerun
 
+    require_rerun("the story, which writes files for the viewer,")
     folder = output or _free_folder(f"demo-{seed}")
     console = Console(stderr=as_json, highlight=False, markup=False, soft_wrap=True)
     columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())

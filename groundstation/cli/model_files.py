@@ -149,11 +149,16 @@ def write_new(path: Path, text: str) -> None:
 
 
 def require_new(path: Path) -> None:
-    """Raises BadInputError where a new file's name is taken or its folder is not there."""
+    """Raises BadInputError where a new file's name is taken, its folder is not there, or rerun,
+    which writes an .rrd, is not installed."""
+    from groundstation.rerun_log.installed import require_rerun
+
     if path.exists():
         raise BadInputError(taken(path))
     if not path.absolute().parent.is_dir():
         raise BadInputError(f"{path}: there is no folder {path.parent}; nothing was done")
+    if path.suffix.lower() == ".rrd":
+        require_rerun(f"{path}: an .rrd file")
 
 
 def say_written(*paths: Path | None) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from groundstation.demo.shell import Shell
 from groundstation.errors import GroundStationError
+from groundstation.extras import install
 
 CRAFT = """# The software craft: exactly the physics of the base model, so that what will be hidden
 # is all there is to find, and gains that carry it. Meaning of the keys: docs/stand_in.md.
@@ -41,8 +42,7 @@ PID_FLIGHTS = ("pid_flight", "pid_flight_again")
 READY_S = 90.0
 """A first start compiles the flight model."""
 WITHOUT_CFLIB = (
-    "not flown: commanding a craft needs cflib (GPLv3), an optional extra:"
-    " pip install -e '.[radio]'"
+    f"not flown: commanding a craft needs cflib (GPLv3), an optional extra: {install('radio')}"
 )
 
 

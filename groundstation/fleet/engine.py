@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from groundstation.allocator import KEPT_BYTES
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.extras import install
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -39,7 +40,6 @@ LOOK_S = 5.0
 """So often is asked how many workers there are: some join or leave on the way."""
 RETURN_S = 600.0
 """So long a scheduler that went away may take to be begun anew, with its workers."""
-HINT = "pip install -e '.[fleet]'"
 
 
 def cores() -> int:
@@ -242,8 +242,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise BadInputError(
-            f"Dask, which carries the work to more than one core, is not installed: {HINT}; or"
-            " say --workers 1"
+            f"Dask, which carries the work to more than one core, is not installed:"
+            f" {install('fleet')}; or say --workers 1"
         ) from error
     settings: dict[str, Any] = {
         "distributed.scheduler.allowed-failures": DEATHS - 1,

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from urllib.parse import urlsplit
 
 from groundstation.errors import BadInputError
+from groundstation.extras import install
 
 ADDRESSES = (
     "udp://HOST:PORT, usb://0 or radio://0/80/2M/E7E7E7E7E7 (dongle or its serial number, channel 0"
@@ -17,7 +18,7 @@ ADDRESSES = (
 )
 LOOKED_THROUGH = ("radio://0/0/2M", "usb://0")
 """The dongle and the cable that ``in_reach`` opens."""
-HINT = "install it with pip install -e '.[radio]' in the program's folder, or pip install cflib"
+HINT = f"install it with {install('radio')}"
 
 _RADIO = re.compile(
     r"radio://(?P<dongle>\d{1,9}|[0-9A-Fa-f]{10,32})/(?P<channel>\d{1,3})"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.extras import install
 from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
 from groundstation.recording.series_map import Series, read_mapped_series
@@ -65,9 +66,7 @@ def read_bag(path: Path, source: str | Path | None = None) -> Recording:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader
     except ImportError as error:
-        raise BadInputError(
-            f"{path}: a ROS bag, which rosbags reads: pip install -e '.[logs]'"
-        ) from error
+        raise BadInputError(f"{path}: a ROS bag, which rosbags reads: {install('logs')}") from error
     reader = Reader1 if _is_ros1(path) else Reader
     try:
         with reader(path) as bag:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import RecordingError
 from groundstation.rerun_log.channels import HOST_TIME, OWN_PREFIX, SCALARS, SEQUENCE
+from groundstation.rerun_log.installed import require_rerun
 
 Columns = dict[str, NDArray[Any]]
 """Component or timeline name -> the values of all rows, one after the other."""
@@ -32,8 +33,10 @@ _DATA = "data "
 def read_columns(path: Path) -> dict[str, Columns]:
     """Entity -> its timelines, scalars and own components; text as arrays of objects.
 
-    Raises RecordingError in one line for anything that rerun cannot read.
+    Raises RecordingError in one line for anything that rerun cannot read, BadInputError where rerun
+    is not installed.
     """
+    require_rerun(f"{path}: an .rrd file")
     with tempfile.TemporaryFile() as shared:
         command = [sys.executable, "-m", __name__, str(path.resolve()), str(shared.fileno())]
         reader = subprocess.run(

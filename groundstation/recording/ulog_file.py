@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.extras import install
 from groundstation.recording.series_map import Series, read_mapped_series
 from groundstation.recording.session import Recording
 
@@ -28,9 +29,7 @@ def read_ulog(path: Path, source: str | Path | None = None) -> Recording:
         from pyulog import ULog
         from pyulog.exceptions import ULogException
     except ImportError as error:
-        raise BadInputError(
-            f"{path}: a ULog, which pyulog reads: pip install -e '.[logs]'"
-        ) from error
+        raise BadInputError(f"{path}: a ULog, which pyulog reads: {install('logs')}") from error
     try:
         log = ULog(str(path))
     except (

@@ -10,15 +10,18 @@ from pathlib import Path
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
+from groundstation.rerun_log.installed import require_rerun
 
 
 @contextlib.contextmanager
 def fresh_rrd(path: Path) -> Iterator[Path]:
     """Within the block, write to the file it gives; in the end that becomes the new ``path``.
 
-    Raises BadInputError when ``path`` exists or its folder does not, RecordingError when the file
-    could not be written completely; nothing half-written is left behind.
+    Raises BadInputError when ``path`` exists, its folder does not or rerun is not installed,
+    RecordingError when the file could not be written completely; nothing half-written is left
+    behind.
     """
+    require_rerun(f"{path}: an .rrd file")
     if path.exists():
         raise BadInputError(taken(path))
     if not path.parent.is_dir():

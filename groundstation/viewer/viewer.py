@@ -25,6 +25,7 @@ from urllib.parse import quote
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.event import LinkEvent
+from groundstation.rerun_log.installed import require_rerun
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.viewer.child import Child
@@ -116,7 +117,7 @@ class Viewer:
         """Start serving in the background; ``status`` and ``on_event`` say when it is up.
 
         Raises TakenError when a port is taken, BadInputError when there is no display for a
-        window, GroundStationError when the rerun program is missing.
+        window or rerun is not installed, GroundStationError when its program is missing.
         """
         if self.mode is ViewerMode.OFF or self._task is not None:
             return
@@ -386,8 +387,10 @@ class Viewer:
 def rerun_program() -> Path:
     """The rerun executable itself (the ``rerun`` script only starts it as another child).
 
-    Raises GroundStationError when it is missing.
+    Raises BadInputError when rerun is not installed, GroundStationError when only its program is
+    missing.
     """
+    require_rerun("the live view (--viewer off: everything but it)")
     package = importlib.util.find_spec("rerun_cli")
     folder = Path(package.origin).parent if package and package.origin else Path()
     program = Path(os.environ.get("RERUN_CLI_PATH", folder / "rerun"))

@@ -66,7 +66,7 @@ ELSEWHERE = {
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
     "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
-    "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "[dev,radio"),
+    "pip install -e '.[radio]'": ("the test environment has it", "Makefile", "dev,radio"),
     "pip install -e '.[fleet]'": ("the test environment has it", "Makefile", ",fleet]"),
     "groundstation fleet index": ("a fleet is flown once", FLEET, '"index"'),
     "groundstation fleet fit": ("a fleet is flown once", FLEET, '"fit"'),

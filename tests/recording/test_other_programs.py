@@ -236,7 +236,7 @@ def test_without_the_library_the_hint_installs_it_from_here(name, package, fligh
     done = run_program([sys.executable, "-c", program, "inspect", tmp_path / name])
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert f"{package} reads: pip install -e '.[logs]'" in done.stderr
+    assert f"{package} reads: pip install 'crazyflie-groundstation[logs]'" in done.stderr
 
 
 def test_a_bag_of_ros_1_reads_like_one_of_ros_2(flight, tmp_path):

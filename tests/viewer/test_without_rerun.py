@@ -1,0 +1,44 @@
+"""Everything but the live view works without rerun; what needs it names the extra to install."""
+
+import sys
+
+import pytest
+from installed import RECORDINGS, require_failure
+from programs import run_program
+
+FLIGHT = RECORDINGS / "stand_in_flight.mcap"
+WITHOUT = (
+    "import sys; sys.modules['rerun'] = sys.modules['rerun_cli'] = None; "
+    "from groundstation.cli.main import main; main()"
+)
+EXTRA = "needs rerun, an optional part of some 500 MB: pip install"
+
+
+def without_rerun(*arguments, cwd):
+    return run_program([sys.executable, "-c", WITHOUT, *map(str, arguments)], cwd=cwd)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "--link", f"replay:{FLIGHT}", "--viewer", "serve", "--no-record"),
+        ("convert", FLIGHT, "flight.rrd"),
+        ("inspect", "live.rrd"),
+        ("fit", "body", FLIGHT, "-o", "body.json", "--rerun", "body.rrd"),
+        ("demo",),
+    ],
+    ids=["live view", "convert", "inspect", "fit --rerun", "demo"],
+)
+def test_what_needs_rerun_names_the_extra(arguments, tmp_path):
+    (tmp_path / "live.rrd").write_bytes(b"RRF2" + bytes(64))
+    said = require_failure(without_rerun(*arguments, cwd=tmp_path))
+    assert f"{EXTRA} 'crazyflie-groundstation[viewer]'" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["live.rrd"], "nothing half-made"
+
+
+def test_the_daemon_records_without_rerun(tmp_path):
+    options = ("--link", f"replay:{FLIGHT}", "--speed", "max", "--recordings", "sessions")
+    done = without_rerun("run", *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (recorded,) = (tmp_path / "sessions").glob("*.mcap")
+    assert "samples" in without_rerun("inspect", recorded, cwd=tmp_path).stdout
