@@ -2,7 +2,7 @@
 
 from bench.mutants.fault import Fault
 
-_COMMANDER = "groundstation/service/commander.py"
+_LEASE = "groundstation/service/lease.py"
 _SOCKET = "groundstation/service/control_socket.py"
 _CONTROL = "groundstation/service/control.py"
 _PAGE = "groundstation/page/access.py"
@@ -14,8 +14,8 @@ FAULTS = (
     Fault(
         "lease-token",
         "whoever knows of a client can command in its place",
-        _COMMANDER,
-        "hmac.compare_digest(lease.token.encode(), token.encode())",
+        _LEASE,
+        "hmac.compare_digest(self.token.encode(), token.encode())",
         "True",
         (
             "tests/service/test_commander.py::test_two_clients_cannot_both_command",

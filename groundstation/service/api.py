@@ -182,8 +182,8 @@ def _command(station: Station) -> list[Operation]:
             time_ns=time_ns,
             telemetry=station.newest.telemetry(),
             link_state=station.receiver.state.value,
-            hindrance=commander.hindrance,
-            height_m=commander.height_m,
+            hindrance=commander.supervisor.hindrance,
+            height_m=commander.supervisor.height_m,
         )
 
     async def stop(_: None) -> Any:

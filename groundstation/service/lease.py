@@ -1,10 +1,17 @@
-"""One client's right to command."""
+"""One client's right to command, and whose it is at the moment."""
 
 from __future__ import annotations
 
+import hmac
+import secrets
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from groundstation.service.motor_stop import Stop
+from groundstation.errors import NotAuthorisedError, TakenError
+from groundstation.service.config import DeadManConfig
+from groundstation.service.motor_stop import Note, Stop
+
+DEAD_MAN = "dead man"
 
 
 @dataclass(slots=True)
@@ -34,5 +41,104 @@ class Lease:
         """Whether motors run for it."""
         return bool(self.thrust) or self.height_m is not None
 
+    def steer(self, made_s: float, thrust: int, height_m: float | None) -> None:
+        """Its client has sent a setpoint that was made at ``made_s``."""
+        self.setpoint_s, self.levelled = made_s, False
+        self.thrust, self.height_m = thrust, height_m
+        self.flew |= self.flies
+
     def set_down(self) -> None:
         self.thrust, self.height_m = 0, None
+
+    def is_of(self, token: str) -> bool:
+        return hmac.compare_digest(self.token.encode(), token.encode())
+
+    def wants_level(self, now_s: float, limits: DeadManConfig) -> bool:
+        """Whether its client was silent in flight for too long to be leant on."""
+        return self.flies and now_s - self.setpoint_s >= limits.level_s
+
+    def has_vanished(self, now_s: float, limits: DeadManConfig) -> bool:
+        """Whether its client was silent in flight for so long that motors must stop."""
+        return self.flies and now_s - self.setpoint_s >= limits.stop_s
+
+    def has_lapsed(self, now_s: float, limits: DeadManConfig) -> bool:
+        """Whether its client was silent on the ground for too long to keep others out."""
+        return not self.flies and now_s - self.heard_s >= limits.lease_s
+
+
+class Leases:
+    """The lease in force, one at a time, what ends it, and the one before it. Who uses it holds a
+    lock.
+
+    note: told (kind, text). stop: stops the motors in the name of a client. turns: whether motors
+    still do, as far as the craft says.
+    """
+
+    def __init__(
+        self, note: Note, stop: Callable[[str], Stop | None], turns: Callable[[], bool]
+    ) -> None:
+        self.present: Lease | None = None
+        self.vanished = 0  # clients, in flight
+        self._note, self._stop, self._turns = note, stop, turns
+        self._former: Lease | None = None
+
+    @property
+    def client(self) -> str | None:
+        """Who commands at the moment."""
+        return None if self.present is None else self.present.client
+
+    def begin(self, client: str, now_s: float) -> Lease:
+        """Raises TakenError where another client commands."""
+        if self.present is not None:
+            raise TakenError(f"{self.present.client} is commanding; one client at a time")
+        self.present = Lease(client, secrets.token_urlsafe(24), now_s)
+        return self.present
+
+    def of(self, token: str, now_s: float) -> Lease:
+        """The lease in force, of the client that shows its token and is heard by that. Raises
+        NotAuthorisedError, which says why the client's own is over."""
+        lease, former = self.present, self._former
+        if lease is not None and lease.is_of(token):
+            lease.heard_s = now_s
+            return lease
+        if former is not None and former.is_of(token):
+            raise NotAuthorisedError(f"{former.ended}; acquire a lease")
+        raise NotAuthorisedError("this token is not (or no more) in force; acquire a lease")
+
+    def former(self, token: str) -> Lease | None:
+        """The lease that was the last one, of the client that shows its token."""
+        former = self._former
+        is_last = self.present is None and former is not None and former.is_of(token)
+        return former if is_last else None
+
+    def expire(self, now_s: float, limits: DeadManConfig) -> None:
+        """End the lease in force where its time is over, whoever notices first."""
+        lease = self.present
+        if lease is None:
+            return
+        if lease.has_vanished(now_s, limits):
+            self.vanished += 1
+            lease.stop = self._stop(DEAD_MAN)
+            self.end(
+                f"{lease.client} has vanished: its motors are asked to stop", kind="fault",
+                why="no setpoint came in time: the dead man has asked the motors to stop",
+            )  # fmt: skip
+        elif lease.has_lapsed(now_s, limits):
+            text = f"{lease.client} was silent for {limits.lease_s:g} s: its lease is over"
+            self.leave(text, DEAD_MAN, why=text)
+
+    def leave(self, text: str, client: str, *, why: str = "the lease is over") -> None:
+        """End the lease in force and, in the name of ``client``, stop what runs for it or goes on
+        turning at zero thrust, as assist modes and armed brushless motors do."""
+        lease = self.present
+        if lease is not None:
+            if lease.flies or (lease.flew and self._turns()):
+                lease.stop = self._stop(client)
+            self.end(text, why=why)
+
+    def end(self, text: str, *, kind: str = "command", why: str) -> None:
+        """The lease in force, if there is one, is over. why: what its client is told."""
+        lease, self.present = self.present, None
+        if lease is not None:
+            lease.ended, self._former = why, lease
+        self._note(kind, text)

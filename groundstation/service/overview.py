@@ -15,7 +15,6 @@ def status(station: Station) -> dict[str, Any]:
     """The keys of the design's ``status --json``, and more (``answers.Status``)."""
     statistics, receiver = station.statistics, station.receiver
     link = receiver.link
-    command, out_of_reach = station.commander.status(), station.craft.out_of_reach()
     return {
         "link": {
             "name": link.name,
@@ -31,7 +30,7 @@ def status(station: Station) -> dict[str, Any]:
         "battery": station.batteries.status(),
         "viewer": station.viewer.status(),
         "page": station.page.status(),
-        "command": None if command is None else {**command, "out_of_reach": out_of_reach},
+        "command": _command(station),
         "twin": station.twin.status(),
         "stream": {"clients": len(station.stream), "dropped": station.stream.dropped},
         "tasks": station.supervisor.status(),
@@ -66,3 +65,26 @@ def problems(station: Station) -> list[str]:
         found.append(reason)
     found += [f"task {name} is dead" for name in station.supervisor.dead()]
     return found
+
+
+def _command(station: Station) -> dict[str, Any] | None:
+    """The craft that is commanded, and by whom."""
+    commander = station.commander
+    link, lease = commander.link, commander.leases.present
+    if link is None:
+        return None
+    return {
+        "uri": link.uri,
+        "state": link.state.value,
+        "firmware": link.firmware,
+        "client": commander.client,
+        "armed": link.armed,
+        "hindrance": link.supervisor.hindrance,
+        "crashed": link.supervisor.crashed,
+        "held_level": lease is not None and lease.held_level,
+        "setpoints": commander.setpoints,
+        "superseded": link.superseded,
+        "refused": commander.refused,
+        "interventions": commander.leases.vanished,
+        "out_of_reach": station.craft.out_of_reach(),
+    }

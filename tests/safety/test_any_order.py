@@ -19,7 +19,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import DeadManConfig
-from groundstation.service.dead_man import STOOD_S
+from groundstation.service.freshness import STOOD_S
 from groundstation.service.motor_stop import STOPPED
 
 STEPS = int(os.environ.get("SAFETY_STEPS", "1000"))

@@ -1,6 +1,7 @@
 """Dead man, lease, age of setpoints and what follows a stop, on a clock that the test turns."""
 
 import asyncio
+import math
 
 import pytest
 from craft_in_hand import World
@@ -160,8 +161,9 @@ def test_what_was_said_before_the_daemon_stood_still_turns_no_motor(flying, stoo
     for turned in (False, True):  # the loop that wakes may hear it before or after its own clock
         if turned:
             flying.commander.turn(flying.world.now_s)
-        with pytest.raises(LinkError, match="stood still"):
-            flying.commander.setpoint(token, 0, 0, 0, HOVER)
+        for made_s in (None, math.nan, flying.world.now_s + 60.0):  # or of another clock
+            with pytest.raises(LinkError, match="stood still"):
+                flying.commander.setpoint(token, 0, 0, 0, HOVER, None, made_s)
     flying.commander.setpoint(token, 0, 0, 0, 0)  # no thrust is never too old
     flying.wait(0.6)
     flying.commander.setpoint(token, 0, 0, 0, HOVER)
