@@ -24,6 +24,8 @@ from numba.core import sigutils
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.ccallback import CFunc
 
+from groundstation import compiling
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 CACHE = "NUMBA_CACHE_DIR"
 """Environment variable: a folder of the user's choice for compiled code, taken as it is."""
@@ -112,6 +114,16 @@ class _ContentImpl(CompileResultCacheImpl):
 
 class _ContentCache(FunctionCache):
     _impl_class = _ContentImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        kept = super().load_overload(sig, target_context)
+        if kept is None:
+            compiling.begin(self._name)
+        return kept
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        super().save_overload(sig, data)
+        compiling.end(self._name)
 
 
 @cache

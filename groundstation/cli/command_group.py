@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from groundstation.cli.progress import watched
 from groundstation.errors import BadInputError
 
 
@@ -19,6 +20,10 @@ class Commands(typer.Typer):
 
 
 class _Command(TyperCommand):
+    def invoke(self, ctx: Any) -> Any:
+        with watched():
+            return super().invoke(ctx)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for one in given:

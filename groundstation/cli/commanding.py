@@ -11,10 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import typer
-
-from groundstation.cli.terminal import say
-from groundstation.errors import BadInputError, GroundStationError
+from groundstation.cli.terminal import require_yes, say
+from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.motor_stop import BY_OPERATOR
 
@@ -102,8 +100,7 @@ def kept(pilot: Pilot) -> Iterator[None]:
 def require_consent(pilot: Pilot, question: str, otherwise: str) -> None:
     """Ask the human. Raises BadInputError, saying ``otherwise``, for a no."""
     with kept(pilot):
-        if not typer.confirm(question):
-            raise BadInputError(otherwise)
+        require_yes(question, otherwise)
 
 
 def require_ended(report: Mapping[str, Any], what: str) -> None:

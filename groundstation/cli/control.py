@@ -13,6 +13,7 @@ import typer
 from groundstation.cli import config, jobs, models, motors, page, recordings
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
+from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import Client, ask
 from groundstation.service.config import socket_path
@@ -177,6 +178,7 @@ def _watch(as_json: bool) -> None:
     """Show the status until Ctrl-C or the end of the daemon; as JSON one line each time."""
     from rich.live import Live
 
+    own_terminal()
     with Client(socket_path()) as client:
         if as_json:
             while True:

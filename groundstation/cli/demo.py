@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.model_files import AS_JSON
+from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show_json
 from groundstation.errors import GroundStationError
 
@@ -48,6 +49,7 @@ def demo(
     from groundstation.rerun_log.installed import require_rerun
 
     require_rerun("the story, which writes files for the viewer,")
+    own_terminal()
     folder = output or _free_folder(f"demo-{seed}")
     console = Console(stderr=as_json, highlight=False, markup=False, soft_wrap=True)
     columns = (SpinnerColumn(), BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())

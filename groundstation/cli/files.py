@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
+from groundstation.cli.progress import shown, spoken
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
 from groundstation.text import printable
@@ -111,7 +109,7 @@ def convert(
         _require_samples(recording)
     if supply_v is not None:
         _give_supply(recording, supply_v)
-    with _progress(f"writing {target}"):
+    with shown(f"writing {target}"):
         writer(recording, target)
     if as_json:
         show_json({"file": str(target), "samples": len(recording.samples)})
@@ -139,7 +137,7 @@ def recover(
 
     if output is not None:
         require_new(output)
-    with _progress(f"reading {file}"):
+    with shown(f"reading {file}"):
         report = recover_file(file, output)
     if as_json:
         show_json(asdict(report))
@@ -170,7 +168,7 @@ def _give_supply(recording: Recording, supply_v: float) -> None:
 def _open(path: Path, columns: str | None) -> Recording:
     from groundstation.recording.open_recording import open_recording
 
-    with _progress(f"reading {path}"):
+    with shown(f"reading {path}"):
         return open_recording(path, raw=True, column_map=columns)
 
 
@@ -204,19 +202,6 @@ def _raise_damage(recording: Recording) -> None:
         raise DamagedRecordingError(f"{recording.path}: {recording.damage[0]}{also}{repair}")
 
 
-@contextlib.contextmanager
-def _progress(text: str) -> Iterator[None]:
-    """A spinner on a terminal, nothing in a pipe."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-    from rich.text import Text
-
-    with Console(stderr=True).status(Text(printable(text))):
-        yield
-
-
 def _packets_line(report: dict[str, Any]) -> str:
     line = f"{report['raw_packets']}, {report['duplicates']} of them copies"
     for name in ("malformed", "damaged"):
@@ -238,6 +223,7 @@ def _print_report(report: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    spoken()
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)
     facts = [

@@ -6,8 +6,8 @@ import typer
 
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
-from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, GroundStationError
+from groundstation.cli.terminal import require_yes, show, show_json
+from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import socket_path
 from groundstation.service.motor_stop import STOPPED
@@ -55,8 +55,7 @@ def arm(
     command = ask(socket_path(), "GET", "/status")["command"]
     if command is not None and not command["uri"].startswith("udp://") and not yes:
         question = f"{command['uri']}: clear of people, propellers may turn; arm its motors?"
-        if not typer.confirm(question):
-            raise BadInputError("not armed")
+        require_yes(question, "not armed")
     ask(socket_path(), "POST", "/command/arm", {"on": True})
     _report("armed", "", as_json)
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation.cli.config import assignments
+from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import Log, say
 from groundstation.errors import BadInputError, GroundStationError
@@ -98,6 +99,7 @@ def run(
         **assignments(assign),
     }
     changes = {key: value for key, value in options.items() if value is not None}
+    own_terminal()
     source = ConfigSource(config, changes)
     asyncio.run(_serve(source.load(), source, duration_s))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from groundstation.background import in_background
 from groundstation.clock import HostClock
+from groundstation.compiling import announced
 from groundstation.documents import explained
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
@@ -19,8 +20,6 @@ from groundstation.telemetry.samples import RawBatch
 BATCH_S = 0.01
 """Simulated time per batch."""
 FAST_BATCH_S = 5.0
-ANNOUNCE_S = 2.0
-"""Powering on takes longer than this where the flight model has to be compiled."""
 LOOK_S = 0.5
 """How often it is said what the craft does."""
 LOW_POWER = 3
@@ -74,16 +73,12 @@ class StandInLink(Link):
         self._flight: asyncio.Future[Any] | None = None
 
     async def _open(self) -> None:
-        announcement = asyncio.get_running_loop().call_later(
-            ANNOUNCE_S,
-            self.emit,
-            "preparing",
-            "preparing the flight model: compiled once per machine",
-        )
+        self.doing, self.pauses = "preparing the simulator", True
         try:
-            self._craft = await in_background(self._power_on)
+            async with announced(self._tell_of_compiling):
+                self._craft = await in_background(self._power_on)
         finally:
-            announcement.cancel()
+            self.doing, self.pauses = "", False
         self.vehicle = self._craft.profile
         if self._craft.added_by_plant:
             self.emit("plant", self._craft.added_by_plant)
@@ -130,6 +125,10 @@ class StandInLink(Link):
         server, self._server = self._server, None
         if server is not None:
             await server.close()
+
+    def _tell_of_compiling(self) -> None:
+        self.doing = "preparing the simulator, first start only"
+        self.emit("preparing", f"{self.doing}: its flight model is compiled once per machine")
 
     def _power_on(self) -> Any:
         from firmware_sim.craft import StandIn

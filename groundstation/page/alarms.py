@@ -12,7 +12,7 @@ DISK_LOW_MB = 1024.0
 VIEW_BEHIND_S = 2.0
 
 Alarm = dict[str, str]
-"""level: ``alarm`` (act) or ``warning`` (look); text."""
+"""level: ``alarm`` (act), ``warning`` (look) or ``busy`` (wait); text."""
 
 
 def alarms(status: dict[str, Any] | None, fault: str, battery_v: float | None) -> list[Alarm]:
@@ -28,16 +28,23 @@ def _found(status: dict[str, Any], battery_v: float | None) -> Iterator[Alarm]:
         yield _alarm(problem[:1].upper() + problem[1:])
     link = status["link"]
     streaming = link["state"] == "streaming" and not link["pauses"]
-    if link["pauses"]:
+    prepares = link["pauses"] and link["state"] == "opening"
+    if prepares:
+        yield {"level": "busy", "text": link["doing"][:1].upper() + link["doing"][1:]}
+    elif link["pauses"]:
         yield _warning(f"The stand-in pauses: {link['doing']}")
     if streaming and battery_v is not None and battery_v < BATTERY_EMPTY_V:
         yield _alarm(f"Battery empty: {battery_v:.2f} V. Land now")
     elif streaming and battery_v is not None and battery_v < BATTERY_LOW_V:
         yield _warning(f"Battery low: {battery_v:.2f} V. Land soon")
     recording = status["recording"]
-    if not recording["wanted"]:
+    if not recording["wanted"] and not prepares:
         yield _warning("Nothing is being recorded")
-    elif recording["free_mb"] is not None and recording["free_mb"] < DISK_LOW_MB:
+    if (
+        recording["wanted"]
+        and recording["free_mb"] is not None
+        and recording["free_mb"] < DISK_LOW_MB
+    ):
         yield _warning(f"Disk: {recording['free_mb']:.0f} MB left")
     statistics = status["statistics"]
     if streaming and statistics is not None and statistics["loss_pct"] > LOSS_MOST_PCT:

@@ -12,7 +12,7 @@ from groundstation.telemetry.statistics import LinkStatistics
 class LinkStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The telemetry link. lost: samples, since it was opened. latency_ms: median, of the last
     second. doing: what a simulated craft does, in words; empty for others. pauses: silent, and
-    nothing is wrong: its battery is changed."""
+    nothing is wrong: it is being prepared, or its battery is changed."""
 
     name: str
     state: Literal["closed", "opening", "streaming", "silent", "lost", "ended"]

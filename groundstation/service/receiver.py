@@ -11,6 +11,7 @@ from functools import partial
 from typing import Protocol
 
 from groundstation.background import in_background
+from groundstation.compiling import announced
 from groundstation.errors import (
     BadInputError,
     GroundStationError,
@@ -23,8 +24,6 @@ from groundstation.telemetry.decoder import Decoded, Decoder, DecoderCounts, com
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.telemetry.statistics import LinkMeter, LinkStatistics
 
-ANNOUNCE_S = 2.0
-"""Preparing takes longer than this where something has to be compiled."""
 RETRY_FIRST_S, RETRY_MOST_S = 0.5, 5.0
 BUSY_S = 0.005
 OPEN_MOST_S = 30.0
@@ -262,15 +261,9 @@ class Receiver:
             self._telling.fault(f"closing failed: {error!r}", source=link.name)
 
     async def _compile(self) -> None:
-        announcement = asyncio.get_running_loop().call_later(
-            ANNOUNCE_S,
-            partial(self._telling.note, "preparing",
-                    "preparing the decoder: compiled once per machine", source="decoder"),
-        )  # fmt: skip
-        try:
+        text = "preparing the decoder, first start only: it is compiled once per machine"
+        async with announced(partial(self._telling.note, "preparing", text, source="decoder")):
             await in_background(compile_kernel)
-        finally:
-            announcement.cancel()
 
     def _lose(self) -> None:
         """What follows is a new segment, after whatever went wrong."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from groundstation.background import in_background
+from groundstation.compiling import announced
 from groundstation.dynamics.model import Model, load_model
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
@@ -25,7 +26,6 @@ PERIOD_S = 0.25
 ROWS_MOST = 30_000
 """A minute of telemetry waits while the twin is compiled; beyond that the oldest is dropped."""
 PIECE_ROWS = 5000
-ANNOUNCE_S = 2.0
 CLOSE_S = 2.0
 FAULTS_MOST = 3
 SOURCE = "twin"
@@ -159,16 +159,13 @@ class TwinService:
     async def _warm_up(self, model: Model) -> None:
         from groundstation.twin.twin import warm_up
 
-        announcement = asyncio.get_running_loop().call_later(
-            ANNOUNCE_S, self._note, "preparing", "preparing the twin: compiled once per machine"
-        )
+        text = "preparing the twin, first start only: it is compiled once per machine"
         try:
-            await in_background(lambda: warm_up(model))
+            async with announced(lambda: self._note("preparing", text)):
+                await in_background(lambda: warm_up(model))
             self._warm = True
         except Exception as error:  # whatever it is, the telemetry goes on
             self._give_up("fault", f"the twin cannot be prepared: {error!r}")
-        finally:
-            announcement.cancel()
 
     async def _step(self, model: Model) -> None:
         from groundstation.twin.twin import Twin

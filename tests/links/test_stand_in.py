@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from link_contract import joined, read_span
 
+from groundstation import compiling
 from groundstation.links import stand_in
 from groundstation.links.stand_in import StandInLink
 from groundstation.telemetry.decoder import Decoder, decode_all
@@ -35,6 +36,45 @@ def test_a_seed_gives_the_same_packets_with_the_same_spacing_at_any_speed(speed)
     np.testing.assert_array_equal(*spacing)
     other = flown(FAST, 200_000_000, seed=6)
     assert (other.packets[:rows] != fast.packets[:rows]).any()
+
+
+def opened_beside(compiles, monkeypatch):
+    """(what the link says while its craft is made, its events); compiles: as the machine does."""
+    link, events, said = StandInLink(SOUND_RADIO), [], []
+    link.on_event = events.append
+    power_on = link._power_on
+
+    def held():
+        if compiles:
+            compiling.begin("a kernel")
+        eventually_said = time.monotonic() + 60
+        while compiles and not any(e.kind == "preparing" for e in events):
+            assert time.monotonic() < eventually_said
+            time.sleep(0.01)
+        said.append((link.state.value, link.pauses, link.doing))
+        if compiles:
+            compiling.end("a kernel")
+        return power_on()
+
+    monkeypatch.setattr(link, "_power_on", held)
+
+    async def session():
+        async with link:
+            return link.doing, link.pauses
+
+    assert asyncio.run(session()) == ("", False)
+    (once,) = said
+    return once, [event.text for event in events if event.kind == "preparing"]
+
+
+def test_a_craft_that_is_being_prepared_is_no_fault_and_says_first_start_only_where_it_is(
+    monkeypatch,
+):
+    state, told = opened_beside(False, monkeypatch)
+    assert state == ("opening", True, "preparing the simulator")
+    state, told = opened_beside(True, monkeypatch)
+    assert state == ("opening", True, "preparing the simulator, first start only")
+    assert told == [f"{state[2]}: its flight model is compiled once per machine"]
 
 
 def stalled(speed, stall_s, tell=lambda event: None):

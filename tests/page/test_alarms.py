@@ -45,6 +45,14 @@ def test_a_battery_that_is_changed_is_no_fault():
     assert told(resting, battery_v=3.0) == [("warning", "The stand-in pauses: back in 7 s")]
 
 
+def test_a_simulator_that_is_being_prepared_is_waited_for_and_alarms_nobody():
+    words = "preparing the simulator, first start only"
+    opening = changed(
+        link={"state": "opening", "pauses": True, "doing": words}, recording={"wanted": False}
+    )
+    assert told(opening) == [("busy", "Preparing the simulator, first start only")]
+
+
 def test_a_live_view_that_is_behind_is_told():
     said = "A live view is 12 s behind; it is sent less often"
     assert told(changed(viewer={"behind_s": 12.2})) == [("warning", said)]

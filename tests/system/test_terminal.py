@@ -5,7 +5,7 @@ import pty
 import signal
 
 import pytest
-from installed import COMMAND, until
+from installed import COMMAND, RECORDINGS, until
 from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
@@ -77,6 +77,21 @@ def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
     (path,) = (tmp_path / "sessions").glob("*.mcap")
     report = inspect_recording(open_recording(path))
     assert (report["damage"], report["gap_count"]) == ([], 0)
+
+
+def test_a_silent_wait_shows_a_word_and_a_bar_which_are_gone_when_the_answer_comes(tmp_path):
+    """A first ``inspect`` compiles: as the terminal shows it, and what is left on the screen."""
+    cold = {"NUMBA_CACHE_DIR": str(tmp_path / "nothing_compiled_yet")}
+    flight = RECORDINGS / "stand_in_flight.mcap"
+    with Terminal(tmp_path, "inspect", flight, environment=cold) as terminal:
+        until(lambda: terminal.shows("compiling, once per machine"), "why it waits")
+        until(terminal.has_ended, "the end")
+        assert terminal.status == 0
+    bars, _, answer = terminal.shown.rpartition("\r\x1b[K")
+    assert "[===" in bars or " ===" in bars
+    assert f"reading {flight}" in bars
+    assert answer.lstrip().startswith("\x1b[1mfile") or answer.startswith("file")
+    assert "working" not in answer
 
 
 @pytest.mark.parametrize("ci", ["", "true"])

@@ -73,6 +73,10 @@ function showAlarms(alarms) {
     const item = document.createElement("li");
     item.className = one.level;
     item.textContent = one.text;
+    if (one.level === "busy") {
+      item.append(document.createElement("progress")); // of what nobody knows how long it takes
+      item.lastChild.setAttribute("aria-label", one.text);
+    }
     return item;
   }));
   const urgent = alarms.find((one) => one.level === "alarm");
