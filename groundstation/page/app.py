@@ -101,7 +101,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
         except (GroundStationError, msgspec.MsgspecError) as error:
             return _refusal(400, str(error))
 
-    def shows(look: Callable[[Path], dict[str, Any]]) -> Callable[[Request], Awaitable[Response]]:
+    def shows(look: Callable[[Path], Any]) -> Callable[[Request], Awaitable[Response]]:
         """A route with what ``look`` finds by asking the daemon."""
 
         async def answer(request: Request) -> Response:
@@ -120,14 +120,16 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             return _refusal(404, str(error))
 
     async def static(request: Request) -> Response:
-        return FileResponse(files[Path(request.url.path).name])
+        return FileResponse(files[request.url.path[1:]])
 
-    files = {path.name: path for path in (*STATIC.iterdir(), THEME) if path.name != "page.html"}
+    shown = [path for path in STATIC.rglob("*.*") if path.name != "page.html"]
+    files = {str(path.relative_to(STATIC)): path for path in shown} | {THEME.name: THEME}
     app = Starlette(
         routes=[
             Route("/", page),
             Route("/now", now),
-            Route("/flights", shows(_flights)),
+            Route("/recordings", shows(_asked("/recordings"))),
+            Route("/jobs", shows(_asked("/jobs"))),
             Route("/models", shows(_models)),
             Route("/devices", shows(_devices)),
             Route("/file/{kind}/{name}", file),
@@ -196,8 +198,9 @@ def _way(name: str, threads: int) -> Callable[..., Awaitable[Any]]:
     return call
 
 
-def _flights(control: Path) -> dict[str, Any]:
-    return {"recordings": ask(control, "GET", "/recordings"), "jobs": ask(control, "GET", "/jobs")}
+def _asked(path: str) -> Callable[[Path], Any]:
+    """What the daemon answers there, as it is."""
+    return lambda control: ask(control, "GET", path)
 
 
 def _devices(control: Path) -> dict[str, Any]:

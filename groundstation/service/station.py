@@ -310,6 +310,7 @@ class Station:
     def _take_table(self, rows: LogTable) -> None:
         self.sessions.table(rows)
         self.viewer.show_table(rows)
+        self.stream.table(rows)
 
     def _take_command(self, entry: dict[str, Any]) -> None:
         self._in_the_loop(lambda: self.sessions.command(entry))

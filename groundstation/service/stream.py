@@ -17,6 +17,7 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.errors import TakenError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
+from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
 
 if TYPE_CHECKING:
@@ -133,6 +134,20 @@ class Stream:
     def samples(self, batch: SampleBatch) -> None:
         for subscriber in self._subscribers:
             subscriber.put_samples(batch)
+
+    def table(self, rows: LogTable) -> None:
+        """Log variables of a craft, at moments of their own."""
+        entry = {
+            "name": rows.name,
+            "at_s": time.monotonic(),
+            "time_s": np.round(rows.time_s, 4).tolist(),
+            "columns": {
+                name: [None if np.isnan(one) else round(float(one), 6) for one in values]
+                for name, values in rows.columns.items()
+            },
+        }
+        for subscriber in self._subscribers:
+            subscriber.put_note("table", entry)
 
     def event(self, event: LinkEvent) -> None:
         for subscriber in self._subscribers:

@@ -69,15 +69,14 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     page.get_by_label("Command the craft at").fill(f"udp://127.0.0.1:{free_port()}")
     page.get_by_role("button", name="Connect").click()
     expect(page.locator("#armed")).to_have_text("yes")  # as the craft says: this one arms itself
-    expect(page.get_by_role("button", name="Arm…")).to_be_disabled()
-    asked = "document.getElementById('arming').showModal()"
-    page.evaluate(asked)
+    expect(page.get_by_role("button", name="Arm…", exact=True)).to_be_disabled()
+    disarm = page.get_by_role("button", name="Disarm…")
+    disarm.click()
     page.get_by_role("dialog").get_by_role("button", name="No").click()
-    expect(page.locator("#events")).not_to_contain_text("the operator arms the motors")
-    page.evaluate(asked)
-    page.get_by_role("dialog").get_by_role("button", name="Arm the motors").click()
-    expect(page.locator("#said")).to_have_text("The motors are armed.")
-    expect(page.locator("#events")).to_contain_text("the operator arms the motors")
+    disarm.click()
+    expect(page.locator("#said")).to_contain_text("Connecting to")  # nothing was asked since
+    page.get_by_role("dialog").get_by_role("button", name="Disarm the motors").click()
+    expect(page.locator("#said")).to_contain_text("has armed itself again")
     expect(page.locator("#armed")).to_have_text("yes")
     expect(page.locator("#stop-why")).to_have_text("At once, whoever commands.")
     ended = []
@@ -101,12 +100,42 @@ def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit
     expect(page.locator("#level")).to_have_attribute("aria-pressed", "true")
     page.get_by_label("Mark this moment").focus()
     page.keyboard.press("Escape")
-    expect(page.locator("#said")).to_contain_text("stopped")
+    expect(page.locator("#stopped")).to_have_text(
+        re.compile(r"^Stop pressed at \S+: motors stood within \d\.\d s\.$")
+    )
     expect(page.locator("#motors")).to_have_text("off")
     expect(page.locator("#events")).to_contain_text("a program commands no more")
     expect(page.locator("#events")).to_contain_text("motors stopped")
     flight.join(60)
     assert "stopped the motors" in ended[0]
+
+
+SIZES = [(1280, 720), (1440, 900), (390, 844)]
+
+
+@pytest.mark.parametrize("size", SIZES, ids=["small", "desktop", "phone"])
+def test_stop_is_in_the_same_corner_on_every_part_whatever_alarms_there_are(flying, visit, size):
+    width, height = size
+    page = visit(flying.address(), viewport={"width": width, "height": height})
+    stop = page.get_by_role("button", name="Stop motors")
+    expect(page.locator("#live")).to_have_text("live")
+    places = []
+    for part in page.get_by_role("navigation").get_by_role("link").all():
+        part.click()
+        for alarms in (0, 5):
+            page.evaluate(ALARMS, alarms)
+            page.mouse.wheel(0, 300)
+            places.append(stop.bounding_box())
+    assert all(place == places[0] for place in places)
+    assert places[0]["x"] + places[0]["width"] > width - 20
+    assert places[0]["y"] + places[0]["height"] > height - 20
+    assert places[0]["height"] >= 44
+
+
+ALARMS = """async (count) => {
+    const { showAlarms } = await import("/alarms.js");
+    showAlarms(Array.from({ length: count }, (_, n) => ({ level: "alarm", text: `A thing ${n}` })));
+}"""
 
 
 def test_a_crashed_craft_is_let_recover(page_daemon, visit):
@@ -132,14 +161,16 @@ def test_the_page_shows_the_flight_as_it_goes(flying, visit):
     expect(page.locator("#roll")).to_have_text(re.compile(r"^-?\d+\.\d °$"))
     expect(page.locator("#rate")).to_have_text(re.compile(r"^\d+ a second$"))
     expect(page.locator("#disk")).to_contain_text("GB free")
-    expect(page.locator("#attitude-legend")).to_contain_text(re.compile(r"roll -?\d"))
+    attitude, rates, motors = page.locator("#plots figure").all()
+    expect(attitude).to_contain_text(re.compile(r"roll -?\d"))
+    expect(motors).to_contain_text(re.compile(r"M4 -?\d"))
     expect(page.locator("#events")).to_contain_text("receiving")
-    drawn = """() => {
-        const canvas = document.getElementById('gyro-plot');
+    drawn = """(canvas) => {
         const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
         return new Set(new Uint32Array(pixels.buffer)).size;
     }"""
-    until(lambda: page.evaluate(drawn) > 50, "lines are drawn", 120)
+    for canvas in (rates.locator("canvas"), page.locator("#craft-view")):
+        until(lambda canvas=canvas: canvas.evaluate(drawn) > 50, "lines are drawn", 120)
 
 
 def test_a_moment_is_marked_the_recording_stopped_and_found(flying, visit):
@@ -263,7 +294,7 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     with page.expect_download() as download:
         row.get_by_role("link", name=f"Download of {FLIGHT}").click()
     assert download.value.path().read_bytes() == (RECORDINGS / FLIGHT).read_bytes()
-    row.get_by_label(f"What {FLIGHT} is for").select_option("use")
+    row.get_by_label(f"Role of {FLIGHT}").select_option("fit")
     for work in ("Inspect", "Fit a model"):
         page.get_by_role("button", name=work).click()
         expect(page.locator("#said")).to_contain_text("Begun")
@@ -323,7 +354,7 @@ def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled
     page.get_by_role("link", name="Flights").click()
     page.get_by_role("button", name="Compare").click()
     expect(page.locator("#said")).to_contain_text("recordings")
-    page.get_by_label("What another.mcap is for").select_option("use")
+    page.get_by_label("Role of another.mcap").select_option("fit")
     page.get_by_role("button", name="Find the discrepancy").click()
     job = page.locator("#jobs tr", has_text="another.mcap")
     expect(job).to_contain_text("running")

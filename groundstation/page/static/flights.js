@@ -1,66 +1,63 @@
-// Recordings and the work on them: a list each, asked for while they are looked at.
+// The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
-import { at, link, watch } from "./listing.js";
+import { at, element, link, reconcile, watch } from "./dom.js";
+import { begunAt } from "./status.js";
 
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
 
-const pictures = new Map(); // of files
-const drawn = new Map(); // of lists, as text
-
 /** change: asks for an operation of the control API; what it answered, or null. */
 export function watchFlights(change) {
-  watch("flights", "flights", (found) => {
-    if (isNew("recordings", found.recordings)) showRecordings(found.recordings);
-    if (isNew("jobs", found.jobs)) showJobs(found.jobs, change);
-  });
-  for (const button of document.querySelectorAll("#work button[data-kind]")) {
-    button.addEventListener("click", async () => {
-      const chosen = [...document.querySelectorAll("#recordings select")];
-      const files = (use) => chosen.filter((one) => one.value === use).map((one) => one.name);
+  watch("flights", "recordings", show);
+  for (const work of document.querySelectorAll("#work button[data-kind]")) {
+    work.addEventListener("click", async () => {
       await change("/jobs/start", {
-        kind: button.dataset.kind, recordings: files("use"), validate: files("hold out"),
-        model: ["compare", "discrepancy"].includes(button.dataset.kind) ? at("model").value : "",
+        kind: work.dataset.kind, recordings: chosen("use"), validate: chosen("proof"),
+        model: ["compare", "discrepancy"].includes(work.dataset.kind) ? at("model").value : "",
       }, "Begun; its state is in the list of jobs.");
     });
   }
 }
 
-/** A list stays as it is, and can be clicked, while only the other one changes. */
-function isNew(name, rows) {
-  const text = JSON.stringify(rows), changed = text !== drawn.get(name);
-  drawn.set(name, text);
-  return changed;
+/** Files by their role: use or proof. */
+export function chosen(role) {
+  return [...document.querySelectorAll("#recordings select")]
+    .filter((one) => one.value === role).map((one) => one.name);
 }
 
-function showRecordings(recordings) {
-  const uses = new Map([...document.querySelectorAll("#recordings select")]
-    .map((one) => [one.name, one.value]));
+function show(recordings) {
   // the one that is being written has no time yet
   const newestFirst = recordings.toSorted((a, b) =>
     (b.start_ns ?? Infinity) - (a.start_ns ?? Infinity) || 0);
-  at("recordings").replaceChildren(...newestFirst.map((one) =>
-    recordingRow(one, uses.get(one.file))));
+  reconcile(at("recordings"), newestFirst, (one) => one.file, make, update);
 }
 
-function showJobs(jobs, change) {
-  at("jobs").replaceChildren(...jobs.toReversed().map((job) => jobRow(job, change)));
-  const models = jobs.filter((job) => job.model_file).map((job) => job.id).toReversed();
-  const before = at("model").value;
-  at("model").replaceChildren(...[...models, "thesis"].map((name) => new Option(name)));
-  if ([...models, "thesis"].includes(before)) at("model").value = before;
-}
-
-function recordingRow(one, use) {
-  const select = document.createElement("select");
+function make(one) {
+  const select = element("select");
   select.name = one.file;
-  select.setAttribute("aria-label", `What ${one.file} is for`);
-  select.append(...["–", "use", "hold out"].map((name) => new Option(name)));
-  select.value = use ?? "–";
-  const when = one.start_ns ? new Date(one.start_ns / 1e6).toLocaleString() : "";
-  return row(select, when, one.state === "recording" ? "" : picture(one), one.file,
-    one.duration_s === null ? "" : `${one.duration_s.toFixed(1)} s`, one.link ?? "",
-    `${(one.bytes / 1e6).toFixed(1)} MB`, WORDS[one.state] ?? one.state,
-    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
+  select.setAttribute("aria-label", `Role of ${one.file}`);
+  select.append(new Option("–", ""), new Option("fit", "use"), new Option("proof", "proof"));
+  const row = element("tr");
+  const cells = [select, "", "", one.file, "", "", "", "",
+    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true)];
+  for (const content of cells) {
+    const cell = element("td");
+    cell.append(content);
+    row.append(cell);
+  }
+  return row;
+}
+
+function update(row, one) {
+  const records = one.state === "recording";
+  const began = one.start_ns ? one.start_ns / 1e6 : begunAt(one.file);
+  const long = one.duration_s ?? (records && began ? (Date.now() - began) / 1000 : null);
+  const texts = { 1: began ? new Date(began).toLocaleString() : "",
+    4: long === null ? "" : `${long.toFixed(1)} s`, 5: one.link ?? "",
+    6: `${(one.bytes / 1e6).toFixed(1)} MB`, 7: WORDS[one.state] ?? one.state };
+  for (const [place, text] of Object.entries(texts)) {
+    if (row.cells[place].textContent !== text) row.cells[place].textContent = text;
+  }
+  if (!records && !row.cells[2].firstChild) row.cells[2].append(picture(one));
 }
 
 const LOADING_MOST = 2; // of the six requests that a browser has for all its pages, Stop among them
@@ -91,41 +88,11 @@ const seen = new IntersectionObserver((entries) => {
 });
 
 function picture(one) {
-  if (pictures.has(one.file)) return pictures.get(one.file); // rows are made anew, these are not
-  const made = document.createElement("img");
+  const made = element("img");
   made.width = 160;
   made.height = 40;
   made.alt = `Motors, roll and pitch of ${one.file}`;
-  pictures.set(one.file, made);
   made.dataset.src = `file/thumbnail/${encodeURIComponent(one.file)}`;
   seen.observe(made); // drawn by the daemon when somebody looks
-  return made;
-}
-
-function jobRow(job, change) {
-  const does = document.createElement("span");
-  does.className = "links";
-  const name = encodeURIComponent(job.id);
-  if (job.report) does.append(link(`file/report/${name}`, "Report", job.id));
-  if (job.model_file) does.append(link(`file/model/${name}`, "Model", job.id, true));
-  if (job.gains_file) does.append(link(`file/gains/${name}`, "Gains", job.id, true));
-  does.append(link(`file/log/${name}`, "Log", job.id));
-  if (job.state === "waiting" || job.state === "running") {
-    const button = document.createElement("button");
-    button.textContent = "Cancel";
-    button.addEventListener("click", () =>
-      change("/jobs/cancel", { id: job.id }, `${job.id} is cancelled.`));
-    does.append(button);
-  }
-  return row(job.kind, job.state, job.recordings.join(", ") || job.model, job.text, does);
-}
-
-function row(...cells) {
-  const made = document.createElement("tr");
-  for (const content of cells) {
-    const cell = document.createElement("td");
-    cell.append(content);
-    made.append(cell);
-  }
   return made;
 }

@@ -1,6 +1,6 @@
 // The models that jobs have made: their numbers, and what can be done with them.
 
-import { at, link, watch } from "./listing.js";
+import { at, button as action, element, link, watch } from "./dom.js";
 
 /** change: asks for an operation of the control API; what it answered, or null. */
 export function watchModels(change) {
@@ -91,17 +91,8 @@ function numbers(one, open) {
 
 const digits = (value) => value.toPrecision(5);
 
-function element(kind, style = "", text = "") {
-  const made = document.createElement(kind);
-  if (style) made.className = style;
-  if (text) made.textContent = text;
-  return made;
-}
-
 function button(text, of, disabled, work) {
-  const made = element("button", "", text);
-  made.setAttribute("aria-label", `${text}: ${of}`);
+  const made = action(text, of, work);
   made.disabled = disabled;
-  made.addEventListener("click", work);
   return made;
 }

@@ -1,0 +1,74 @@
+// Elements, and lists that are asked for while they are looked at.
+
+const ASK_MS = 2000;
+export const at = (id) => document.getElementById(id);
+
+export function write(id, text) {
+  const one = at(id);
+  if (one.textContent !== text) one.textContent = text;
+}
+
+export function element(kind, style = "", text = "") {
+  const made = document.createElement(kind);
+  if (style) made.className = style;
+  if (text) made.textContent = text;
+  return made;
+}
+
+/** of: what it acts on, for those who hear the page. */
+export function button(text, of, work) {
+  const made = element("button", "", text);
+  made.type = "button";
+  made.setAttribute("aria-label", `${text}: ${of}`);
+  made.addEventListener("click", work);
+  return made;
+}
+
+export function link(address, text, of, download) {
+  const made = element("a", "", text);
+  made.href = address;
+  if (download) made.download = "";
+  else made.target = "_blank";
+  made.setAttribute("aria-label", `${text} of ${of}`);
+  return made;
+}
+
+/** Asks for ``address`` while the part of that name is looked at; show: given what is new of it. */
+export function watch(part, address, show) {
+  let shown = "";
+  const look = async () => {
+    if (!at(part).hidden && !document.hidden) {
+      try {
+        const answer = await fetch(address);
+        const text = answer.ok ? await answer.text() : shown;
+        if (text !== shown) { // what is chosen, open or read stays as it is
+          shown = text;
+          show(JSON.parse(text));
+        }
+      } catch { /* the alarms say so */ }
+    }
+    setTimeout(look, ASK_MS);
+  };
+  look();
+}
+
+/** Brings the children of ``parent`` in line with ``items``: those that are there already are
+ * updated where they stand, so that focus, open menus and what was chosen stay.
+ * key: of an item; make: its element; update: (element, item), for old and new ones. */
+export function reconcile(parent, items, key, make, update) {
+  const before = new Map([...parent.children].map((one) => [one.dataset.key, one]));
+  let place = parent.firstElementChild;
+  for (const item of items) {
+    const name = String(key(item));
+    let one = before.get(name);
+    if (one) before.delete(name);
+    else {
+      one = make(item);
+      one.dataset.key = name;
+    }
+    if (one === place) place = place.nextElementSibling;
+    else parent.insertBefore(one, place);
+    update(one, item);
+  }
+  for (const one of before.values()) one.remove();
+}
