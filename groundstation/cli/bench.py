@@ -117,7 +117,6 @@ def motor(
         effects=effects,
         motor=number,
         segment=None,
-        
         html=html,
         rerun=None,
         as_json=as_json,

@@ -5,6 +5,8 @@ error; nothing where that is none. Every command is watched, and what is printed
 from __future__ import annotations
 
 import itertools
+import json
+import os
 import sys
 import threading
 import time
@@ -17,6 +19,8 @@ from groundstation.text import printable
 SILENT_S = 1.0
 TURN_S = 0.15
 WIDTH = 24
+TOLD = "GROUNDSTATION_PROGRESS"
+"""Variable that names the file in which a program that waits for this one finds the same."""
 CLEAR = "\r\033[K"
 
 
@@ -115,6 +119,7 @@ def shown(first: str) -> Iterator[Callable[[float, str], None]]:
     """Within the block, call what is yielded with (share done, what is being done)."""
 
     def show(share: float, what: str) -> None:
+        _tell(share, what)
         for waiting in _watched:
             if share >= 0.0:  # less: no further than before
                 waiting.share = share
@@ -122,6 +127,17 @@ def shown(first: str) -> Iterator[Callable[[float, str], None]]:
 
     show(-1.0, first)
     yield show
+
+
+def _tell(share: float, what: str) -> None:
+    path = os.environ.get(TOLD)
+    if path:
+        try:
+            with open(f"{path}.new", "w") as file:
+                json.dump({"share": share if share >= 0.0 else None, "stage": what}, file)
+            os.replace(f"{path}.new", path)
+        except OSError:
+            pass  # nobody waits any more
 
 
 def _write(text: str) -> None:

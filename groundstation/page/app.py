@@ -130,6 +130,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/now", now),
             Route("/recordings", shows(_asked("/recordings"))),
             Route("/jobs", shows(_asked("/jobs"))),
+            Route("/effects", shows(_asked("/effects"))),
             Route("/models", shows(_models)),
             Route("/devices", shows(_devices)),
             Route("/file/{kind}/{name}", file),

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.links.factory import STAND_IN, is_stand_in, split_name
@@ -105,7 +106,10 @@ def _jobs(station: Station) -> list[Operation]:
         return await asyncio.to_thread(station.jobs.entries)
 
     async def job_start(body: requests.NewJob) -> Any:
-        return station.jobs.add(body.kind, body.recordings, body.validate, body.model)
+        return station.jobs.add(
+            *(body.kind, body.recordings, body.validate, body.model),
+            *(body.effects, body.measured_rotors),
+        )
 
     async def job_log(body: requests.JobName) -> Any:
         return requests.JobLog(text=await asyncio.to_thread(station.jobs.log, body.id))
@@ -115,6 +119,9 @@ def _jobs(station: Station) -> list[Operation]:
 
     async def models(_: None) -> Any:
         return await asyncio.to_thread(station.models.entries)
+
+    async def effects(_: None) -> Any:
+        return [requests.EffectEntry(name=one.name, adds=one.adds) for one in EFFECTS.values()]
 
     async def watch(body: requests.Watched) -> Any:
         model = await asyncio.to_thread(station.models.file, body.model) if body.model else ""
@@ -131,6 +138,8 @@ def _jobs(station: Station) -> list[Operation]:
                   requests.JobName, Job),
         Operation("GET", "/models", "The models that jobs have made, and the built-in one", models,
                   answer=list[ModelEntry]),
+        Operation("GET", "/effects", "The effects that a model can have", effects,
+                  answer=list[requests.EffectEntry]),
         Operation("POST", "/models/watch", "Watch the craft with a model, or with none", watch,
                   requests.Watched, Status),
     ]  # fmt: skip

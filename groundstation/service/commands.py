@@ -15,10 +15,10 @@ MEMORY_SHARE = 0.5
 """Of this machine's memory, for one process of ours beside the recorder."""
 
 
-def own_command(*arguments: str) -> tuple[str, ...]:
-    """What starts one of our commands so that it ends with this process."""
+def own_command(*arguments: str, niceness: int = 5) -> tuple[str, ...]:
+    """What starts one of our commands so that it ends with this process. niceness: beyond ours."""
     return (
-        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid())),
+        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), str(niceness)),
         *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
         *arguments,
     )

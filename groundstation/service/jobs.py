@@ -18,6 +18,7 @@ from groundstation.documents import read_document
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated
 from groundstation.service.commands import limit_memory, own_command, own_environment
+from groundstation.service.job_result import Advice, advice, result
 from groundstation.text import printable
 
 FOLDER = "jobs"
@@ -27,8 +28,12 @@ LOG_MOST = 1 << 16
 """Bytes of a log that are told: its end."""
 STOP_S = 5.0
 """A cancelled job is asked to end, and killed after so long."""
-_ENTRY, _LOG, _REPORT, _MODEL, _GAINS = (
-    "job.json", "log.txt", "report.html", "model.json", "gains.toml",
+NICENESS = 1
+"""The recorder goes first, and what only shows (5) last: a person waits for a job."""
+PROGRESS = "GROUNDSTATION_PROGRESS"
+"""Where a command tells how far it is (``cli/progress.py``)."""
+_ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
+    "job.json", "log.txt", "report.html", "model.json", "gains.toml", "progress.json",
 )  # fmt: skip
 
 Kind = Literal["inspect", "fit", "compare", "discrepancy", "design"]
@@ -44,13 +49,21 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
 
 class Job(msgspec.Struct, kw_only=True):
     """command: as a person would type it in the recordings folder. report, model_file, gains_file:
-    paths of what it wrote, None where it did not. text: the last line of its log."""
+    paths of what it wrote, None where it did not. effects, measured_rotors: of a fit, known to be
+    there, and used in the place of the motor's model. stage, share: what it is doing, and how much
+    of it is done, None where nobody knows. text: what it found, or why it failed, in a sentence.
+    advice: what a fit says would make it better."""
 
     id: str
     kind: Kind
     recordings: list[str]
     validate: list[str] = []
     model: str = ""
+    effects: list[str] = []
+    measured_rotors: bool = False
+    stage: str = ""
+    share: float | None = None
+    advice: Advice = Advice()
     state: State = "waiting"
     command: str = ""
     began_ns: int = 0
@@ -74,7 +87,13 @@ class Jobs:
         self._process: asyncio.subprocess.Process | None = None
 
     def add(
-        self, kind: Kind, recordings: Sequence[str], validate: Sequence[str], model: str
+        self,
+        kind: Kind,
+        recordings: Sequence[str],
+        validate: Sequence[str],
+        model: str,
+        effects: Sequence[str] = (),
+        measured_rotors: bool = False,
     ) -> Job:
         """Begin a job, or let it wait for its turn.
 
@@ -96,12 +115,16 @@ class Jobs:
             raise BadInputError(f"{kind} needs recordings: choose one at least")
         if kind in ("compare", "discrepancy", "design") and not model:
             raise BadInputError(f"{kind} needs a model: that of a fit, or thesis")
+        if kind != "fit" and (effects or measured_rotors):
+            raise BadInputError(f"{kind} takes no effects and no measured rotors; fit does")
         job = Job(
             id=dated(folder / FOLDER, kind, time.time_ns()).name,
             kind=kind,
             recordings=list(recordings),
             validate=list(validate),
             model=model,
+            effects=list(effects),
+            measured_rotors=measured_rotors,
         )
         job.command = shlex.join(["groundstation", *self._arguments(job, Path())])
         (folder / FOLDER / job.id).mkdir(parents=True)
@@ -119,7 +142,18 @@ class Jobs:
                     job.id = path.parent.name  # whatever the file says
                     self._kept(job)
                     found[job.id] = job
+        for job in found.values():
+            if job.state == "running":
+                self._look(job)
         return [found[name] for name in sorted(found)]
+
+    def _look(self, job: Job) -> None:
+        """How far it is, as far as it has told."""
+        with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError, AttributeError):
+            told = msgspec.json.decode(read_document(self._folder() / FOLDER / job.id / _PROGRESS))
+            job.stage = printable(str(told.get("stage", "")))
+            share = told.get("share")
+            job.share = share if isinstance(share, float | int) else job.share
 
     def log(self, name: str) -> str:
         """The end of a job's log."""
@@ -164,7 +198,12 @@ class Jobs:
         try:
             status = await self._work(job)
             lines = self.log(job.id).strip().splitlines()
-            job.text = printable(lines[-1]) if lines else ""
+            made = self._job_folder(job.id) / _MODEL
+            written = made if not status and made.is_file() else None
+            last = printable(lines[-1]) if lines else ""
+            job.text = last if status else await asyncio.to_thread(result, job.kind, written, lines)
+            if job.kind == "fit":
+                job.advice = await asyncio.to_thread(advice, written)
         except (OSError, GroundStationError) as error:  # its folder was deleted, say
             status, job.text = 1, printable(str(error))
         self._process = None
@@ -179,12 +218,12 @@ class Jobs:
         arguments = self._arguments(job, self._folder().absolute())
         with (folder / _LOG).open("wb") as log:
             self._process = process = await asyncio.create_subprocess_exec(
-                *own_command(*arguments),
+                *own_command(*arguments, niceness=NICENESS),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                env=own_environment(),
+                env={**own_environment(), PROGRESS: str(folder / _PROGRESS)},
             )
         limit_memory(process.pid)
         if job.state == "cancelled":  # while it was being started
@@ -222,6 +261,10 @@ class Jobs:
             words += ["--validate", str(folder / name)]
         if job.model:
             words += ["--model", self._model(job.model, folder)]
+        if job.effects:
+            words += ["--with", ",".join(job.effects)]
+        if job.measured_rotors:
+            words.append("--measured-rotors")
         if job.kind in ("fit", "discrepancy"):
             words += ["-o", str(into / _MODEL)]
         if job.kind == "design":

@@ -101,15 +101,28 @@ class Thumbnail(msgspec.Struct, frozen=True, kw_only=True):
     svg: str
 
 
+EffectName = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+
+
 class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Work on recordings, files of the recordings folder; a design of a controller takes a model
     and none. validate: those that no fit sees. model: the id of a fit that is done, or thesis;
-    empty where none is needed."""
+    empty where none is needed. effects: known to be there, fitted along. measured_rotors: fit to
+    recorded rotor speeds instead of the motor's model."""
 
     kind: Kind
     recordings: Annotated[list[File], msgspec.Meta(max_length=64)] = []
     validate: Annotated[list[File], msgspec.Meta(max_length=64)] = []
     model: Annotated[str, msgspec.Meta(max_length=255)] = ""
+    effects: Annotated[list[EffectName], msgspec.Meta(max_length=64)] = []
+    measured_rotors: bool = False
+
+
+class EffectEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """An effect that a model can have. adds: what it does, in words."""
+
+    name: str
+    adds: str
 
 
 class Watched(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -31,7 +31,7 @@ class Child:
         self._tail = b""
         self._unsaid = b""
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), *command],
+            [sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), "5", *command],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

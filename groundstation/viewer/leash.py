@@ -1,4 +1,4 @@
-"""``python -m groundstation.viewer.leash PARENT PROGRAM ARGUMENT...``
+"""``python -m groundstation.viewer.leash PARENT NICENESS PROGRAM ARGUMENT...``
 
 Becomes PROGRAM, at a lower priority, and dies with the process PARENT even when that one is
 killed with SIGKILL. (Linux keeps the parent-death signal over exec; doing this between fork and
@@ -13,18 +13,17 @@ import signal
 import sys
 
 _PR_SET_PDEATHSIG = 1
-_NICENESS = 5
 
 
 def main(arguments: list[str]) -> int:
-    parent, *command = arguments
+    parent, niceness, *command = arguments
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         print(f"prctl: {os.strerror(ctypes.get_errno())}", file=sys.stderr)
         return 1
     if os.getppid() != int(parent):  # it died before the signal was armed
         return 1
-    os.nice(_NICENESS)
+    os.nice(int(niceness))
     try:
         os.execv(command[0], command)
     except OSError as error:

@@ -49,6 +49,22 @@ def when_ended(ask, name):
     return job(ask, name)
 
 
+def test_what_a_fit_advises_can_be_asked_for_and_other_work_takes_none_of_it(talk):
+    def conversation(ask):
+        options = {"effects": ["rotor_drag", "dead_time"], "measured_rotors": True}
+        name = start(ask, "fit", FLIGHT, **options)
+        words = job(ask, name)["command"].split()
+        assert words[words.index("--with") + 1] == "rotor_drag,dead_time"
+        assert "--measured-rotors" in words
+        ask("POST", "/jobs/cancel", {"id": name})
+        with pytest.raises(GroundStationError, match="takes no effects"):
+            start(ask, "inspect", FLIGHT, **options)
+        offered = {one["name"] for one in ask("GET", "/effects")}
+        assert {"rotor_drag", "dead_time"} <= offered
+
+    talk(conversation)
+
+
 def test_a_job_does_what_its_command_does_and_keeps_its_log(talk, tmp_path):
     def conversation(ask):
         name = start(ask, "inspect", FLIGHT)
@@ -57,7 +73,7 @@ def test_a_job_does_what_its_command_does_and_keeps_its_log(talk, tmp_path):
         assert done["command"] == f"groundstation inspect {FLIGHT}"
         log = ask("POST", "/jobs/log", {"id": name})["text"]
         assert "verdict" in log
-        assert done["text"] == log.strip().splitlines()[-1]
+        assert done["text"] == "good: 31 s at 500 Hz, nothing lost"
         told = [event["text"] for event in ask("GET", "/events") if event["kind"] == "job"]
         assert any(name in text and "done" in text for text in told)
         return name

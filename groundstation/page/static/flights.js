@@ -1,6 +1,6 @@
 // The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
-import { at, element, link, reconcile, watch } from "./dom.js";
+import { at, element, link, reconcile, watch, write } from "./dom.js";
 import { begunAt } from "./status.js";
 
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
@@ -10,12 +10,32 @@ export function watchFlights(change) {
   watch("flights", "recordings", show);
   for (const work of document.querySelectorAll("#work button[data-kind]")) {
     work.addEventListener("click", async () => {
+      const kind = work.dataset.kind, fits = kind === "fit";
       await change("/jobs/start", {
-        kind: work.dataset.kind, recordings: chosen("use"), validate: chosen("proof"),
-        model: ["compare", "discrepancy"].includes(work.dataset.kind) ? at("model").value : "",
+        kind, recordings: chosen("use"), validate: chosen("proof"),
+        model: fits ? at("start").value : kind === "inspect" ? "" : at("model").value,
+        effects: fits ? effects() : [], measured_rotors: fits && at("measured").checked,
       }, "Begun; its state is in the list of jobs.");
     });
   }
+  at("with").addEventListener("toggle", offerEffects);
+}
+
+const effects = () => [...document.querySelectorAll("#effects input:checked")].map((one) => one.value);
+
+/** Asked for once, when somebody wants to choose. */
+async function offerEffects() {
+  if (at("effects").firstChild) return;
+  const answer = await fetch("effects");
+  if (!answer.ok) return;
+  at("effects").replaceChildren(...(await answer.json()).map(({ name, adds }) => {
+    const label = element("label"), box = element("input");
+    box.type = "checkbox";
+    box.value = name;
+    box.addEventListener("change", () => write("with-what", effects().join(", ") || "none"));
+    label.append(box, ` ${name.replaceAll("_", " ")}`, element("span", "soft", `: ${adds}`));
+    return label;
+  }));
 }
 
 /** Files by their role: use or proof. */

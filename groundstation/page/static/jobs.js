@@ -1,4 +1,4 @@
-// Work on recordings: its state, and what came of it.
+// Work on recordings: how far it is, and what came of it.
 
 import { at, button, element, link, reconcile, watch } from "./dom.js";
 
@@ -7,31 +7,77 @@ export function watchJobs(change) {
   watch("flights", "jobs", (jobs) => {
     reconcile(at("jobs"), jobs.toReversed(), (one) => one.id, (one) => make(one, change), update);
     const models = jobs.filter((one) => one.model_file).map((one) => one.id).toReversed();
-    reconcile(at("model"), [...models, "thesis"], (one) => one, (one) => new Option(one), () => {});
+    const option = (one) => new Option(one || "the vehicle's profile", one);
+    reconcile(at("model"), [...models, "thesis"], (one) => one, option, () => {});
+    reconcile(at("start"), ["", ...models], (one) => one, option, () => {});
   });
+  setInterval(() => {
+    for (const row of at("jobs").children) row.tell?.();
+  }, 1000);
 }
 
 function make(job, change) {
   const row = element("tr");
-  for (const text of [job.kind, "", job.recordings.join(", ") || job.model, ""]) row.append(element("td", "", text));
-  const does = element("td"), links = element("span", "links");
+  const state = element("td"), word = element("span"), bar = element("progress");
+  bar.setAttribute("aria-label", `How far ${job.id} is`);
+  state.append(word, bar);
+  const found = element("td"), links = element("span", "links"), does = element("td");
   does.append(links);
-  row.append(does);
-  row.cancel = button("Cancel", job.id, () =>
+  row.append(element("td", "", job.kind), state, element("td", "", on(job)), found, does);
+  const cancel = button("Cancel", job.id, () =>
     change("/jobs/cancel", { id: job.id }, `${job.id} is cancelled.`));
+  const text = element("p"), again = element("p");
+  found.append(text, again);
+  row.tell = () => {
+    const { state: now, began_ns: began, ended_ns: ended, stage, share } = row.job;
+    const long = now === "waiting" || !began ? "" : `, ${spell(((ended || Date.now() * 1e6) - began) / 1e9)}`;
+    word.textContent = now + long;
+    bar.hidden = now !== "running";
+    if (share === null) bar.removeAttribute("value");
+    else bar.value = share;
+    text.textContent = now === "running" ? stage || "beginning" : row.job.text;
+  };
+  row.show = () => {
+    const name = encodeURIComponent(job.id), { state: now, advice } = row.job, see = [];
+    if (row.job.report) see.push(link(`file/report/${name}`, "Report", job.id));
+    if (row.job.model_file) see.push(link(`file/model/${name}`, "Model", job.id, true));
+    if (row.job.gains_file) see.push(link(`file/gains/${name}`, "Gains", job.id, true));
+    see.push(link(`file/log/${name}`, "Log", job.id));
+    if (now === "waiting" || now === "running") see.push(cancel);
+    reconcile(links, see, (one) => one.textContent, (one) => one, () => {});
+    again.replaceChildren(...advised(row.job, advice, change));
+  };
   return row;
 }
 
-function update(row, job) {
-  if (row.shown === JSON.stringify(job)) return;
-  row.shown = JSON.stringify(job);
-  row.cells[1].textContent = job.state;
-  row.cells[3].textContent = job.text;
-  const name = encodeURIComponent(job.id), found = [];
-  if (job.report) found.push(link(`file/report/${name}`, "Report", job.id));
-  if (job.model_file) found.push(link(`file/model/${name}`, "Model", job.id, true));
-  if (job.gains_file) found.push(link(`file/gains/${name}`, "Gains", job.id, true));
-  found.push(link(`file/log/${name}`, "Log", job.id));
-  if (job.state === "waiting" || job.state === "running") found.push(row.cancel);
-  reconcile(row.cells[4].firstChild, found, (one) => one.textContent, (one) => one, () => {});
+/** What a fit advises, and the button that does it. */
+function advised(job, { effects, measured_rotors: measured }, change) {
+  if (!effects.length && !measured) return [];
+  const what = [...effects.map((one) => one.replaceAll("_", " ")), ...(measured ? ["recorded rotor speeds"] : [])];
+  const made = button("Fit again with these", job.id, () => change("/jobs/start", {
+    kind: "fit", recordings: job.recordings, validate: job.validate, model: job.model,
+    effects: [...new Set([...job.effects, ...effects])], measured_rotors: job.measured_rotors || measured,
+  }, "Begun; its state is in the list of jobs."));
+  return [`The fit advises: ${what.join(", ")}. `, made];
 }
+
+function update(row, job) {
+  row.job = job;
+  row.tell();
+  const shown = JSON.stringify([job.state, job.report, job.model_file, job.gains_file, job.advice]);
+  if (row.shown !== shown) row.show();
+  row.shown = shown;
+}
+
+function on(job) {
+  const parts = [];
+  if (job.recordings.length) parts.push((job.validate.length || job.kind === "fit" ? "fit: " : "") + job.recordings.join(", "));
+  if (job.validate.length) parts.push(`proof: ${job.validate.join(", ")}`);
+  else if (["fit", "discrepancy"].includes(job.kind)) parts.push("proof: a third of each");
+  if (job.model) parts.push(`model: ${job.model}`);
+  if (job.effects.length) parts.push(`with ${job.effects.join(", ")}`);
+  if (job.measured_rotors) parts.push("recorded rotor speeds");
+  return parts.join("; ");
+}
+
+const spell = (s) => (s < 60 ? `${s.toFixed(0)} s` : `${Math.floor(s / 60)} min ${Math.floor(s % 60)} s`);
