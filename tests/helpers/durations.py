@@ -17,6 +17,9 @@ import pytest
 LONG_PROCESSOR_S, LONG_WALL_S = 1.0, 3.0
 """From here on a test is listed: half of what CI allows a test that is not, so that a busy machine
 does not decide."""
+SHARED_PROCESSOR_S = 2.0
+"""A file whose tests share what took longer to make is listed whole: whichever of them comes first
+pays for it, in both parts if both have one."""
 TESTS = Path(__file__).parents[1]
 HEADER = """\
 # The long part of the suite: `make test` leaves these out, `make test-all` and CI run them.
@@ -40,11 +43,12 @@ def pytest_runtest_protocol(item):
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item):
     report = yield
+    wall_s, processor_s = dict(item.user_properties)["durations begun"]
+    now = (time.monotonic() - wall_s, _processor_s() - processor_s)
+    if report.when == "setup":
+        item.user_properties.append(("setup took", now[1]))
     if report.when == "teardown":
-        wall_s, processor_s = dict(item.user_properties)["durations begun"]
-        report.user_properties.append(
-            ("took", (time.monotonic() - wall_s, _processor_s() - processor_s))
-        )
+        report.user_properties.append(("took", (*now, dict(item.user_properties)["setup took"])))
     return report
 
 
@@ -61,7 +65,10 @@ class _Writer:
 
     def pytest_runtest_logreport(self, report):
         if took := dict(report.user_properties).get("took"):
-            self.took[report.nodeid] = {"wall_s": round(took[0], 3), "cpu_s": round(took[1], 3)}
+            names = ("wall_s", "cpu_s", "setup_cpu_s")
+            self.took[report.nodeid] = {
+                name: round(value, 3) for name, value in zip(names, took, strict=True)
+            }
 
     def pytest_sessionfinish(self):
         with open(self.path, "w") as file:
@@ -72,10 +79,15 @@ def long_tests(took, heavy):
     """What the list names, of {node: times}: whole files where all of their tests are long."""
     from ci_limits import named  # here: a plugin may not be imported before it is one
 
-    by_file = defaultdict(dict)
+    shared, by_file = defaultdict(float), defaultdict(dict)
     for node, times in took.items():
+        file = node.partition("::")[0]
+        shared[file] = max(shared[file], times["setup_cpu_s"])
+    for node, times in took.items():
+        file = node.partition("::")[0]
         long = times["cpu_s"] >= LONG_PROCESSOR_S or times["wall_s"] >= LONG_WALL_S
-        by_file[node.partition("::")[0]][node] = long and not named(node, heavy)
+        long = long or shared[file] >= SHARED_PROCESSOR_S
+        by_file[file][node] = long and not named(node, heavy)
     for file, tests in sorted(by_file.items()):
         if all(tests.values()):
             yield file

@@ -111,8 +111,11 @@ def test_after_a_long_stall_device_and_host_agree_on_what_was_missed(monkeypatch
     host_s = (samples.host_time_ns[gap + 1] - samples.host_time_ns[gap]) * 1e-9
     assert device_s > 1.2
     assert host_s == pytest.approx(device_s, abs=0.003)
-    (told,) = [event.text for event in events if event.kind == "loss"]
-    assert float(told.removeprefix("this program stood still for ").split(" s")[0]) > 1.2
+    told = [event.text for event in events if event.kind == "loss"]  # a busy machine adds some
+    stood_s = [
+        float(text.removeprefix("this program stood still for ").split(" s")[0]) for text in told
+    ]
+    assert max(stood_s) > 1.2
 
 
 def test_faster_than_real_time_the_craft_waits_for_a_stalled_process(monkeypatch):

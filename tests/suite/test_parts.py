@@ -5,7 +5,7 @@ import sys
 
 import pytest
 from ci_limits import names
-from durations import LONG_PROCESSOR_S, LONG_WALL_S, long_tests
+from durations import LONG_PROCESSOR_S, LONG_WALL_S, SHARED_PROCESSOR_S, long_tests
 from pages import ROOT
 from programs import run_program
 
@@ -56,11 +56,19 @@ def test_each_test_is_in_one_part_and_both_are_the_whole(collected):
 
 
 def test_what_computes_or_waits_for_long_is_listed_a_file_as_a_whole_where_all_do():
-    quick, slow = {"cpu_s": 0.1, "wall_s": 0.1}, {"cpu_s": LONG_PROCESSOR_S, "wall_s": 1.0}
-    waits = {"cpu_s": 0.1, "wall_s": LONG_WALL_S}
+    quick = {"cpu_s": 0.1, "wall_s": 0.1, "setup_cpu_s": 0.0}
+    slow, waits = quick | {"cpu_s": LONG_PROCESSOR_S}, quick | {"wall_s": LONG_WALL_S}
     took = {"a.py::one": quick, "a.py::two": slow, "b.py::one": slow, "b.py::two": waits}
     assert list(long_tests(took, heavy={})) == ["a.py::two", "b.py"]
     assert list(long_tests(took, heavy={"b.py::two": "safety"})) == ["a.py::two", "b.py::one"]
+
+
+def test_a_file_whose_tests_share_what_takes_long_to_make_is_listed_but_for_what_must_stay():
+    pays = {"cpu_s": 3.0, "wall_s": 3.0, "setup_cpu_s": SHARED_PROCESSOR_S}
+    shares = {"cpu_s": 0.1, "wall_s": 0.1, "setup_cpu_s": 0.0}
+    took = {"a.py::one": pays, "a.py::two": shares, "b.py::one": shares}
+    assert list(long_tests(took, heavy={})) == ["a.py"]
+    assert list(long_tests(took, heavy={"a.py::one": "safety"})) == ["a.py::two"]
 
 
 def test_what_is_heavy_and_stays_in_the_short_part_is_not_in_the_long_one():
