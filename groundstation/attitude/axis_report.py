@@ -8,7 +8,7 @@ import numpy as np
 
 from groundstation.attitude.axis_check import AXES, AxisCheck
 from groundstation.attitude.sensors import accelerometer_attitude, integrate_gyroscope
-from groundstation.report.figure import figure, thinned
+from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
 from groundstation.report.theme import MEASURED, SERIES
 from groundstation.telemetry.samples import SampleBatch
@@ -51,6 +51,6 @@ def axis_figure(samples: SampleBatch) -> Figure:
                 style = "--" if source == "reported" else "-"
                 axes.plot(*thinned(time, angle), style, color=color, label=source)
         axes.set_ylabel(f"{name}, deg")
-    every[0].legend(loc="upper right", ncols=3)
+    legend_above(every[0])
     every[-1].set_xlabel("time, s")
     return made

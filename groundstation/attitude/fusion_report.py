@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.attitude.fusion import Fused
-from groundstation.report.figure import figure, thinned
+from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
 from groundstation.report.theme import MEASURED, SERIES
 
@@ -81,7 +81,7 @@ def angles_figure(fused: Fused, methods: tuple[str, ...]) -> Figure:
                     label=method,
                 )
         axes.set_ylabel(f"{name}, deg")
-    every[0].legend(loc="upper right", ncols=len(methods))
+    legend_above(every[0])
     every[-1].set_xlabel("time, s")
     return made
 
@@ -93,6 +93,6 @@ def _differences(fused: Fused) -> Figure:
             left = fused.angles[method][:, i] - fused.angles["reported"][:, i]
             axes.plot(*thinned(fused.time_s, np.degrees(left)), color=COLOURS[method], label=method)
         axes.set_ylabel(f"{name}, deg")
-    every[0].legend(loc="upper right", ncols=2)
+    legend_above(every[0])
     every[-1].set_xlabel("time, s")
     return made

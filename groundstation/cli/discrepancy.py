@@ -120,7 +120,7 @@ def discrepancy(
     if printed:
         show_json(msgspec.to_builtins(report))
         return
-    _say(report)
+    _say(report, written=output is not None)
     say_written(files.model, files.json, files.html, files.rerun)
 
 
@@ -154,7 +154,7 @@ def _write(files: _Outputs, found: Discrepancy, report: DiscrepancyReport) -> No
     if files.html is not None:
         from groundstation.discrepancy.report_html import discrepancy_page
 
-        discrepancy_page(found.findings, found.proof, report).write(files.html)
+        discrepancy_page(found.proof, report).write(files.html)
     if files.rerun is not None:
         from groundstation.discrepancy.rerun_overlay import overlay_of
         from groundstation.viewer.overlay import write_overlay
@@ -182,28 +182,37 @@ def _improved(model: Model, report: DiscrepancyReport) -> Model:
     )
 
 
-def _say(report: DiscrepancyReport) -> None:
+def _say(report: DiscrepancyReport, *, written: bool) -> None:
     """The outcome in plain words."""
     from groundstation.discrepancy.report_json import why_lost
+    from groundstation.discrepancy.report_words import (
+        by_weight,
+        flight_plan,
+        found_in_words,
+        is_zero,
+        meaning,
+        next_in_words,
+    )
 
     count = len(report.effects)
     verdict = {
         "effects_found": f"{count} effect{'s' if count != 1 else ''} found",
-        "no_discrepancy": "no discrepancy: the model explains what these recordings show"
-        if not report.base_changes
-        else "no effect is missing, but constants of the model are others",
-        "unexplained": "unexplained: something acts that no effect in the list describes",
+        "no_discrepancy": "no discrepancy",
+        "unexplained": "unexplained",
     }[report.verdict]
     show(verdict)
+    show(found_in_words(report))
+    show(f"next: {next_in_words(report, written)}")
     if report.explained is not None:
         show(report.explained.words(report.disturbance))
     for change in report.base_changes:
         show(f"changed: {change.words}")
-    for effect in report.effects:
-        show(f"{effect.order}. {effect.name}: {effect.adds}")
+    for number, effect in enumerate(by_weight(report.effects), 1):
+        show(f"{number}. {effect.name}: {meaning(effect)}")
         for name, estimate in effect.parameters.items():
             spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
-            show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip())
+            zero = ", not distinguishable from zero" if is_zero(estimate) else ""
+            show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero)
         show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
         for other in effect.alternatives:
             show(f"     could also be {other.name}; to tell: {other.manoeuvre}")
@@ -224,10 +233,9 @@ def _say(report: DiscrepancyReport) -> None:
     say_gap(report.gap)
     say_where(report.where)
     if report.not_shown:
-        show("these recordings cannot show (and would, if you fly):")
-        for manoeuvre in dict.fromkeys(one.manoeuvre for one in report.not_shown):
-            names = [one.name for one in report.not_shown if one.manoeuvre == manoeuvre]
-            show(f"     {', '.join(dict.fromkeys(names))}: {manoeuvre}")
+        show("these recordings cannot show the rest; one flight with these parts would:")
+        for number, (fly, names) in enumerate(flight_plan(report.not_shown), 1):
+            show(f"  {number}. {fly}: {', '.join(names)}")
     for reason in dict.fromkeys(report.lost.values()):
         lost = ", ".join(name for name, why in report.lost.items() if why == reason)
         show(f"not looked for ({why_lost(reason)}): {lost}")

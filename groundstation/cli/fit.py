@@ -333,9 +333,12 @@ def _fingerprint(path: Path) -> dict[str, str]:
 
 
 def _print_account(account: dict[str, Any], output: Path) -> None:
+    from groundstation.identification.advice import good_for, next_of
     from groundstation.identification.division import LAST
 
     show(f"{output}: {account['what']} by {account['method']}, {account['samples']} samples")
+    show(f"  {good_for(account)[0]}")
+    show(f"  next: {next_of(account)}")
     if isinstance(account["held_out"], str) and account["held_out"] != LAST:
         show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
     estimates = account.get("estimates")

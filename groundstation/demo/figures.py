@@ -19,7 +19,7 @@ from groundstation.identification.division import hold_out
 from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.fit import bench_run, simulate_run
 from groundstation.recording.open_recording import open_recording
-from groundstation.report.figure import figure
+from groundstation.report.figure import figure, legend_above
 from groundstation.report.theme import BAD, FAINT, IMPROVED, MEASURED, MODELLED, NEUTRAL, SERIES
 from groundstation.twin.twin import Twin
 
@@ -121,7 +121,7 @@ def twin_figure(folder: Path, noticed: list[dict[str, Any]]) -> Figure:
         )
     axis.set_ylabel("prediction error over noise")
     axis.set_xlabel("device time, s")
-    axis.legend(loc="upper right", ncols=4, frameon=False)
+    legend_above(axis)
     return made
 
 
@@ -180,4 +180,4 @@ def _headroom(axis: Axes) -> None:
     """Room above the lines for a legend in one row."""
     low, high = axis.get_ylim()
     axis.set_ylim(low, high + 0.25 * (high - low))
-    axis.legend(loc="upper right", ncols=3, frameon=False)
+    legend_above(axis)

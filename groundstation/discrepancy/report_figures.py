@@ -12,7 +12,7 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
-from groundstation.report.figure import HEAT, figure
+from groundstation.report.figure import HEAT, figure, legend_above
 from groundstation.report.theme import (
     GOOD,
     IMPROVED,
@@ -80,10 +80,11 @@ def time_map(comparison: Comparison, number: int = 0) -> Figure:
     errors, floor = comparison.errors[number], comparison.floors[number]
     time, ratio = over_time(errors, floor)
     made, (axis,) = figure(9.6, 2.9)
+    time = time - errors.run.recording_start_s
     edges = (time[0] - 0.5, time[-1] + 0.5, len(CHANNELS) - 0.5, -0.5)
     image = _heat(axis, ratio.T, extent=edges)
     axis.set_yticks(range(len(CHANNELS)), [label(c) for c in CHANNELS])
-    axis.set_xlabel(f"device time of {errors.run.name}, s")
+    axis.set_xlabel(f"time in {errors.run.name}, s")
     made.colorbar(image, ax=axis, pad=0.01, label="error over noise", ticks=TICKS, format="%g")
     return made
 
@@ -123,7 +124,7 @@ def worst_overlay(stretch: Stretch, before: Comparison, after: Comparison | None
     rows = slice(stretch.first, stretch.last)
     errors = before.errors[stretch.run]
     run = errors.run
-    time = run.time_s[rows]
+    time = run.time_s[rows] - run.recording_start_s
     measured = np.hstack([run.gyro, run.accelerometer, run.attitude])[rows, channel] * unit
     made, axes = figure(9.6, 4.4, rows=2, sharex=True, height_ratios=[3, 2])
     axes[0].plot(time, measured, color=MEASURED, label="measured")
@@ -142,10 +143,10 @@ def worst_overlay(stretch: Stretch, before: Comparison, after: Comparison | None
     noise = before.at_horizon(len(HORIZONS_S) - 1)[1][channel] * unit
     axes[1].axhspan(-2 * noise, 2 * noise, color=NEUTRAL, alpha=0.2, linewidth=0)
     axes[0].set_ylabel(f"{label(stretch.channel)}, {UNITS[stretch.channel]}")
-    axes[0].set_title(f"{label(stretch.channel)} in {run.name}")
-    axes[0].legend(loc="best", frameon=False)
+    axes[0].set_title(f"{label(stretch.channel)} in {run.name}", loc="left")
+    legend_above(axes[0])
     axes[1].set_ylabel(f"error, {UNITS[stretch.channel]}")
-    axes[1].set_xlabel("device time, s")
+    axes[1].set_xlabel("time, s")
     return made
 
 
@@ -161,8 +162,8 @@ def residual_spectrum(before: Spectrum, after: Spectrum | None = None) -> Figure
         axis.loglog(before.frequency_hz[1:-1], power[1:-1], color=color, label=name, **style)
     axis.set_xlabel("frequency, Hz")
     axis.set_ylabel(f"({UNITS[before.channel]})²/Hz")
-    axis.set_title(f"{label(before.channel)}: errors one row ahead")
-    axis.legend(loc="best", frameon=False)
+    axis.set_title(f"{label(before.channel)}: errors one row ahead", loc="left")
+    legend_above(axis)
     return made
 
 

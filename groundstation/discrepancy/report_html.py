@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.localisation import Place, spectrum_of, worst_stretch
-from groundstation.discrepancy.findings import Findings, Verdict
 from groundstation.discrepancy.proof import Proof
 from groundstation.discrepancy.report_figures import (
     by_horizon,
@@ -25,6 +24,19 @@ from groundstation.discrepancy.report_json import (
     StretchReport,
     why_lost,
 )
+from groundstation.discrepancy.report_words import (
+    SURE,
+    advice_of,
+    by_weight,
+    compared_in_words,
+    compared_next,
+    flight_plan,
+    found_in_words,
+    is_zero,
+    meaning,
+    next_in_words,
+)
+from groundstation.dynamics.meanings import title_of
 from groundstation.report.page import Page
 
 CLEAR = 3.0
@@ -50,16 +62,9 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
     """Where a model and recordings disagree."""
     page = Page(f"{report.model} against {', '.join(report.recordings)}", "Comparison report")
     worst = _worst(report.where)
-    if worst is None:
-        page.verdict(
-            f"The model predicts these recordings as well as noise allows (gap {found.gap:.2f}).",
-            "good",
-        )
-    else:
-        page.verdict(
-            f"Gap {found.gap:.2f} over all channels (1 is noise). Worst: {_place(worst)}.", "bad"
-        )
-    page.bullets(list(found.warnings.values())) if found.warnings else None
+    page.verdict(compared_in_words(report, worst), "good" if worst is None else "bad")
+    page.next_step(compared_next(report, worst))
+    page.advice([], list(found.warnings.values()))
     _stretches(page, report.stretches)
     _channels(page, report.gap)
     page.heading("Where")
@@ -74,12 +79,12 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
     return page
 
 
-def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport) -> Page:
+def discrepancy_page(proof: Proof, report: DiscrepancyReport) -> Page:
     """What the model was missing, and the proof."""
     page = Page(
         f"What {report.model} was missing", f"Discrepancy report on {', '.join(report.recordings)}"
     )
-    _verdict(page, findings, report)
+    _verdict(page, report)
     _stretches(page, report.stretches)
     page.heading("What was found")
     if report.explained is not None:
@@ -94,8 +99,9 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     )
     _channels(page, report.gap)
     page.figure(by_horizon(proof.before, proof.after), "Each channel, before and after.")
-    for one in report.left:
-        page.text(f"Left in {one.words}.")
+    if report.left:
+        with page.more("What is left, channel by channel"):
+            page.bullets(one.words for one in report.left)
     page.heading("Where")
     page.figure(
         where_map([("before", proof.before.places), ("after", proof.after.places)]), MAP_TEXT
@@ -107,16 +113,20 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
         "What each effect alone would explain, before any was added; effects that look alike"
         " share evidence, and only what passes every test is accepted.",
     )
-    page.table(
-        ["effect", "score", "t", "other flights", "outcome"],
-        [
-            (c.name, c.score, c.t, c.held_out or None, "accepted" if c.accepted else c.reason)
-            for c in report.candidates
-        ],
-        "score: drop of -2 log likelihood; other flights: the same of flights that its size was not"
-        " taken from, empty where it was refused before; t: largest parameter over its standard"
-        " error.",
-    )
+    with page.more("The same as a table"):
+        page.table(
+            ["effect", "name", "score", "t", "other flights", "outcome"],
+            [
+                (
+                    *(title_of(c.name), c.name, c.score, c.t, c.held_out or None),
+                    "accepted" if c.accepted else c.reason,
+                )
+                for c in report.candidates
+            ],
+            "score: drop of -2 log likelihood; other flights: the same of flights that its size was"
+            " not taken from, empty where it was refused before; t: largest parameter over its"
+            " standard error.",
+        )
     _limits(page, report)
     page.heading("How it is measured")
     page.text(FLOOR_TEXT)
@@ -125,33 +135,24 @@ def discrepancy_page(findings: Findings, proof: Proof, report: DiscrepancyReport
     return page
 
 
-def _verdict(page: Page, findings: Findings, report: DiscrepancyReport) -> None:
+def _verdict(page: Page, report: DiscrepancyReport) -> None:
+    """What was found, how sure that is, and what to do next."""
     level = report.gap.validation
-    numbers = (
-        f"Gap on proof samples {level.before:.2f} before, {level.after:.2f} after (1 is noise)."
-    )
-    if findings.verdict is Verdict.EFFECTS_FOUND:
-        names = ", ".join(effect.name for effect in report.effects)
-        grew = level.after is not None and level.after > level.before
-        kind = "good" if report.residual == "white" and not grew else "neutral"
-        more = " The gap grew: the model is none the better for what was found." if grew else ""
-        page.verdict(f"Found: {names}. {numbers}{more}", kind)
-    elif findings.verdict is Verdict.UNEXPLAINED:
-        worst = _worst(report.where)
-        where = f" Look at {_place(worst)}." if worst is not None else ""
-        page.verdict(f"Unexplained: no effect in the list describes it. {numbers}{where}", "bad")
-    else:
-        page.verdict(f"No discrepancy that these recordings could show. {numbers}", "good")
+    grew = level.after is not None and level.after > level.before
+    clean = report.residual == "white" and not grew
+    kind = {"effects_found": "good" if clean else "neutral", "unexplained": "bad"}
+    page.verdict(found_in_words(report), kind.get(report.verdict, "good"))
+    page.next_step(next_in_words(report))
+    notes = list(report.warnings)
     if report.residual == "structured":
         left = report.residual_detail
         hertz = ", ".join(f"{f:.3g}" for f in left.frequencies_hz)
-        page.text(
+        notes.append(
             f"What is left is not noise: structure in {label(left.channel)}"
             + (f" at {hertz} Hz" if hertz else "")
             + (f", most like {left.signal}" if left.signal else "")
-            + "."
         )
-    page.bullets(report.warnings) if report.warnings else None
+    page.advice(advice_of(report), notes)
 
 
 def _effects(page: Page, report: DiscrepancyReport) -> None:
@@ -159,28 +160,33 @@ def _effects(page: Page, report: DiscrepancyReport) -> None:
         page.text("No effect passed every test.")
         return
     rows = []
-    for effect in report.effects:
+    for effect in by_weight(report.effects):
         for number, (name, estimate) in enumerate(effect.parameters.items()):
             first = number == 0
-            spread = "" if estimate.stderr is None else f" ± {1.96 * estimate.stderr:.2g}"
+            spread = "" if estimate.stderr is None else f" ± {SURE * estimate.stderr:.2g}"
+            zero = ", not distinguishable from zero" if is_zero(estimate) else ""
+            share = "" if effect.weight is None else f"{100.0 * effect.weight:.0f} %"
             rows.append(
                 (
-                    str(effect.order) if first else "",
-                    effect.name if first else "",
-                    f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip(),
-                    effect.adds if first else "",
+                    title_of(effect.name) if first else "",
+                    meaning(effect) if first else "",
+                    share if first else "",
+                    f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip() + zero,
                     f"{effect.gap.before:.3f} → {effect.gap.after:.3f}" if first else "",
+                    effect.name if first else "",
                 )
             )
     page.table(
-        ["order", "effect", "parameter, 95 % interval", "what it adds", "gap"],
+        ["effect", "what it does", "explains", "parameter, 95 % interval", "gap", "name"],
         rows,
+        "What explains most stands first: its share of what all of them explain on samples that"
+        " decided nothing.",
     )
     for effect in report.effects:
         for other in effect.alternatives:
             page.text(
-                f"{effect.name} could also be {other.name} (margin {other.margin:.1f});"
-                f" to tell them apart fly {other.manoeuvre}."
+                f"{title_of(effect.name)} could also be {title_of(other.name)}"
+                f" (margin {other.margin:.1f}); to tell them apart fly {other.manoeuvre}."
             )
 
 
@@ -259,14 +265,25 @@ def _limits(page: Page, report: DiscrepancyReport) -> None:
         return
     page.heading("What these recordings cannot show")
     if report.not_shown:
+        page.text("One flight with these parts would show the rest:")
         page.table(
-            ["effect", "parameter", "standard error here", "usual size", "unit", "fly"],
+            ["part", "fly", "shows"],
             [
-                (n.name, n.parameter, n.stderr, n.plausible, n.unit, n.manoeuvre)
-                for n in report.not_shown
+                (str(number), fly, ", ".join(title_of(name) for name in names))
+                for number, (fly, names) in enumerate(flight_plan(report.not_shown), 1)
             ],
         )
-    page.bullets(f"{name}: not looked for, {why_lost(why)}" for name, why in report.lost.items())
+        with page.more("How badly each would be known from these recordings"):
+            page.table(
+                ["effect", "parameter", "standard error here", "usual size", "unit"],
+                [
+                    (title_of(n.name), n.parameter, n.stderr, n.plausible, n.unit)
+                    for n in report.not_shown
+                ],
+            )
+    page.bullets(
+        f"{title_of(name)}: not looked for, {why_lost(why)}" for name, why in report.lost.items()
+    )
 
 
 def _worst(rows: list[Place]) -> Place | None:

@@ -29,7 +29,7 @@ from groundstation.fleet.report_sections import (
     add_shifts,
     add_to_fly,
 )
-from groundstation.report.figure import figure
+from groundstation.report.figure import figure, legend_above
 from groundstation.report.page import Page
 from groundstation.report.theme import BAD, MEASURED, MODELLED, NEUTRAL
 
@@ -160,7 +160,7 @@ def _drawn(series: Series, finding: Finding, fleet: Fleet) -> Figure:
     axes.set_title(f"{series.craft}: {WORDS[name]}")
     axes.set_xlabel("flight, in order of time")
     axes.set_ylabel(name + (" (share)" if name not in RELATIVE else ""))
-    axes.legend(loc="best")
+    legend_above(axes)
     return made
 
 

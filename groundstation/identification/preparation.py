@@ -52,7 +52,7 @@ class BenchPreparation:
             (lines(run.time_s[kept], {name: gate.rev_s[kept]}, "rev/s"), "Rotor speed."),
             (
                 lines(run.time_s, {name: volts, "battery": run.supply_v}, "V"),
-                "Armature voltage: duty times the reported battery voltage (3.84).",
+                "Armature voltage: duty times the reported battery voltage.",
             ),
         ]
 
@@ -87,7 +87,7 @@ class FlightPreparation:
         time = run.time_s - run.recording_start_s
         rows = self._liveliest(np.asarray(speeds.max(axis=1) - speeds.min(axis=1)))
         found = [
-            (lines(time[rows], _by_motor(volts[rows]), "V"), "Armature voltages (3.84)."),
+            (lines(time[rows], _by_motor(volts[rows]), "V"), "Armature voltages."),
             (lines(time[rows], _by_motor(speeds[rows]), "rev/s"), "Speeds of the rotors."),
         ]
         for axis, name in enumerate(AXES):
@@ -95,7 +95,7 @@ class FlightPreparation:
             angle = np.degrees(run.attitude[rows, axis])
             if np.isfinite(angle).all():
                 made = against(time[rows], angle, f"{name}, deg", torque[rows, axis], TORQUE)
-                found.append((made, f"{name.capitalize()} and, dashed, its torque (7.19)."))
+                found.append((made, f"{name.capitalize()} and, dashed, its torque."))
         return found
 
     def panels(self) -> list[Panel]:

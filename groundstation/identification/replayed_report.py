@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from groundstation.identification.replayed import Replayed
 from groundstation.identification.runs import Run
 from groundstation.prediction.reference_flight import MadeRun
-from groundstation.report.figure import figure, thinned
+from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.page import Page
 from groundstation.report.theme import MEASURED, MODELLED, SERIES
 from groundstation.telemetry.packet import STANDARD_GRAVITY
@@ -109,13 +109,13 @@ def reference_page(title: str, made: MadeRun) -> Page:
         axes[i].plot(t, wanted, color=MEASURED, label="reference")
         axes[i].plot(t, angle, color=MODELLED, label="reported")
         axes[i].set_ylabel(f"{axis} (deg)")
-    axes[0].legend(loc="upper right", ncols=2)
+    legend_above(axes[0])
     for i in range(4):
         t, speed = thinned(time, made.rotor_rev_s[:, i])
         axes[3].plot(t, speed, color=SERIES[i], label=f"M{i + 1}")
     axes[3].set_ylabel("rotors (rev/s)")
     axes[3].set_xlabel("time (s)")
-    axes[3].legend(loc="upper right", ncols=4)
+    legend_above(axes[3])
     page.figure(drawn, "Angles against the reference, and rotor speeds.")
     return page
 
@@ -127,7 +127,7 @@ def _tilt_error(error: Array) -> Array:
 def _overlay(run: Run, done: Replayed, rows: slice) -> Figure:
     measured = channels_of(run.gyro, run.accelerometer, run.attitude)[rows]
     modelled = channels_of(done.gyro, done.accelerometer, done.attitude)[rows]
-    time = run.time_s[rows]
+    time = run.time_s[rows] - run.recording_start_s
     drawn, axes = figure(9.5, 7.0, rows=3, columns=3, sharex=True)
     for i, name in enumerate(CHANNELS):
         t, one, other = thinned(time, measured[:, i], modelled[:, i])
@@ -135,8 +135,8 @@ def _overlay(run: Run, done: Replayed, rows: slice) -> Figure:
         axes[i].plot(t, other, color=MODELLED, label="simulated")
         axes[i].set_title(name)
     for axis in axes[6:]:
-        axis.set_xlabel("device time (s)")
-    axes[0].legend(loc="best")
+        axis.set_xlabel("time, s")
+    drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return drawn
 
 
@@ -158,5 +158,5 @@ def _growth(runs: Sequence[Run], errors: Sequence[Array], window_s: float) -> Fi
             axes[i].plot(t, value, color=SERIES[k], label=CHANNELS[first + k].split(" (")[0])
         axes[i].set_title(label)
         axes[i].set_xlabel("since fresh start (ms)")
-        axes[i].legend(loc="best")
+        axes[i].legend(loc="upper left")  # errors grow: nothing lies there
     return drawn

@@ -9,11 +9,12 @@ import numpy as np
 
 from groundstation.dynamics.meanings import arx_meaning, meaning_of
 from groundstation.dynamics.model import Model
+from groundstation.identification.advice import advice_of, good_for, next_of
 from groundstation.identification.arx.residual_tests import CorrelationTest
 from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.segments import EVERYTHING
-from groundstation.report.figure import figure
+from groundstation.report.figure import figure, legend_above
 from groundstation.report.page import Page
 from groundstation.report.theme import (
     BAD,
@@ -45,10 +46,10 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         f"{account['method']}, {account['samples']} samples of {names}{chosen}; made by"
         f" {model.created_by}",
     )
-    page.verdict(*_verdict(account, evidence))
-    if account["warnings"]:
-        page.heading("Warnings")
-        page.bullets(account["warnings"])
+    page.verdict(*good_for(account))
+    page.next_step(next_of(account))
+    failed = [one.channel for one in evidence.residuals if not one.cross.passes]
+    page.advice(advice_of(account, failed), account["warnings"])
     if account.get("findings"):
         page.heading("Rotors")
         page.bullets(account["findings"])
@@ -99,34 +100,6 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     return page
 
 
-def _verdict(account: dict[str, Any], evidence: Evidence) -> tuple[str, str]:
-    tests = evidence.residuals
-    failed = [one.channel for one in tests if not one.cross.passes]
-    left = (
-        f"; the input still shows in what is left of {', '.join(failed)}"
-        if failed
-        else "; nothing of the input is left in the residuals"
-    )
-    if account["what"] == "arx":
-        chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in account["axes"].items())
-        return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
-    (estimates,) = evidence.estimates.values()
-    base = [
-        i for i, name in enumerate(estimates.names) if "." not in name and not name.endswith("_s")
-    ]
-    shares = 100 * estimates.stderr[base] / np.abs(estimates.values[base])
-    worst = int(np.argmax(shares))
-    text = (
-        f"The least certain constant is {estimates.names[base[worst]]}, known to"
-        f" {shares[worst]:.2g} % (standard error){left}."
-    )
-    if account["what"] == "motor":
-        fits = [one["rotor_fit_percent"] for one in account["validation"]]
-        text += f" Held out, the simulated speed fits by {min(fits):.1f} % or better."
-        return text, "good" if shares[worst] < 10 else "bad"
-    return text, "bad" if failed or shares[worst] > 5 else "good"
-
-
 def _arx_meaning(model: Model, title: str, channel: str) -> Meaning:
     """Of the coefficients of the axis that a title begins with."""
     polynomial = (model.arx or {})[title.partition(" ")[0]]
@@ -149,6 +122,10 @@ def _parameters(
     for i, name in enumerate(estimates.names):
         value, error = float(estimates.values[i]), float(estimates.stderr[i])
         unit, meaning = meaning_in_words(name)
+        if "." in name and abs(value) < 1.96 * error:
+            meaning += "; not distinguishable from zero"
+        elif name in account.get("not_identified", {}):
+            meaning += "; not identified: the file has the profile's"
         rows.append(
             [
                 name,
@@ -211,8 +188,7 @@ def _held_out(page: Page, account: dict[str, Any]) -> None:
                 [f"{one['window_s']:g} s", one["data"], *one["rms_rad"]]
                 for one in account["free_run_angles"]
             ],
-            "RMS of the angles in free runs from measured rates and angles (thesis Table 7.2, which"
-            " does not say how long its runs were).",
+            "RMS of the angles in free runs from measured rates and angles.",
         )
     if "naive_free_run" in account:
         page.table(
@@ -258,7 +234,7 @@ def _trace(trace: Trace) -> Figure:
     above.plot(trace.time_s, trace.measured, color=MEASURED, label="measured")
     above.plot(trace.time_s, trace.modelled, color=MODELLED, label="modelled")
     above.set_ylabel(f"{trace.channel}\n{trace.unit}")
-    above.legend(loc="upper right", ncols=2)
+    legend_above(above)
     below.plot(trace.time_s, trace.measured - trace.modelled, color=NEUTRAL)
     below.set_ylabel(f"error\n{trace.unit}")
     below.set_xlabel("time, s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from groundstation.report.figure import figure, thinned
+from groundstation.report.figure import figure, legend_above, thinned
 from groundstation.report.theme import MEASURED, MODELLED, SERIES
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def lines(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: str
     axes.set_ylabel(label)
     axes.set_xlabel("time, s")
     if len(channels) > 1:
-        axes.legend(loc="upper right", ncols=len(channels))
+        legend_above(axes)
     return made
 
 
@@ -36,7 +36,7 @@ def points(time_s: NDArray[Any], channels: Mapping[str, NDArray[Any]], label: st
     axes.set_ylabel(label)
     axes.set_xlabel("time, s")
     if len(channels) > 1:
-        axes.legend(loc="upper right", ncols=len(channels), markerscale=4)
+        legend_above(axes, markerscale=4)
     return made
 
 

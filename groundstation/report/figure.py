@@ -70,6 +70,14 @@ def figure(
     return made, [one for row in axes for one in row]
 
 
+def legend_above(axes: Axes, **more: Any) -> None:
+    """A legend over the panel, to the right: what lies in it may be a peak."""
+    names = axes.get_legend_handles_labels()[1]
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=len(names), **more
+    )
+
+
 def svg(made: Figure) -> str:
     """The figure as an ``<svg>`` element that scales with the page; same input, same text."""
     import matplotlib

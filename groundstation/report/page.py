@@ -5,10 +5,11 @@ Figures are enlarged by style sheets alone, so that a report can be shown where 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from groundstation.errors import BadInputError
 from groundstation.paths import taken
@@ -21,6 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cell = str | int | float | None
+
+
+FIRST = 3
+"""Warnings that a report begins with: who reads twelve reads none."""
+
+
+class Advice(NamedTuple):
+    """A warning: what there is, what follows from it, what to do or to fly; no full stops."""
+
+    what: str
+    means: str
+    fly: str
 
 
 class Page:
@@ -50,6 +63,35 @@ class Page:
         if kind not in ("good", "bad", "neutral"):
             raise ValueError(f"verdict kind {kind!r}: good, bad or neutral")
         self._parts.append(f'<div class="verdict {kind}">{_clean(text)}</div>')
+
+    def next_step(self, text: str) -> None:
+        """Adds what to do now: the second thing one reads."""
+        self._parts.append(f'<p class="next"><strong>Next:</strong> {_clean(text)}</p>')
+
+    def advice(self, found: Sequence[Advice], rest: Sequence[str] = ()) -> None:
+        """Adds the first three of ``found``; what is beyond, and ``rest``, behind "more"."""
+        self._advised(found[:FIRST])
+        if len(found) > FIRST or rest:
+            count = max(len(found) - FIRST, 0) + len(rest)
+            with self.more(f"{count} more note{'s' * (count != 1)} on this"):
+                self._advised(found[FIRST:])
+                if rest:
+                    self.bullets(rest)
+
+    def _advised(self, found: Sequence[Advice]) -> None:
+        items = "".join(
+            f"<li><strong>{_clean(one.what)}.</strong> {_clean(one.means)}."
+            f" <em>{_clean(one.fly)}.</em></li>"
+            for one in found
+        )
+        self._parts.append(f'<ul class="advice">{items}</ul>' if items else "")
+
+    @contextmanager
+    def more(self, summary: str) -> Iterator[None]:
+        """What is added in the block is folded away behind a line; printed, it is open."""
+        self._parts.append(f"<details><summary>{_clean(summary)}</summary>")
+        yield
+        self._parts.append("</details>")
 
     def bullets(self, lines: Iterable[str]) -> None:
         """Adds a list."""

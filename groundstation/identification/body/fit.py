@@ -90,7 +90,7 @@ class BodyFit:
     nuisances: what was fitted along and is not in the model, by key, with standard errors.
     setup, free: predict with the fit. motor_share: (p,) of each estimate's
     variance that comes from the motor's. pace: by which a0, a1, a2 were multiplied, and its
-    relative standard error.
+    relative standard error. shown: effects that the data clearly show and that are left out.
     """
 
     body: BodyConstants
@@ -102,11 +102,19 @@ class BodyFit:
     motor_share: Array
     warnings: tuple[str, ...]
     not_identified: Mapping[str, str]
+    shown: tuple[str, ...] = ()
     pace: tuple[float, float] = (1.0, 0.0)
 
     @property
     def point(self) -> Point:
         return self.free.point
+
+    @property
+    def saved(self) -> Point:
+        """The point of what is saved: the nuisances are zero, but for the sensor's lag, and c2 is
+        the profile's where it is not identified."""
+        zero = {key: 0.0 for key in self.setup.nuisances if key != SENSOR_LAG}
+        return {**self.point, **zero, "c2": self.body.c2}
 
     @property
     def delay_s(self) -> float:
@@ -343,9 +351,9 @@ def _outcome(
             *warnings_of(estimates, moves, missed),
             *slow_rows(setup.problem.flights[0].run, missed),
             *cross_talk(setup, free),
-            *hints(setup, free, nuisances),
         ),
         reasons,
+        hints(setup, free, nuisances),
     )
 
 

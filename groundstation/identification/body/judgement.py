@@ -268,7 +268,9 @@ def _torques(setup: Setup, free: FreeFit) -> dict[int, Array]:
     }
 
 
-def hints(setup: Setup, free: FreeFit, nuisances: Mapping[str, tuple[float, float]]) -> list[str]:
+def hints(
+    setup: Setup, free: FreeFit, nuisances: Mapping[str, tuple[float, float]]
+) -> tuple[str, ...]:
     """Effects that were not fitted along although the prediction errors show them clearly."""
     found = [
         key.partition(".")[0]
@@ -290,4 +292,4 @@ def hints(setup: Setup, free: FreeFit, nuisances: Mapping[str, tuple[float, floa
         size, error = (covariance @ gradient)[-1], float(np.sqrt(covariance[-1, -1]))
         if abs(size) > CLEAR * error and value(free.point, key) == 0.0:
             found.append(key.partition(".")[0])
-    return [f"the data clearly show {name}; fit it along: --with {name}" for name in found]
+    return tuple(found)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, rotor_motors, with_motor
-from groundstation.dynamics.registry import EFFECTS, at_stage
+from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP, at_stage
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen
@@ -28,6 +28,7 @@ from groundstation.identification.body.validation import (
 from groundstation.identification.division import divided
 from groundstation.identification.excitation import body_excitation
 from groundstation.identification.fit_record import (
+    TOLD,
     Evidence,
     Identified,
     Progress,
@@ -55,10 +56,13 @@ from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
 from groundstation.identification.torque import AXES, by_saturation
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
 
 AHEAD_S, DRAWN_S = 0.02, 3.0
+KNOCK_G = 4.0
+"""What no thrust gives a craft, and rotors that shake an unfiltered accelerometer hardly do."""
 FREE_RUNS_S, LEAST_FREE_S = (0.5, 1.0, 2.0), 1.0
 OF_THE_MOTORS = {effect.name for stage in ("supply", "motor") for effect in at_stage(stage)}
 
@@ -103,17 +107,20 @@ def identify_body(
     traces, residuals = _pictures(validate_on, fit, rows)
     warnings = [*judged.lines, *fit.warnings]
     warnings += [f"{one.name}: left out, a motor is saturated in most rows" for one in saturated]
+    warnings += knocks([*fit_on, *validate_on])
     warnings += _of_the_motors(fit, exact=covariance is None and not measured)
     account: dict[str, Any] = {
         "what": "body",
         "method": "prediction error, each flight's own noise spectrum",
         "rotor_speed": "measured" if measured else "modelled",
         "samples": rows,
+        "rate_hz": 1.0 / runs[0].period_s,
         "selection": str(selection),
         "held_out": apart,
         "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
         "fitted_along": {key: _stated(*found) for key, found in fit.nuisances.items()},
+        "left_out": _left_out(fit),
         "motor_pace": _stated(*fit.pace),
         "not_identified": fit.not_identified,
         "variance_share_of_motor": fit.motor_share.tolist(),
@@ -145,6 +152,38 @@ def _names(effects: Sequence[str], before: Model, measured: bool) -> tuple[str, 
         )
     known = [name for name in FIT_WITH if not (measured and name in OF_THE_MOTORS)]
     return fitted_effects(effects, before, known)
+
+
+def knocks(stretches: Sequence[Stretch]) -> list[str]:
+    """The hardest knock of each recording that the samples used do not hold, in words."""
+    lines = []
+    for name in dict.fromkeys(one.run.name for one in stretches):
+        here = [one for one in stretches if one.run.name == name]
+        hardest, at_s = 0.0, 0.0
+        for run in {id(one.run): one.run for one in here}.values():
+            force = np.linalg.norm(np.nan_to_num(run.accelerometer), axis=1) / STANDARD_GRAVITY
+            for one in here:
+                if one.run is run:
+                    force[one.rows] = 0.0
+            row = int(force.argmax())
+            if force[row] > hardest:
+                hardest, at_s = force[row], run.time_s[row] - run.recording_start_s
+        if hardest > KNOCK_G:
+            lines.append(
+                f"{name}: a knock of {hardest:.1f} g at {at_s:.1f} s, a landing or a collision, is"
+                " not fitted"
+            )
+    return lines
+
+
+def _left_out(fit: BodyFit) -> list[str]:
+    """Effects that flights show beyond chance and that the model does not have, by name."""
+    told = [
+        key.partition(".")[0]
+        for key, (size, error) in fit.nuisances.items()
+        if key in (DELAY, SPIN_UP) and size > TOLD * error
+    ]
+    return list(dict.fromkeys([*told, *fit.shown]))
 
 
 def _of_the_motors(fit: BodyFit, exact: bool) -> Iterator[str]:
@@ -272,7 +311,7 @@ def _pictures(
     stretch = max(stretches, key=len)
     period = stretch.run.period_s
     setup = on_other(fit.setup, [stretch])
-    ((measured, predicted),) = predicted_rates(fit, setup, fit.point, AHEAD_S)
+    ((measured, predicted),) = predicted_rates(fit, setup, fit.saved, AHEAD_S)
     first = stretch.last - len(measured)
     time = stretch.run.time_s[first : stretch.last] - stretch.run.recording_start_s
     traces, residuals = [], []
@@ -288,7 +327,7 @@ def _pictures(
                 f"predicted {AHEAD_S * 1e3:.0f} ms ahead",
             )
         )
-    force, squares = vertical(setup, fit.point)
+    force, squares = vertical(setup, fit.saved)
     if len(force):
         width = max(1, round(SHAKEN_S / period))
         force, squares = (

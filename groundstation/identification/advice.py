@@ -1,0 +1,172 @@
+"""What a fit begins with, in plain words: what it is good for, what to do next, what to mind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from groundstation.dynamics.meanings import title_of
+from groundstation.identification.excitation import MOVES
+from groundstation.report.page import Advice
+
+DESIGN, FIRST_DESIGN = 0.1, 0.35
+"""Standard errors over the value: up to which a constant bears a design as it is, and up to which
+one that keeps margins for it."""
+SLOW_HZ = 400.0
+"""Below, samples do not show every setting of the motors."""
+AXIS = {"c0": "roll", "c1": "pitch", "c2": "yaw"}
+
+
+def good_for(account: Mapping[str, Any]) -> tuple[str, str]:
+    """What was found and how sure, with what that is good for, and what kind of verdict it is."""
+    if account["what"] == "motor":
+        return _motor(account)
+    if account["what"] == "arx":
+        return _arx(account)
+    shares = _shares(account)
+    unknown = [AXIS[name] for name in account.get("not_identified", {}) if name in AXIS]
+    known = {AXIS[name]: share for name, share in shares.items() if name in AXIS}
+    known = {axis: share for axis, share in known.items() if axis not in unknown}
+    good = [axis for axis, share in known.items() if share <= DESIGN]
+    fair = [axis for axis, share in known.items() if DESIGN < share <= FIRST_DESIGN]
+    poor = [axis for axis, share in known.items() if share > FIRST_DESIGN]
+    found = ", ".join(f"{axis} to {100 * share:.2g} %" for axis, share in known.items())
+    parts = []
+    if good:
+        parts.append(f"good enough to design {_listed(good)} with")
+    if fair:
+        parts.append(f"{_listed(fair)}: enough for a first, cautious design")
+    if poor:
+        parts.append(f"{_listed(poor)}: for a rough simulation only")
+    if unknown:
+        parts.append(f"{_listed(unknown)} was not identified (the file has the profile's value)")
+    kind = "good" if not (fair or poor or unknown) else "bad" if not (good or fair) else "neutral"
+    words = "; ".join(parts)
+    return f"{words[:1].upper()}{words[1:]}. Known, by standard error: {found or 'none'}.", kind
+
+
+def next_of(account: Mapping[str, Any]) -> str:
+    """What to do now."""
+    if account["what"] == "motor":
+        return "fit the body with it: groundstation fit body FLIGHTS --model THIS -o BODY"
+    if account["what"] == "arx":
+        return "compare it with the body model on another flight: groundstation compare."
+    if left := account.get("left_out"):
+        names = _listed([title_of(name) for name in left])
+        return f"what these flights show besides ({names}) into the file: {_again(account, left)}"
+    if weak := _weakest(account):
+        return f"{weak[1]}, and fit both recordings together."
+    return "look for what is missing: groundstation discrepancy, with another flight as --validate."
+
+
+def _again(account: Mapping[str, Any], effects: Sequence[str]) -> str:
+    """The command that fits the same with effects that were left out."""
+    held = account.get("held_out")
+    files = [one["file"] for one in account.get("recordings", ())] or ["FLIGHTS"]
+    words = ["groundstation fit body", *files]
+    if isinstance(held, list):
+        words += ["--validate", *(one["file"] for one in held)]
+    return " ".join([*words, "-o NEW_FILE", "--with", ",".join(effects)])
+
+
+def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]:
+    """What must not be overlooked, the gravest first. failed: channels in whose residuals the
+    input still shows."""
+    found = []
+    shares = _shares(account)
+    for name, reason in account.get("not_identified", {}).items():
+        axis, fly = MOVES[name]
+        found.append(
+            Advice(
+                f"{axis.capitalize()} is not identified: {reason}",
+                f"The file has the profile's {name}; its {axis} is a guess",
+                fly.capitalize(),
+            )
+        )
+    for name, share in shares.items():
+        if name in MOVES and name not in account.get("not_identified", {}) and share > DESIGN:
+            axis, fly = MOVES[name]
+            found.append(
+                Advice(
+                    f"{axis.capitalize()} is known to {100 * share:.0f} % only",
+                    "Gains that are designed on it may be off by as much",
+                    fly.capitalize(),
+                )
+            )
+    if account["what"] == "body" and 0.0 < account.get("rate_hz", 0.0) < SLOW_HZ:
+        hz = account["rate_hz"]
+        found.append(
+            Advice(
+                f"{hz:.0f} samples a second show one in {500.0 / hz:.1f} of the motors' settings",
+                "What the craft was told between them is unknown, and counts in the errors",
+                "Record 500 a second, or rotor speeds",
+            )
+        )
+    if failed:
+        found.append(
+            Advice(
+                f"The input still shows in what is left of {_listed(list(failed))}",
+                "Something acts there that the model does not have",
+                "Search with groundstation discrepancy",
+            )
+        )
+    return found
+
+
+def _motor(account: Mapping[str, Any]) -> tuple[str, str]:
+    shares = _shares(account)
+    name, share = max(shares.items(), key=lambda one: one[1])
+    text = f"The motor is known to {100 * share:.2g} % ({name}, the least certain)"
+    held = account.get("validation")
+    if held:
+        fits = [one["rotor_fit_percent"] for one in held]
+        text += f", and its speed on unseen data fits by {min(fits):.1f} %"
+    good = share <= DESIGN
+    return f"{text}: {'good enough for body fits and design' if good else 'a start'}.", (
+        "good" if good else "bad"
+    )
+
+
+def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
+    chosen = ", ".join(f"{axis} {one['chosen']}" for axis, one in account["axes"].items())
+    failed = [
+        axis for axis, one in account["axes"].items() if not one["cross_correlation"]["passes"]
+    ]
+    left = (
+        f"; the input still shows in what is left of {_listed(failed)}: good for a first look only"
+        if failed
+        else "; nothing of the input is left: good to predict and to design with"
+    )
+    return f"Chosen: {chosen}{left}.", "bad" if failed else "good"
+
+
+def _shares(account: Mapping[str, Any]) -> dict[str, float]:
+    """Standard error over value of each constant."""
+    found = account.get("estimates") or {"names": (), "values": (), "stderr": ()}
+    return {
+        name: float(error / abs(value)) if value else float(np.inf)
+        for name, value, error in zip(found["names"], found["values"], found["stderr"], strict=True)
+        if "." not in name and not name.endswith("_s")
+    }
+
+
+def _weakest(account: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The axis that is known worst, where that is not good enough, and what to fly."""
+    unknown = account.get("not_identified", {})
+    shares = {
+        name: np.inf if name in unknown else share
+        for name, share in _shares(account).items()
+        if name in MOVES
+    }
+    if not shares:
+        return None
+    name = max(shares, key=lambda one: shares[one])
+    return MOVES[name] if shares[name] > DESIGN else None
+
+
+def _listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

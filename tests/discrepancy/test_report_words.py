@@ -1,0 +1,105 @@
+"""The first lines of a discrepancy report: plain, ordered by weight, and with what to fly."""
+
+from dataclasses import replace
+
+import msgspec
+import pytest
+from made_findings import NAME, findings, proof, report
+
+from groundstation.discrepancy.findings import NotShown, Verdict
+from groundstation.discrepancy.report_json import EffectFound, Step
+from groundstation.discrepancy.report_words import (
+    advice_of,
+    by_weight,
+    flight_plan,
+    found_in_words,
+    is_zero,
+    next_in_words,
+)
+from groundstation.dynamics.model import Estimate
+
+
+@pytest.fixture(scope="module")
+def told():
+    one = findings()
+    return report(one, proof(one))
+
+
+def not_shown(name, manoeuvre):
+    return NotShown(name, "size", 1.0, 0.1, "", manoeuvre)
+
+
+def test_what_was_found_is_told_by_its_name_with_what_it_does_and_how_sure_it_is(told):
+    said = found_in_words(told)
+    assert said.startswith(
+        "Missing in the model: tipping moment of blade flapping (the craft is tipped back by"
+        " 15 rad/s² for each m/s that it moves)."
+    )
+    assert "that no fit has seen: prediction errors fall from" in said
+    assert "what was found explains 90 % of what was wrong" in said
+
+
+def test_the_next_step_is_the_model_and_what_to_fly(told):
+    assert next_in_words(told, written=True).startswith("use the improved model in place")
+    assert "write the improved model with -o" in next_in_words(told)
+    assert "begin and end at rest, take off, land" in next_in_words(told)
+
+
+def test_a_model_that_got_worse_is_not_recommended():
+    one = findings()
+    made = proof(one)
+    worse = report(one, replace(made, before=made.after, after=made.before))
+    assert "none the better for it" in found_in_words(worse)
+    assert next_in_words(worse).startswith("keep the given model")
+    assert advice_of(worse)[0].what.startswith("The improved model predicts")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (Verdict.NO_DISCREPANCY, "use the model as it is"),
+        (Verdict.UNEXPLAINED, "look at the map below"),
+    ],
+)
+def test_where_nothing_is_named_it_says_what_to_do(verdict, words):
+    one = findings(verdict)
+    assert next_in_words(report(one, proof(one))).startswith(words)
+
+
+def test_effects_stand_in_the_order_of_what_they_explain():
+    def effect(name, weight):
+        return EffectFound(name, 1, "", {}, {}, [], Step(2.0, 1.0), [], weight)
+
+    found = [effect("a", None), effect("b", 0.1), effect("c", 0.7)]
+    assert [one.name for one in by_weight(found)] == ["c", "b", "a"]
+
+
+def test_a_parameter_is_zero_where_its_interval_holds_zero():
+    assert is_zero(Estimate(0.001, 0.05, ""))
+    assert not is_zero(Estimate(0.2, 0.05, ""))
+    assert not is_zero(Estimate(0.0, None, ""))
+
+
+def test_fourteen_manoeuvres_become_one_flight():
+    plan = flight_plan(
+        [
+            not_shown("rate_damping", "fast roll and pitch doublets on the spot"),
+            not_shown("quadratic_rate_damping", "large roll and pitch doublets, 3 rad/s and more"),
+            not_shown("yaw_damping", "yaw steps both ways, then a steady turn at 3 rad/s"),
+            not_shown("supply_sag", "steps of collective thrust over 60..140 % of hover"),
+            not_shown("gyro_bias", "nothing special; attitude must be recorded"),
+            not_shown("own", "knock at the left arm"),
+        ]
+    )
+    assert len(plan) == 5
+    doublets, names = plan[0]
+    assert doublets.startswith("sharp roll and pitch doublets")
+    assert names == ["rate_damping", "quadratic_rate_damping"]
+    assert ("knock at the left arm", ["own"]) in plan
+    assert "nothing special" not in dict(plan)
+
+
+def test_the_words_need_no_more_than_what_is_written(told):
+    again = msgspec.json.decode(msgspec.json.encode(told), type=type(told))
+    assert found_in_words(again) == found_in_words(told)
+    assert NAME in {one.name for one in again.effects}
