@@ -79,13 +79,13 @@ def test_arx_coefficients_have_units_and_not_the_motors_meanings(pages):
     assert "slowing down of a motor" not in text
 
 
-def test_the_verdict_speaks_of_the_least_certain_constant(pages):
-    found, text = pages["body"]
-    estimates = found.evidence.estimates["body"]
-    shares = estimates.stderr / np.maximum(estimates.values, 1e-300)
-    worst = ("c0", "c1", "c2")[int(np.argmax(shares[:3]))]
-    assert f"The least certain constant is {worst}" in text
-    assert 'class="verdict good"' in text
+def test_the_first_line_says_what_the_fit_is_good_for_and_the_second_what_to_do(pages):
+    for kind, words in (("motor", "good enough for body fits"), ("body", "Good enough to design")):
+        _, text = pages[kind]
+        first = re.search(r'<div class="verdict \w+">(.*?)</div>', text).group(1)
+        assert words in first
+        assert "%" in first
+        assert text.index("<strong>Next:</strong>") < text.index("<h2")
 
 
 def test_arx_tables_of_all_axes_and_the_step_responses_are_there(pages):
