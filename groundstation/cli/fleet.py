@@ -87,8 +87,11 @@ def index(
 def fit(
     catalogue: Path = CATALOGUE,
     vehicle: str | None = VEHICLE,
-    effects: str = typer.Option(
-        "dead_time,rotor_acceleration_torque", "--with", help="Effects that every craft has."
+    effects: str | None = typer.Option(
+        None,
+        "--with",
+        help="Effects that every craft has (default: its dead time, and the torque of rotors that"
+        " accelerate).",
     ),
     workers: int | None = WORKERS,
     scheduler: str | None = SCHEDULER,
@@ -100,15 +103,17 @@ def fit(
     """
     from dataclasses import asdict
 
+    from groundstation.dynamics.registry import DELAY, SPIN_UP
     from groundstation.fleet.engine import cores
     from groundstation.fleet.fit import fit_all
     from groundstation.fleet.parts import held
 
+    always = tuple(key.partition(".")[0] for key in (DELAY, SPIN_UP))
     with shown("looking") as progress, held(catalogue):
         counts = fit_all(
             catalogue,
             vehicle=vehicle,
-            effects=effect_names(effects),
+            effects=always if effects is None else effect_names(effects),
             workers=workers or cores(),
             scheduler=scheduler,
             progress=progress,
@@ -227,7 +232,8 @@ def report(
     for one in fleet.findings:
         show(f"  {one.text}")
     if not fleet.findings:
-        show("  no craft changed or differs" if crafts else "  nothing is fitted: fleet fit first")
+        tested = "no craft changed or differs" if fleet.tests else "nothing could be tested yet"
+        show(f"  {tested}" if crafts else "  nothing is fitted: fleet fit first")
     if date is not None:
         none = "" if since else " no craft has two fitted flights on both sides"
         show(f"since {compare_before}:{none}")

@@ -69,12 +69,21 @@ def report(
         ill = len({one.craft for one in found})
         page.verdict(f"{ill} of {len(crafts)} crafts changed, or differ from the others.", "bad")
         page.bullets(one.text for one in found)
+    elif fleet.tests:
+        page.verdict(
+            f"No craft changed or differs, of {len(crafts)}, by {fleet.tests} tests.", "good"
+        )
     else:
-        page.verdict(f"No craft changed or differs, of {len(crafts)}.", "good")
-    page.text(
-        f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
-        " expected to be chance."
-    )
+        page.verdict(f"Nothing could be tested yet: {_too_few(len(crafts), fitted)}.", "neutral")
+        page.next_step(
+            "record and fit more: a craft is compared with itself from some flights before and"
+            " after, and with others from four crafts on."
+        )
+    if fleet.tests:
+        page.text(
+            f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
+            " expected to be chance."
+        )
     if more.date is not None:
         add_shifts(page, more.date, more.shifts)
     add_effects(page, more.effects)
@@ -112,6 +121,10 @@ def report(
         page.figure(_drawn(by_key[one.craft, one.quantity], one, fleet), one.text)
     _set_aside(page, recordings, fits)
     return page
+
+
+def _too_few(crafts: int, fitted: int) -> str:
+    return f"{crafts} craft{'s' * (crafts != 1)}, {fitted} flight{'s' * (fitted != 1)} fitted"
 
 
 def _map(fleet: Fleet, crafts: Sequence[str]) -> Figure:

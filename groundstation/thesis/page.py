@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,12 +11,17 @@ from groundstation.thesis.entry import Done, Table
 from groundstation.thesis.printed import WITHOUT
 
 TITLE = "The thesis, repeated"
+WHOSE = (
+    "Modeling, Identification and Simulation of a Quadrotor Using Real-Time Flight Data (M.Sc."
+    " thesis, Istanbul Technical University, May 2015, on a Crazyflie 1.0)"
+)
 INTRODUCTION = (
     "Every table and figure of the thesis that has a counterpart, in printed order, made from the"
     " stand-in, whose true constants are known, and from the 25 printed rows of Figure 5.7; the"
     " thesis's own recordings are not published. So numbers are not expected to agree with the"
     " printed ones: compared is what each procedure finds, and whether it is the truth."
 )
+OUTCOME = "What came out"
 NOTHING, COMMANDS = "Without a counterpart", "Commands"
 COMMANDS_TEXT = (
     "All, in order, for a folder with the files that groundstation thesis puts there first"
@@ -26,7 +32,17 @@ COMMANDS_TEXT = (
 def page(done: Sequence[Done], seconds: float) -> Page:
     """One page, a section for each number."""
     made = Page(TITLE, f"{len(done)} entries, made in {seconds:.0f} s")
+    made.verdict(
+        f"{WHOSE}: {len(done)} of its tables and figures made again, {len(WITHOUT)} have no"
+        " counterpart.",
+        "neutral",
+    )
     made.text(INTRODUCTION)
+    made.heading(OUTCOME)
+    made.table(
+        ["number", "what it is", "what came out"],
+        [(one.entry.number, one.entry.title, _first_sentence(one.made.says)) for one in done],
+    )
     for one in done:
         made.heading(one.entry.number)
         made.text(f"{one.entry.title}.")
@@ -43,6 +59,10 @@ def page(done: Sequence[Done], seconds: float) -> Page:
     made.text(COMMANDS_TEXT)
     made.code(_all_commands(done))
     return made
+
+
+def _first_sentence(text: str) -> str:
+    return re.split(r"(?<=[.]) (?=[A-Z])", text)[0]
 
 
 def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
