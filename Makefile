@@ -7,7 +7,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint mutants \
+.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint mutants docs \
 	wheel bench bench-real bench-discrepancy soak clean
 
 help: ## this list
@@ -65,7 +65,11 @@ lint: $(VENV)/.ready-dev ## ruff and mypy
 mutants: $(VENV)/.ready-dev $(VENV)/.compiled ## faults put in one at a time: a test must notice each
 	$(BIN)/python -m bench.mutants $(ARGS)
 
-wheel: $(VENV)/.ready-dev ## source distribution and wheel in dist/, checked
+docs: $(VENV)/.ready-dev ## the documentation as a site, which the page serves under Help
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "groundstation/page/site/index.html"
+
+wheel: docs ## source distribution and wheel in dist/, checked
 	rm -rf dist
 	$(BIN)/python -m build
 	$(BIN)/twine check --strict dist/*
@@ -94,4 +98,4 @@ soak: $(VENV)/.ready-dev ## a day of telemetry through the daemon, every file ve
 	$(BIN)/python -m bench.soak $(ARGS)
 
 clean: ## removes the environment and what was built
-	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist groundstation/page/site *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,4 +1,4 @@
-"""The live twin: what it costs, how often it errs, how soon it sees (docs/twin.md).
+"""The live twin: what it costs, how often it errs, how soon it sees (docs/evidence.md).
 
 ``python -m bench twin`` measures an hour of flight; ``python -m bench.twin clean HOURS`` and
 ``python -m bench.twin effects`` make the long tables.

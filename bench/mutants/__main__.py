@@ -15,7 +15,7 @@ from bench.mutants.table import FAULTS
 EXAMPLES = """examples:
   make mutants
   make mutants ARGS="lease-token page-token"
-  make mutants ARGS="--page docs/mutants.md"
+  make mutants ARGS="--page bench/mutants/RESULTS.md"
 """
 
 

@@ -45,7 +45,8 @@ def _foot(outcomes: Sequence[Outcome]) -> str:
     noticed = sum(outcome.is_good for outcome in outcomes)
     today = datetime.now(UTC).strftime("%Y-%m-%d")
     return (
-        f'{noticed} of {len(outcomes)} were noticed: `make mutants ARGS="--page docs/mutants.md"`,'
+        f"{noticed} of {len(outcomes)} were noticed: `make mutants"
+        ' ARGS="--page bench/mutants/RESULTS.md"`,'
         f" groundstation {__version__}, {today}. Seconds are wall time, with as many runs at a time"
         " as there are processors.\n"
     )

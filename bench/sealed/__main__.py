@@ -75,7 +75,7 @@ def main() -> int:
     zero = commands.add_parser("zero", help="estimates of every candidate on clean flights")
     zero.add_argument("--seeds", type=int, default=10)
     zero.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
-    figures = commands.add_parser("figures", help="the figures of docs/discrepancy.md")
+    figures = commands.add_parser("figures", help="the figures of docs/evidence.md")
     figures.add_argument("-o", "--output", type=Path, default=Path("docs/images"))
     for one in (run, make, table, zero, figures):
         one.add_argument("--results", type=Path, default=Path("sealed-results"))

@@ -1,4 +1,4 @@
-"""The figures of docs/discrepancy.md from a folder of results: power and confusion."""
+"""The figures of docs/evidence.md from a folder of results: power and confusion."""
 
 from __future__ import annotations
 

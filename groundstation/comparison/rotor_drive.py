@@ -2,7 +2,7 @@
 
 Where a controller swings the settings from row to row, motors coast in between and a row holds one
 of several settings. Predictions, which are driven by PWM and battery voltage, then have torques
-that no rotor made (docs/real_flights.md).
+that no rotor made.
 """
 
 from __future__ import annotations

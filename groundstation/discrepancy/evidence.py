@@ -151,7 +151,7 @@ def cross_validated(
 
     sizes: (k,) of the first of ``keys``, counted from absent; the others, shapes, stay. All other
     numbers are at their best for the flight that is left out, on either side: flights of one craft
-    differ in them (a brushed craft's c2 by a factor of four with the air, docs/real_flights.md).
+    differ in them (a brushed craft's c2 by a factor of four with the air).
     """
     own = linear.place(keys[: len(sizes)])
     rest = [i for i, key in enumerate(linear.keys) if key not in keys]

@@ -19,7 +19,7 @@ from groundstation.identification.likelihood.parameters import BODY_KEYS
 ROTATION = BODY_KEYS[:3]
 FAR = 0.2
 """Logarithm of a change from which c0, c1, c2 are held for comparison: flights of one craft tell
-them to less than that where they tell them at all (docs/real_flights.md)."""
+them to less than that where they tell them at all."""
 
 
 def or_with_given_constants(

@@ -37,7 +37,7 @@ LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
 standard errors); all six are asked at once, and need more."""
 LIFT_SHARE = 0.03
 """Of its weight, what a craft's thrust differs by from flight to flight at one PWM and voltage:
-flights of one craft tell thrusts per mass up to 5 % apart (docs/real_flights.md)."""
+flights of one craft tell thrusts per mass up to 5 % apart."""
 FAINTEST = 1e-300
 """A chance that a double still holds; it is one of 37 standard errors."""
 EVERY_S = 0.006

@@ -31,6 +31,7 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.page.access import Access
 from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
+from groundstation.page.help import help_route
 from groundstation.report.theme import THEME
 from groundstation.service.client import ask
 from groundstation.text import printable
@@ -134,6 +135,7 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/models", shows(_models)),
             Route("/devices", shows(_devices)),
             Route("/file/{kind}/{name}", file),
+            help_route(),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),
         ]

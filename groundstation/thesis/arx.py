@@ -135,7 +135,7 @@ def _table(axis: str, printed: dict[Order, tuple[float, float]]) -> Callable[[Wo
             "The thesis's procedure: 88 structures on angles, least squares, ranked by free run,"
             f" here over {WINDOW_S:g} s at a time; RMS in rad. Chosen here: {chosen.label}. The"
             " reported angle is fresh in every second row only, and least squares spends its"
-            " coefficients on the repetition (docs/identification.md, the delay of eight rows).",
+            " coefficients on the repetition (docs/identification.md, ARX models).",
             [
                 Table(
                     [

@@ -86,8 +86,7 @@ def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
 
 
 def markdown(done: Sequence[Done]) -> str:
-    """The tables and what is said of each number, with the commands behind it, as docs/thesis.md
-    has them."""
+    """The tables and what is said of each number, with the commands behind it."""
     parts = [
         f"# {TITLE}",
         "`groundstation thesis -o FOLDER` leaves this page as `thesis.md`, beside one with the"

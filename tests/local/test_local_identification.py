@@ -87,7 +87,7 @@ def test_a_body_is_found_with_and_without_measured_rotor_speed(flights, motors, 
     # 2.7e-8 to 3.6e-8 by a crude estimate in bands, 4.2e-8 to 5.6e-8 from simulated speeds; what
     # the fits say (6.5e-8 and 7.7e-8) goes with the delay.
     assert 2e-8 < more.estimates[f"{SPIN_UP}.rotor_inertia_kg_m2"] < 9e-8
-    # With velocity from motion capture 27 on roll and 38 on pitch (docs/real_flights.md); that
+    # With velocity from motion capture 27 on roll and 38 on pitch; that
     # from accelerations, used here, is noisy, and what is regressed on it comes out too small.
     assert 15 < more.estimates[f"{FLAPPING}.moment"] < 40
     assert after["accelerometer_z_fit_percent"] > 75

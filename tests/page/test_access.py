@@ -51,6 +51,7 @@ ROUTES = [
     "/",
     "/now",
     "/flights",
+    "/help/",
     "/file/recording/x",
     "/page.js",
     "/page.css",

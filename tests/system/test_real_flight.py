@@ -53,7 +53,7 @@ def test_rates_of_the_flight_held_out_are_foretold_50_ms_ahead(fitted):
 
 def test_the_two_flights_agree_within_their_stated_intervals(fitted, tmp_path):
     """Fitted apart, on other days and paths. The likelihood alone states 2 to 3 %; single flights
-    of this set differ by 31 % (docs/real_flights.md)."""
+    of this set differ by 31 %."""
     other = tmp_path / "trefoil.json"
     said("fit", "body", HELD.removeprefix("--validate="), f"--validate={FLIGHT}", "-o", str(other))
     fits = [json.loads(path.read_text())["fit"]["body"]["estimates"] for path in (fitted, other)]

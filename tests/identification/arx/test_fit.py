@@ -304,7 +304,7 @@ def test_a_channel_that_is_not_there_is_refused(flights):
 
 
 def test_on_several_flights_the_chosen_models_residuals_do_not_follow_the_input():
-    """Ten flights of each plant are in docs/thesis.md; here two on which a slow input misleads."""
+    """Two flights on which a slow input misleads; ten of each plant: ``groundstation thesis``."""
     for seed in (102, 103):
         samples, _ = recorded(66.0, plant="faithful", seed=seed)
         found = identify_arx(
