@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,13 @@ from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model, model_vehicle, require_body
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
+from groundstation.report.result import Result
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Result):
     """One model on some runs.
 
     errors, floors: one of each per run. black_box: what the floors come from. turning: what of the
@@ -43,6 +45,11 @@ class Comparison:
     black_box: BlackBox
     turning: Turning = "body"
     warnings: Mapping[str, str] = field(default_factory=dict)
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:comparison"
+
+    def _what(self) -> str:
+        names = ", ".join(dict.fromkeys(one.run.name for one in self.errors))
+        return f"{names}: prediction errors {self.gap:.2f} times noise"
 
     @cached_property
     def rms(self) -> Array:

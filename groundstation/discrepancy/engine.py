@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -54,6 +55,7 @@ from groundstation.identification.likelihood.parameters import (
 )
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
+from groundstation.report.result import Result
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the share that is done, 0..1 (negative: as before)."""
@@ -68,8 +70,8 @@ HARDLY_MOVED = 0.5
 """Standard error over value of c0, c1, c2 from which a recording tells nothing."""
 
 
-@dataclass(frozen=True, slots=True)
-class Discrepancy:
+@dataclass(frozen=True, slots=True, repr=False)
+class Discrepancy(Result):
     """What a model is missing, with the proof.
 
     held_out: which samples are the proof, in words; empty where whole recordings were given for it.
@@ -80,6 +82,17 @@ class Discrepancy:
     proof: Proof
     held_out: str = ""
     stretches: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
+    SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:discrepancy"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful, in words."""
+        return self.findings.warnings
+
+    def _what(self) -> str:
+        names = ", ".join(one.name for one in self.findings.effects) or self.findings.verdict.value
+        before, after = self.proof.before, self.proof.after
+        return f"{names}; gap {before.gap:.2f}, after {after.beside(before):.2f}"
 
 
 def find_discrepancy(

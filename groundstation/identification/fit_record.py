@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from groundstation.identification.arx.residual_tests import (
     whiteness_test,
 )
 from groundstation.identification.estimate import Estimates
+from groundstation.report.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,8 +133,8 @@ class Evidence:
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class Identified:
+@dataclass(frozen=True, slots=True, repr=False)
+class Identified(Result):
     """A model with what was identified in it, the account that its file keeps, the arrays behind.
 
     account: ``what``, ``method``, ``samples``, ``estimates``, ``identification``, ``validation``,
@@ -143,6 +144,22 @@ class Identified:
     model: Model
     account: dict[str, Any]
     evidence: Evidence
+    SHOWN_BY: ClassVar[str] = "groundstation.identification.shown:identified"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful, in words."""
+        return tuple(self.account["warnings"])
+
+    def _what(self) -> str:
+        found = self.account.get("estimates") or {"names": (), "values": (), "stderr": ()}
+        numbers = ", ".join(
+            f"{name} {value:.4g} +- {error:.1g}"
+            for name, value, error in zip(
+                found["names"], found["values"], found["stderr"], strict=True
+            )
+        )
+        return f"{self.account['what']} of {self.model.vehicle}" + f": {numbers}" * bool(numbers)
 
     def documented(self, **provenance: Any) -> Model:
         """The model with the account under ``fit``, as later fits and designs need it.

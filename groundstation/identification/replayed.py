@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +16,18 @@ from groundstation.errors import BadInputError
 from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
+from groundstation.report.result import Result
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Replayed:
+@dataclass(frozen=True, slots=True, repr=False)
+class Replayed(Result):
     """Modelled channels of a run, row by row, as the telemetry would report them.
 
     gyro: (n, 3) rad/s. accelerometer: (n, 3) m/s^2. attitude: (n, 3) rad, yaw unwrapped.
     rotor_rev_s: (n, 4). flown: (n,) rows that were simulated; the others, on the ground or of a
-    window that began there, repeat what was measured.
+    window that began there, repeat what was measured. run: what was measured.
     """
 
     gyro: Array
@@ -33,6 +35,12 @@ class Replayed:
     attitude: Array
     rotor_rev_s: Array
     flown: NDArray[np.bool_]
+    run: Run
+    SHOWN_BY: ClassVar[str] = "groundstation.identification.shown:replayed"
+
+    def _what(self) -> str:
+        share = 100.0 * float(self.flown.mean())
+        return f"{self.run.name}: {len(self.flown)} samples, {share:.0f} % simulated"
 
 
 def simulate_run(
@@ -68,7 +76,7 @@ def simulate_run(
         flown[at[real]] = True
     attitude = np.unwrap(attitude, axis=0)
     shown = shown_rotors(model, seen.drive.rotor_rev_s, run.period_s)
-    return Replayed(gyro, accelerometer, attitude, shown, flown)
+    return Replayed(gyro, accelerometer, attitude, shown, flown, run)
 
 
 def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:

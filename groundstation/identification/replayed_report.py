@@ -77,7 +77,7 @@ def replay_page(title: str, runs: Sequence[Run], done: Sequence[Replayed], windo
     middle = int(np.argmax(_tilt_error(errors[worst])))
     half = round(0.5 * STRETCH_S / run.period_s)
     rows = slice(max(0, middle - half), min(len(run), middle + half))
-    page.figure(_overlay(run, one, rows), "Measured and simulated around the largest tilt error.")
+    page.figure(overlay(run, one, rows), "Measured and simulated around the largest tilt error.")
     page.heading("Growth of the error")
     page.figure(
         _growth(runs, errors, window_s),
@@ -124,7 +124,8 @@ def _tilt_error(error: Array) -> Array:
     return np.asarray(np.nan_to_num(np.abs(error[:, 6:8]).max(axis=1)))
 
 
-def _overlay(run: Run, done: Replayed, rows: slice) -> Figure:
+def overlay(run: Run, done: Replayed, rows: slice) -> Figure:
+    """Measured and simulated, nine channels."""
     measured = channels_of(run.gyro, run.accelerometer, run.attitude)[rows]
     modelled = channels_of(done.gyro, done.accelerometer, done.attitude)[rows]
     time = run.time_s[rows] - run.recording_start_s

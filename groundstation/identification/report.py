@@ -63,8 +63,8 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         _parameters(page, estimates, account, meaning)
     page.heading("Measured and modelled")
     page.text("Rows that no fit has seen, where the channel moves most.")
-    for trace in evidence.traces:
-        page.figure(_trace(trace), f"{trace.channel}: {trace.note}.")
+    for one in evidence.traces:
+        page.figure(trace(one), f"{one.channel}: {one.note}.")
     _held_out(page, account)
     if evidence.preparation is not None:
         page.heading("Before the fit")
@@ -73,7 +73,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     if evidence.steps:
         page.heading("Step responses")
         page.figure(
-            _steps(evidence.steps),
+            steps(evidence.steps),
             "Answer to a lasting unit torque. A free body must keep turning the way it is pushed:"
             " broken lines do not. The chosen model is drawn thick.",
         )
@@ -87,7 +87,7 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
         " With a slow input neighbouring values leave the band together; the verdict allows for it."
     )
     for test in evidence.residuals:
-        page.figure(_residual(test), _residual_text(test))
+        page.figure(residual(test), residual_text(test))
     page.heading("Recordings")
     page.table(
         ["file", "sha256", "used"],
@@ -159,7 +159,7 @@ def _parameters(
     )
     if len(estimates.names) > 1:
         page.figure(
-            _certainty(estimates, expected),
+            certainty(estimates, expected),
             "Left: correlation of the estimates; near +1 or -1, the data tell the two only"
             " together. Right: standard error as a share of the value"
             + (" (bars), and as it was expected before the fit (marks)." if expected else "."),
@@ -229,19 +229,21 @@ def _held_files(account: dict[str, Any]) -> list[dict[str, str]]:
     return account["held_out"] if isinstance(account["held_out"], list) else []
 
 
-def _trace(trace: Trace) -> Figure:
+def trace(shown: Trace) -> Figure:
+    """Measured and modelled, and what lies between."""
     made, (above, below) = figure(height=3.6, rows=2, sharex=True, height_ratios=[3, 1])
-    above.plot(trace.time_s, trace.measured, color=MEASURED, label="measured")
-    above.plot(trace.time_s, trace.modelled, color=MODELLED, label="modelled")
-    above.set_ylabel(f"{trace.channel}\n{trace.unit}")
+    above.plot(shown.time_s, shown.measured, color=MEASURED, label="measured")
+    above.plot(shown.time_s, shown.modelled, color=MODELLED, label="modelled")
+    above.set_ylabel(f"{shown.channel}\n{shown.unit}")
     legend_above(above)
-    below.plot(trace.time_s, trace.measured - trace.modelled, color=NEUTRAL)
-    below.set_ylabel(f"error\n{trace.unit}")
+    below.plot(shown.time_s, shown.measured - shown.modelled, color=NEUTRAL)
+    below.set_ylabel(f"error\n{shown.unit}")
     below.set_xlabel("time, s")
     return made
 
 
-def _residual(test: ResidualTest) -> Figure:
+def residual(test: ResidualTest) -> Figure:
+    """Correlations of what is left with itself and with the input."""
     made, (left, right) = figure(height=2.6, columns=2)
     _stems(left, test.whiteness, "with itself, rows earlier")
     _stems(right, test.cross, f"with {test.against}, rows earlier")
@@ -261,13 +263,15 @@ def _stems(axes: Axes, test: CorrelationTest, label: str) -> None:
     axes.set_xlabel(label)
 
 
-def _residual_text(test: ResidualTest) -> str:
+def residual_text(test: ResidualTest) -> str:
+    """What the correlations say."""
     white = "white" if test.whiteness.passes else "not white"
     input_ = "nothing of the input is left" if test.cross.passes else "the input still shows"
     return f"{test.channel}: {white}, {input_}."
 
 
-def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
+def certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
+    """Correlation of estimates, and their errors as shares of their values."""
     labels = [name.replace(".", "\n") for name in estimates.names]
     made, (left, right) = figure(
         height=max(2.8, 0.5 * len(labels) + 1.0), columns=2, width_ratios=[1.0, 1.1]
@@ -303,11 +307,12 @@ def _certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
     return made
 
 
-def _steps(steps: Sequence[Step]) -> Figure:
-    axes_names = list(dict.fromkeys(step.axis for step in steps))
+def steps(shown: Sequence[Step]) -> Figure:
+    """Responses of ARX models to a unit step, axis by axis."""
+    axes_names = list(dict.fromkeys(step.axis for step in shown))
     made, every = figure(height=3.0, columns=len(axes_names))
     for axes, name in zip(every, axes_names, strict=True):
-        here = [step for step in steps if step.axis == name]
+        here = [step for step in shown if step.axis == name]
         reach = max(float(np.abs(here[0].output).max()), 1e-300)
         for color, step in zip(SERIES, here, strict=False):
             axes.plot(

@@ -179,6 +179,11 @@ class Page:
             raise BadInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
+def fragment(page: Page) -> str:
+    """What a page holds, for a notebook's cell: without its head, style and foot."""
+    return f"<div>{''.join(page._parts)}</div>"
+
+
 def _zoom(number: int) -> str:
     """Buttons of a figure: as wide as the page, twice, four times."""
     buttons = "".join(

@@ -1,0 +1,34 @@
+"""The notebook in docs runs from its first cell to its last, and each result shows itself."""
+
+import ast
+import json
+
+import pytest
+from pages import ROOT
+
+NOTEBOOK = ROOT / "docs" / "tour.ipynb"
+
+
+@pytest.mark.timeout(900)
+def test_the_notebook_runs_in_order_on_the_recordings_of_a_clone(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    cells = [one for one in json.loads(NOTEBOOK.read_text())["cells"]]
+    names, shown = {}, []
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"]
+            *before, last = ast.parse("".join(cell["source"])).body
+            exec(compile(ast.Module(before, []), NOTEBOOK.name, "exec"), names)
+            assert isinstance(last, ast.Expr), "a cell ends with what it shows"
+            shown.append(eval(compile(ast.Expression(last.value), NOTEBOOK.name, "eval"), names))
+    kinds = [type(one).__name__ for one in shown]
+    assert kinds == [
+        "Recording",
+        *["Figure", "Identified"],
+        *["Figure"] * 2,
+        "Discrepancy",
+        "Figure",
+    ]
+    for one in shown:
+        if hasattr(one, "_repr_html_"):
+            assert one._repr_html_().startswith("<div>")
