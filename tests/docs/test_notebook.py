@@ -6,13 +6,15 @@ import json
 import pytest
 from pages import ROOT
 
+from groundstation.report.result import Result
+
 NOTEBOOK = ROOT / "docs" / "tour.ipynb"
 
 
 @pytest.mark.timeout(900)
 def test_the_notebook_runs_in_order_on_the_recordings_of_a_clone(monkeypatch):
     monkeypatch.chdir(ROOT)
-    cells = [one for one in json.loads(NOTEBOOK.read_text())["cells"]]
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
     names, shown = {}, []
     for cell in cells:
         if cell["cell_type"] == "code":
@@ -22,13 +24,8 @@ def test_the_notebook_runs_in_order_on_the_recordings_of_a_clone(monkeypatch):
             assert isinstance(last, ast.Expr), "a cell ends with what it shows"
             shown.append(eval(compile(ast.Expression(last.value), NOTEBOOK.name, "eval"), names))
     kinds = [type(one).__name__ for one in shown]
-    assert kinds == [
-        "Recording",
-        *["Figure", "Identified"],
-        *["Figure"] * 2,
-        "Discrepancy",
-        "Figure",
-    ]
+    figure = ["Figure"]
+    assert kinds == ["Recording", *figure, "Identified", *figure * 2, "Discrepancy", *figure]
     for one in shown:
-        if hasattr(one, "_repr_html_"):
+        if isinstance(one, Result):
             assert one._repr_html_().startswith("<div>")
