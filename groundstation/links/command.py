@@ -196,6 +196,10 @@ class CommandLink(ABC):
         later, as ``armed``."""
         return False
 
+    def withdraw_arming(self) -> None:
+        """A request to arm or to recover that still waits for the radio is not sent."""
+        return None
+
     def recover(self) -> None:
         """Ask a craft to be ready again, where ``supervisor`` says that it has crashed, and then
         says what becomes of it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import struct
 import threading
 import time
@@ -13,7 +14,7 @@ from typing import Any
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
 from groundstation.links.cflib_calls import newest_only, resolve
-from groundstation.links.command import CommandLink, CommandState
+from groundstation.links.command import LIFE_S, CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent
 from groundstation.links.outbox import Outbox
@@ -153,6 +154,7 @@ class CrazyflieLink(CommandLink):
         self.on_event(LinkEvent(self.clock(), self.uri, kind, text))
 
     async def close(self) -> None:
+        self.withdraw_arming()
         sender, self._sender = self._sender, None
         if sender is not None:
             await asyncio.to_thread(sender.close)
@@ -219,16 +221,29 @@ class CrazyflieLink(CommandLink):
         if not self._is_up_to_date():
             return False
         self._asked_armed, self.armed, self._asked_s = armed, None, time.monotonic()
-        self._request(bytes([ARM, armed]), "arm" if armed else "disarm")
+        if armed:
+            self._request(bytes([ARM, True]), "arm", until_s=self._asked_s + LIFE_S, arms=True)
+        else:
+            self.withdraw_arming()
+            self._request(bytes([ARM, False]), "disarm")
         return True
+
+    def withdraw_arming(self) -> None:
+        if self._sender is not None:
+            self._sender.outbox.withdraw_arming()
 
     def recover(self) -> None:
         if self._is_up_to_date():
-            self._request(bytes([RECOVER]), "recover")
+            until_s = time.monotonic() + LIFE_S
+            self._request(bytes([RECOVER]), "recover", until_s=until_s, arms=True)
 
-    def _request(self, data: bytes, kind: str) -> None:
+    def _request(
+        self, data: bytes, kind: str, *, until_s: float = math.inf, arms: bool = False
+    ) -> None:
         port, channel = PLATFORM if self._connection.protocol < SUPERVISED else SUPERVISOR
-        self._require_outbox().request(lambda: self._connection.send(port, channel, data))
+        self._require_outbox().request(
+            lambda: self._connection.send(port, channel, data), until_s=until_s, arms=arms
+        )
         self._entry("out", kind)
 
     def _take_answer(self, packet: Any) -> None:

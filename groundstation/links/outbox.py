@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,12 +25,21 @@ class _Setpoint:
     unlocks: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Request:
+    """until_s: monotonic; later it is not sent. arms: whether it asks for motors that turn."""
+
+    send: Callable[[], None]
+    until_s: float
+    arms: bool
+
+
 class Outbox:
     """The newest setpoint, and the requests in their order; safe to use from any thread.
 
     unlock: sends zero thrust, for a firmware that takes thrust only after it, again after each
-    silence; None for one that does not. clock: monotonic, s. expired: setpoints that had grown too
-    old to be sent.
+    silence; None for one that does not. clock: monotonic, s. expired: what had grown too old to be
+    sent.
     """
 
     def __init__(
@@ -39,7 +49,7 @@ class Outbox:
         self._unlock, self._clock = unlock, clock
         self._sent_s = -LOCKS_AFTER_S
         self._setpoint: _Setpoint | None = None
-        self._requests: deque[Callable[[], None]] = deque(maxlen=REQUESTS_MOST)
+        self._requests: deque[_Request] = deque(maxlen=REQUESTS_MOST)
         self._changed = threading.Condition()
         self._closing = False
 
@@ -51,11 +61,21 @@ class Outbox:
             self._changed.notify()
         return replaced
 
-    def request(self, send: Callable[[], None]) -> None:
-        """Something that is sent before the setpoint that waits."""
+    def request(
+        self, send: Callable[[], None], *, until_s: float = math.inf, arms: bool = False
+    ) -> None:
+        """Something that is sent before the setpoint that waits, until then. arms: it asks for
+        motors that turn, and can be withdrawn."""
         with self._changed:
-            self._requests.append(send)
+            self._requests.append(_Request(send, until_s, arms))
             self._changed.notify()
+
+    def withdraw_arming(self) -> None:
+        """What asks for motors that turn, and waits, is not sent."""
+        with self._changed:
+            kept = [one for one in self._requests if not one.arms]
+            self._requests.clear()
+            self._requests.extend(kept)
 
     def close(self) -> None:
         """What waits is still sent."""
@@ -73,11 +93,11 @@ class Outbox:
 
     def send(self) -> None:
         """Send what waits; may block for as long as the radio does."""
-        with self._changed:
-            requests = list(self._requests)
-            self._requests.clear()
-        for request in requests:
-            request()
+        while (request := self._next()) is not None:
+            if self._clock() > request.until_s:
+                self.expired += 1
+            else:
+                request.send()
         with self._changed:
             setpoint, self._setpoint = self._setpoint, None
         if setpoint is None:
@@ -92,3 +112,8 @@ class Outbox:
         setpoint.send()
         if setpoint.unlocks:
             self._sent_s = self._clock()
+
+    def _next(self) -> _Request | None:
+        """One at a time: the radio may block, and what waits behind it be withdrawn."""
+        with self._changed:
+            return self._requests.popleft() if self._requests else None

@@ -91,6 +91,7 @@ class Stopping:
         if stop is None or stop.link is not link:
             # one that runs goes on: asked again and again it must not begin anew
             stop = self._stop = Stop(link, now_s)
+        link.withdraw_arming()
         send_level(link, 0, client)
         with contextlib.suppress(LinkError):  # gone: its own limits stop it
             # where motors have to be armed, they idle until they are disarmed

@@ -7,6 +7,7 @@ one; what is left out is cflib and the radio, which other tests have.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,8 @@ from firmware_sim.craft import StandIn
 from firmware_sim.crtp import supervisor_bits
 from firmware_sim.settings import StandInSettings
 from groundstation.errors import LinkError
-from groundstation.links.command import CommandLink, CommandState
+from groundstation.links.command import LIFE_S, CommandLink, CommandState
+from groundstation.links.crazyflie import STATE_S
 from groundstation.links.outbox import Outbox
 from groundstation.links.supervisor import Supervisor
 from groundstation.service.motor_stop import Motors
@@ -64,6 +66,7 @@ class CraftInHand(CommandLink):
     def connect(self) -> None:
         self.outbox = Outbox(self._unlock, clock=self.monotonic)
         self.armed, self.supervisor, self._asked_armed = None, Supervisor(), False
+        self._asked_s = -STATE_S
         self.state = CommandState.CONNECTED
 
     def lose(self) -> None:
@@ -87,7 +90,8 @@ class CraftInHand(CommandLink):
             if to_s >= self._said_s + SAYS_S:
                 self._said_s = to_s
                 self.supervisor = Supervisor(supervisor_bits(state))
-                self.armed = self.supervisor.armed
+                if to_s >= self._asked_s + STATE_S:
+                    self.armed = self.supervisor.armed
 
     def motors(self) -> Motors | None:
         heard = self._heard
@@ -101,9 +105,14 @@ class CraftInHand(CommandLink):
 
     def arm(self, armed: bool) -> bool:
         self._require()
-        self._asked_armed, self.armed = armed, None
-        self._request("arm", int(armed), lambda: self.craft.arm(armed))
+        self._asked_armed, self.armed, self._asked_s = armed, None, self.world.now_s
+        if not armed:
+            self.withdraw_arming()
+        self._request("arm", int(armed), lambda: self.craft.arm(armed), arms=armed)
         return True
+
+    def withdraw_arming(self) -> None:
+        self.outbox.withdraw_arming()
 
     def emergency_stop(self) -> bool:
         self._require()
@@ -114,6 +123,7 @@ class CraftInHand(CommandLink):
         self.connect()
 
     async def close(self) -> None:
+        self.withdraw_arming()
         if self.state is CommandState.CONNECTED and not self.stalls:
             self.outbox.send()
         self.state = CommandState.CLOSED
@@ -146,7 +156,9 @@ class CraftInHand(CommandLink):
     def _unlock(self) -> None:
         self.craft.command(0.0, 0.0, 0.0, 0)
 
-    def _request(self, kind: str, value: int, send: Callable[[], object]) -> None:
+    def _request(
+        self, kind: str, value: int, send: Callable[[], object], *, arms: bool = False
+    ) -> None:
         handed_s = self.world.now_s
 
         def sent() -> None:
@@ -156,7 +168,7 @@ class CraftInHand(CommandLink):
             else:
                 send()
 
-        self.outbox.request(sent)
+        self.outbox.request(sent, until_s=handed_s + LIFE_S if arms else math.inf, arms=arms)
 
     def _note(self, kind: str, value: int, handed_s: float, *, level: bool = True) -> None:
         self.delivered.append(Delivered(kind, value, self.world.now_s, handed_s, level))

@@ -197,9 +197,6 @@ class AnyOrder(RuleBasedStateMachine):
         async def turn():
             end_s = self.world.now_s + seconds
             while True:
-                self.stopping = (
-                    self.commander._stopping._stop and self.commander._stopping._stop.link
-                )
                 self.commander.turn(self.world.now_s)
                 self.commander.look(self.world.now_s)
                 left_s = end_s - self.world.now_s

@@ -8,6 +8,8 @@ from craft_in_hand import World
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.base import LinkState
+from groundstation.links.command import LIFE_S
+from groundstation.service.arming import CHECKS_S, STATE_S
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import DeadManConfig
 from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
@@ -268,6 +270,35 @@ def test_a_stop_ends_a_request_to_arm(flying, after_s):
                 if one.kind == "arm" and one.value and one.handed_s > asked_s]  # fmt: skip
     state = flying.one.craft.state()
     assert (state.armed, flying.one.turns) == (False, False)
+
+
+def asked_while_the_radio_takes_nothing(flying, seconds, *after):
+    """What an operator asks for and the radio has not taken; what then reached the craft."""
+
+    async def ask():
+        asking = [asyncio.ensure_future(work) for work in (flying.commander.arm(True), *after)]
+        await asyncio.sleep(seconds)
+        flying.one.stalls = False
+        flying.commander.look(flying.world.now_s)
+        await asyncio.sleep(3.5)
+        await asyncio.gather(*asking, return_exceptions=True)
+
+    flying.one.stalls = True
+    flying.run(ask())
+    return [value for kind, value in tried(flying.one) if kind == "arm"]
+
+
+@pytest.mark.parametrize("flying", ["brushless"], indirect=True)
+def test_a_request_to_arm_that_waits_for_the_radio_is_withdrawn_by_a_stop(flying):
+    stop = flying.commander.stop()
+    assert asked_while_the_radio_takes_nothing(flying, 0.2, stop) == [0]
+    assert not flying.one.turns
+
+
+@pytest.mark.parametrize("flying", ["brushless"], indirect=True)
+def test_a_request_to_arm_grows_old_while_the_radio_takes_nothing(flying):
+    patience_s = CHECKS_S + STATE_S + 2 * LIFE_S  # it is asked again while the operator waits
+    assert asked_while_the_radio_takes_nothing(flying, patience_s) == []
 
 
 def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
