@@ -94,6 +94,22 @@ FAULTS = (
         (f"{_ON_A_CLOCK}::test_a_hundred_setpoints_a_second_pass_and_a_thousand_do_not",),
     ),
     Fault(
+        "waiting-arm-goes-out",
+        "a request to arm that waited for the radio is sent behind the stop",
+        _STOP,
+        "        link.withdraw_arming()\n",
+        "",
+        (_ON_A_CLOCK,),
+    ),
+    Fault(
+        "old-arm-goes-out",
+        "a request to arm is sent when the radio is back, long after the operator was told of none",
+        "groundstation/links/outbox.py",
+        "if self._clock() > request.until_s:",
+        "if False:",
+        (_ON_A_CLOCK,),
+    ),
+    Fault(
         "zero-thrust-not-repeated",
         "one lost packet, and the craft never hears that it has to stop",
         _STOP,

@@ -26,6 +26,8 @@ ANGLE_MOST_DEG = 45.0
 YAW_RATE_MOST_DPS = 720.0
 GAIN_MOST = 1000.0
 """No controller gain of the firmware is near this; the largest stock one is 500."""
+DRIVES_MOTORS = ("motorPowerSet.", "health.startPropTest")
+"""Parameters by which today's firmware turns motors without a setpoint."""
 SINGLE_MOST = 3.4028234e38
 """The largest number of 32 bits."""
 LIFE_S = 0.5
@@ -155,6 +157,10 @@ class CommandLink(ABC):
 
     def require_parameter(self, name: str, value: float) -> None:
         """Raises BadInputError for an unknown name or a value that no craft should get."""
+        if name.startswith(DRIVES_MOTORS):
+            raise BadInputError(
+                f"parameter {name}: turns motors past the setpoints, which nothing here then ends"
+            )
         if name not in self.parameters():
             raise BadInputError(f"the craft has no parameter {name!r}")
         if not abs(value) <= SINGLE_MOST:

@@ -91,6 +91,8 @@ def test_unknown_parameters_and_values_that_no_craft_should_get_are_refused() ->
     async def scenario(link: CrazyflieLink, entries: list[dict[str, Any]]) -> None:
         with pytest.raises(BadInputError, match="no parameter"):
             await link.write_parameter("pid_rate.nonsense", 1.0)
+        with pytest.raises(BadInputError, match="turns motors"):
+            await link.write_parameter("motorPowerSet.enable", 1.0)
         with pytest.raises(BadInputError, match="finite"):
             await link.write_parameter("pid_rate.roll_kp", math.nan)
         for value in (-1.0, 1000.5):

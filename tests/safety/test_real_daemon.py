@@ -1,4 +1,4 @@
-"""The installed daemon, the official library and software crafts, in the orders that once turned a
+"""The installed daemon, the official library and stand-ins, in the orders that once turned a
 motor; the others are in ``test_any_order.py``, on a clock that the test turns."""
 
 import contextlib

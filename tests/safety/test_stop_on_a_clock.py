@@ -289,9 +289,13 @@ def asked_while_the_radio_takes_nothing(flying, seconds, *after):
 
 
 @pytest.mark.parametrize("flying", ["brushless"], indirect=True)
-def test_a_request_to_arm_that_waits_for_the_radio_is_withdrawn_by_a_stop(flying):
+@pytest.mark.parametrize("disarms", [True, False])  # not where it would be locked by that
+def test_a_request_to_arm_that_waits_for_the_radio_is_withdrawn_by_a_stop(
+    flying, disarms, monkeypatch
+):
+    monkeypatch.setattr(type(flying.one), "disarms_in_flight", disarms)
     stop = flying.commander.stop()
-    assert asked_while_the_radio_takes_nothing(flying, 0.2, stop) == [0]
+    assert asked_while_the_radio_takes_nothing(flying, 0.2, stop) == [0] * disarms
     assert not flying.one.turns
 
 
