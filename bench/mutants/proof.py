@@ -170,7 +170,7 @@ FAULTS = (
         (f"{_GATE_TESTS}::test_what_the_others_do_as_well_without_leaves",),
     ),
     Fault(
-        "gate-of-the-drowned",
+        "gate-below-the-residual",
         "a hundredth of what is wrong is given a name",
         _GATES,
         'return "small beside a structure that nothing explains" if small else ""',

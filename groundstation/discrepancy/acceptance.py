@@ -15,7 +15,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.evidence import HELD_OUT_SHARE, Evidence
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
@@ -28,9 +27,6 @@ Asked = TypeVar("Asked")
 
 WORTH = 16.0
 """Drop of -2 log L in the screening that is worth a joint fit: 4 standard errors."""
-SHARE = 0.35
-"""An effect that explains less than this share of what the best one does waits: what it explains
-may be the best one's. Two effects of one family share up to two thirds (sealed pairs)."""
 LEAST_T = 4.5
 """Standard errors, from scores by blocks: about one false alarm in 100 000 trials."""
 LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
@@ -44,14 +40,10 @@ more than the others can do."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves: 3.7 standard errors, below what it
 took to join so that nothing joins and leaves in turn."""
-DISAGREE, UNEXPLAINED_SHARE = 5.0, 0.5
-"""Parts disagree where one lies this many standard errors from the others and their size leaves
-more than this share of what the effect explains there: it tells less than 0.59 or more than 3.4 of
-their size. One that tells 1.8 of it (the yaw rate, of a delay beside a rotor inertia that is not
-right yet) is explained better with their size than without."""
-APART_SHARE = 0.4
-"""Flights shake apart where a size lies so many standard errors and this share of it away."""
-DROWNED, DROWNED_ANYWHERE = 0.05, 0.01
+DISAGREE, APART_SHARE = 5.0, 0.4
+"""Flights disagree on how much a rotor shakes where the size in one lies so many standard errors
+and this share of it away."""
+BELOW, BELOW_ANYWHERE = 0.05, 0.01
 """An effect that explains less than this share of the structure that is left in the channels it
 touches, or in all of them, is not believed."""
 PREDICTED_SHARE = 0.1
@@ -63,8 +55,6 @@ class Stage(Enum):
 
     SCREENED = auto()
     """The columns of every effect are known."""
-    FITTED = auto()
-    """It has been fitted jointly with what was accepted."""
     WEIGHED = auto()
     """Its evidence has been gathered, on flights that are left out too."""
     JOINED = auto()
@@ -73,8 +63,6 @@ class Stage(Enum):
     """Nothing joins any more."""
     LEFT = auto()
     """What no effect explains has been looked at."""
-    SETTLED = auto()
-    """Nothing leaves any more, and no fit comes after."""
     NAMED = auto()
     """The last one."""
 
@@ -84,8 +72,7 @@ class Trial:
     """A candidate on its way through the gates; each stage fills in what it found.
 
     fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
-    best: (gain, name) of the strongest plausible candidate of the same turn. tried: whether this
-    very set of effects was accepted before. removal: what -2 log L gains when it leaves. slow:
+    removal: what -2 log L gains when it leaves. slow:
     channel -> structure that nothing explains, in -2 log L. predicted: share of the squared excess
     of predictions over noise that goes with it. open_s: delay that the rows leave open.
     """
@@ -93,9 +80,7 @@ class Trial:
     variant: Variant
     fit: Fit | None = None
     gain: float = 0.0
-    best: tuple[float, str] = (0.0, "")
     evidence: Evidence | None = None
-    tried: bool = False
     removal: float = np.inf
     slow: Mapping[int, float] | None = None
     predicted: float = 0.0
@@ -152,19 +137,8 @@ def wrong_sign(trial: Trial) -> str:
     return "" if possible else "fits only with a sign that physics does not allow"
 
 
-def explains_less(trial: Trial) -> str:
-    """Another candidate explains much more of the same data."""
-    best, strongest = trial.best
-    if trial.gain > 0.0 and trial.gain >= SHARE * best:
-        return ""
-    return f"explains less than {strongest}"
-
-
 def implausible(trial: Trial) -> str:
-    """No small craft has such a size, or it lies where the search ends.
-
-    Asked again in the end: what leaves, and constants that go back, move the sizes of the others.
-    """
+    """No small craft has such a size, or it lies where the search ends."""
     assert trial.fit is not None
     point = trial.fit.point
     ends = any(
@@ -207,28 +181,12 @@ def unseen_settings(trial: Trial) -> str:
     )
 
 
-def tried_before(trial: Trial) -> str:
-    """The search would go round in a circle."""
-    return "tried before" if trial.tried else ""
-
-
 def superfluous(trial: Trial) -> str:
     """The others do as well without it."""
     return "superfluous once another effect had joined" if trial.removal < KEEP else ""
 
 
-def channels_disagree(trial: Trial) -> str:
-    """Channels tell different sizes. Asked of the final fit only: as long as something else is
-    missing, its traces make any effect's parts disagree."""
-    return _disagreement(_evidence(trial), 1, "channels")
-
-
-def recordings_disagree(trial: Trial) -> str:
-    """Recordings tell different sizes."""
-    return _disagreement(_evidence(trial), 0, "recordings")
-
-
-def drowned(trial: Trial) -> str:
+def below_residual(trial: Trial) -> str:
     """It is small beside a structure that nothing explains.
 
     A pendulum under the craft, say, also looks a little like a lever arm: a name for a hundredth
@@ -236,7 +194,7 @@ def drowned(trial: Trial) -> str:
     """
     evidence, slow = _evidence(trial), trial.slow or {}
     near = sum(slow.get(channel, 0.0) for channel in evidence.channels)
-    small = evidence.drop < max(DROWNED * near, DROWNED_ANYWHERE * sum(slow.values()))
+    small = evidence.drop < max(BELOW * near, BELOW_ANYWHERE * sum(slow.values()))
     small = small and trial.predicted < PREDICTED_SHARE
     return "small beside a structure that nothing explains" if small else ""
 
@@ -289,16 +247,12 @@ def flights_disagree(shaken: Shaken) -> str:
 GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.SCREENED,), Reason.WEAK, weak),
     ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
-    ((Stage.FITTED,), Reason.EXPLAINS_LESS, explains_less),
-    ((Stage.WEIGHED, Stage.SETTLED), Reason.IMPLAUSIBLE, implausible),
+    ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible),
     ((Stage.WEIGHED, Stage.STABLE), Reason.INSIGNIFICANT, insignificant),
     ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
-    ((Stage.WEIGHED,), Reason.TRIED_BEFORE, tried_before),
-    ((Stage.JOINED, Stage.SETTLED), Reason.SUPERFLUOUS, superfluous),
-    ((Stage.STABLE,), Reason.CHANNELS_DISAGREE, channels_disagree),
-    ((Stage.STABLE,), Reason.RECORDINGS_DISAGREE, recordings_disagree),
-    ((Stage.LEFT,), Reason.DROWNED, drowned),
+    ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
+    ((Stage.LEFT,), Reason.BELOW_RESIDUAL, below_residual),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
@@ -349,19 +303,6 @@ def plausible(variant: Variant, point: Mapping[str, float]) -> bool:
     """Whether the values are ones that a small craft can have."""
     values = estimates_of(variant, point, {})
     return variant.definition.plausible({k: e.value for k, e in values.items()})
-
-
-def _disagreement(evidence: Evidence, by: int, what: str) -> str:
-    apart = [errors for errors, left in evidence.spread(by) if left > UNEXPLAINED_SHARE]
-    errors = max(apart, default=0.0)
-    if errors <= DISAGREE:
-        return ""
-    names = (evidence.recordings, CHANNELS)[by]
-    told = ", ".join(
-        f"{names[key] if key < len(names) else key} {size:.2g}"
-        for key, (size, _) in evidence.sizes(by).items()
-    )
-    return f"{what} disagree on its size by {errors:.0f} standard errors (times the fit: {told})"
 
 
 def _evidence(trial: Trial) -> Evidence:

@@ -1,5 +1,5 @@
-"""Backward: what leaves the model again, because the others do as well without it, because channels
-or recordings disagree on it, or because something without a name is larger."""
+"""Backward: what leaves the model again, because the others do as well without it, because chance
+can do it beside all that joined since, or because something without a name is larger."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
 from groundstation.discrepancy.evidence import by_parts, separated
-from groundstation.discrepancy.findings import Leftover, Refusal
+from groundstation.discrepancy.findings import Leftover
 from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.whiteness import leftover
@@ -36,32 +36,26 @@ def drop_needless(search: SearchState) -> bool:
     return True
 
 
-def drop_disputed(search: SearchState) -> bool:
-    """Drop, for good, the effect on whose size channels or recordings disagree most."""
-    if (found := _disputed(search)) is None:
-        return False
-    one, why = found
-    search.banned.add(one.variant.label)
-    search.drop(one, why)
-    return True
-
-
-def _disputed(search: SearchState) -> tuple[Accepted, Refusal] | None:
-    """The effect on whose size parts disagree most, where that is too much, and why."""
-    worst: tuple[float, Accepted, Refusal] | None = None
+def drop_insignificant(search: SearchState) -> bool:
+    """Drop, for good, the accepted effect that is least above chance, if one is not above it."""
     problem, now = search.problem, search.now
     linear = problem.linear(now.point, now.keys, problem.flights)
+    refused = []
     for one in search.accepted:
         t, parts = by_parts(problem, separated(problem, linear, one.variant))
         one.evidence = replace(one.evidence, t=t, parts=parts)
         why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
-        errors = max(one.evidence.apart(0), one.evidence.apart(1))
-        if why is not None and (worst is None or errors > worst[0]):
-            worst = errors, one, why
-    return None if worst is None else worst[1:]
+        if why is not None:
+            refused.append((t, one, why))
+    if not refused:
+        return False
+    _, worst, why = min(refused, key=lambda each: each[0])
+    search.banned.add(worst.variant.label)
+    search.drop(worst, why)
+    return True
 
 
-def drop_drowned(search: SearchState) -> Leftover:
+def drop_below_residual(search: SearchState) -> Leftover:
     """Judge the residual; what is small beside an unexplained structure loses its name.
 
     It stays in the fit: a centre of gravity that sits elsewhere in each flight, left out, took

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -30,13 +30,13 @@ from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import Accepted, SearchState
-from groundstation.discrepancy.second_way import or_with_given_constants
 from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
 from groundstation.discrepancy.usable import still_there, usable
 from groundstation.dynamics.model import Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
+from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import in_plane_hz
 from groundstation.identification.likelihood.parameters import (
@@ -53,6 +53,7 @@ from groundstation.identification.likelihood.parameters import (
     own_of,
     point_of,
 )
+from groundstation.identification.likelihood.prior import Prior, body_prior
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
@@ -179,11 +180,8 @@ def find_effects(
     if judged is None:  # or else the comparison has asked
         require_consistent(list(flights), model)
 
-    def found(steady: Collection[str]) -> Findings:
-        return _searched(fit_on, model, judged, own, report, steady)
-
-    best = or_with_given_constants(found, judged, report)
-    return best if judged is None else replace(best, verdict=_verdict(best, judged))
+    found = _searched(fit_on, model, judged, own, report)
+    return found if judged is None else replace(found, verdict=_verdict(found, judged))
 
 
 def _verdict(findings: Findings, judged: FittedRows) -> Verdict:
@@ -204,13 +202,14 @@ def _searched(
     judged: FittedRows | None,
     own: Sequence[Variant],
     report: Progress,
-    steady: Collection[str],
 ) -> Findings:
-    """``find_effects`` with the constants ``steady`` as given."""
+    """``find_effects`` without its verdict."""
     start = point_of(model)
     theirs = own_of(model)
     every_own = joined(theirs, own)
     problem = Problem(fit_on, model, start, every_own)
+    given_constants = body_prior(model, start)
+    problem.prior.append(given_constants)
     problem.settle_filters()
     lost = _lost(fit_on)
     known = [v for v in VARIANTS if any(start.get(k, absent(k)) != absent(k) for k in v.keys)]
@@ -221,7 +220,7 @@ def _searched(
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there}
     candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
-    search = SearchState(problem, known, candidates, report, steady)
+    search = SearchState(problem, known, candidates, report)
     given = tuple(key for variant in known for key in variant.keys)
     tried = [*candidates, *(one for one in RENAMES if one not in known)]
 
@@ -237,7 +236,7 @@ def _searched(
     if plain is not None:
         search.raises_plainly = plain.raises_plainly
     outcome = with_sensor_lag(concluded(search), problem, search.folds)
-    warnings = _require_told(outcome, problem)
+    warnings = _require_told(outcome, problem, given_constants)
     found = _findings(outcome, problem, model, known, lost, warnings)
     return with_imbalance(found, problem, outcome.final.point)
 
@@ -258,11 +257,19 @@ def _lost(flights: Sequence[Flight]) -> dict[str, str]:
     }
 
 
-def _require_told(outcome: Outcome, problem: Problem) -> list[str]:
-    """Refuse recordings without motion; what is only weak is returned as warnings."""
+def _require_told(outcome: Outcome, problem: Problem, known: Prior) -> list[str]:
+    """Refuse recordings without motion; what is only weak is returned as warnings.
+
+    known: what the model says of its constants, which is no motion.
+    """
     names = ", ".join(sorted({f.run.name for f in problem.flights}))
     first = outcome.first
-    errors = np.sqrt(np.diag(first.covariance(BASE_KEYS)))
+    at = first.linear.place(BASE_KEYS)
+    normal = first.total.normal[np.ix_(at, at)]
+    weight, _, _ = known.at(first.point)
+    own = [BASE_KEYS.index(key) for key in known.keys]
+    normal[np.ix_(own, own)] -= weight
+    errors = np.sqrt(np.maximum(np.diag(inverse(normal)), 0.0))
     still = [
         axis
         for axis, key in zip(AXES, BODY_KEYS[:3], strict=True)
@@ -284,7 +291,8 @@ def _findings(
     lost: dict[str, str],
     warnings: list[str],
 ) -> Findings:
-    final, errors, residual = outcome.final, outcome.errors, outcome.residual
+    final, residual = outcome.final, outcome.residual
+    errors = outcome.errors = with_differences(outcome.errors, final.point, outcome.accepted)
     keys = given = tuple(key for v in known for key in v.keys)
     effects: list[FoundEffect] = []
     # measured rotor speeds know what the controller did within a row
@@ -331,6 +339,19 @@ def _findings(
         residual=residual,
         warnings=tuple(warnings),
     )
+
+
+def with_differences(
+    errors: Mapping[str, float], point: Point, accepted: Sequence[Accepted]
+) -> dict[str, float]:
+    """Standard errors by key, with what the sizes of effects differ by between flights."""
+    wider = dict(errors)
+    for one in accepted:
+        share = one.evidence.between()
+        for key in one.variant.sizes:
+            if key in wider:
+                wider[key] = float(np.hypot(wider[key], share * (point[key] - absent(key))))
+    return wider
 
 
 def _effect(

@@ -43,9 +43,9 @@ class Evidence:
     """drop: of -2 log L in the fit, the prior included; held_out: of that of flights that its size
     was not taken from, each left out once, expected: what it is there for an effect of the fitted
     size. t: by blocks. parts: (flight, channel) -> size relative to the joint fit, and its standard
-    error. gap: whitened RMS before and after, over the channels it touches. recordings: names by
-    number of the flight. beyond: what it does (drop of -2 log L) more than settings of the
-    motors that no row shows can do; infinite where rows show all of them."""
+    error. gap: whitened RMS before and after, over the channels it touches. beyond: what it does
+    (drop of -2 log L) more than settings of the motors that no row shows can do; infinite where
+    rows show all of them."""
 
     drop: float
     held_out: float
@@ -54,40 +54,39 @@ class Evidence:
     parts: dict[tuple[int, int], tuple[float, float]]
     gap: tuple[float, float]
     channels: tuple[int, ...]
-    recordings: tuple[str, ...] = ()
     beyond: float = math.inf
 
-    def sizes(self, by: int) -> dict[int, tuple[float, float]]:
-        """(size relative to the joint fit, its weight) as recordings (by 0) or channels (by 1) tell
-        it, of those that are informed."""
+    def sizes(self, by: int) -> tuple[Array, Array]:
+        """(sizes relative to the joint fit, their precision 1 / variance), each (k,), as recordings
+        (by 0) or channels (by 1) tell it, of those that are informed."""
         groups: dict[int, list[tuple[float, float]]] = {}
-        for place, part in self.parts.items():
-            groups.setdefault(place[by], []).append(part)
-        found = {}
-        for key, parts in groups.items():
-            weight = sum(error**-2 for _, error in parts)
-            found[key] = sum(size * error**-2 for size, error in parts) / weight, weight
-        every = sum(weight for _, weight in found.values())
-        return {k: one for k, one in found.items() if len(found) < 2 or one[1] > INFORMED * every}
-
-    def spread(self, by: int) -> list[tuple[float, float]]:
-        """(standard errors by which a part's size is away from all parts', share that theirs leaves
-        of what the effect explains there) of each part; none where there is only one.
-
-        Where the size is r times theirs, r^2 - (r - 1)^2 of r^2 is explained: at half of it
-        nothing, at twice three quarters.
-        """
-        parts = np.array(list(self.sizes(by).values()))
-        if len(parts) < 2:
-            return []
-        every, trust = parts.T
-        away = np.abs(every - float((every * trust).sum() / trust.sum()))
-        left = (away / np.maximum(np.abs(every), 1e-300)) ** 2
-        return list(zip((away * np.sqrt(trust)).tolist(), left.tolist(), strict=True))
+        for place, (size, error) in self.parts.items():
+            groups.setdefault(place[by], []).append((size * error**-2, error**-2))
+        sums = np.array([np.sum(one, axis=0) for one in groups.values()]).reshape(-1, 2)
+        known = sums[:, 1] > INFORMED * sums[:, 1].sum()
+        return sums[known, 0] / sums[known, 1], sums[known, 1]
 
     def apart(self, by: int) -> float:
-        """Standard errors by which parts lie apart most."""
-        return max((errors for errors, _ in self.spread(by)), default=0.0)
+        """Standard errors by which sizes of recordings or channels lie apart most."""
+        sizes, trust = self.sizes(by)
+        if len(sizes) < 2:
+            return 0.0
+        away = np.abs(sizes - float(sizes @ trust) / float(trust.sum()))
+        return float((away * np.sqrt(trust)).max())
+
+    def between(self) -> float:
+        """Relative standard error of the size that comes from flights being different, beside what
+        noise within them makes: a random effect of each flight, its variance by moments
+        (DerSimonian and Laird 1986)."""
+        sizes, trust = self.sizes(0)
+        if len(sizes) < 2:
+            return 0.0
+        whole = float(trust.sum())
+        spread = float(trust @ (sizes - float(sizes @ trust) / whole) ** 2) - (len(sizes) - 1)
+        variance = max(spread / (whole - float(trust @ trust) / whole), 0.0)
+        return math.sqrt(
+            max(1.0 / float((1.0 / (1.0 / trust + variance)).sum()) - 1.0 / whole, 0.0)
+        )
 
 
 def gather(
@@ -122,9 +121,8 @@ def gather(
         )
     effect = separated(problem, linear, variant)
     t, parts = by_parts(problem, effect)
-    names = tuple(flight.run.name for flight in problem.flights)
     beyond = beyond_unseen(problem, effect)
-    return Evidence(drop, held, expected, t, parts, gap, channels, names, beyond)
+    return Evidence(drop, held, expected, t, parts, gap, channels, beyond)
 
 
 def folds_of(flights: Sequence[Flight]) -> list[Flight]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation.discrepancy.acceptance import SHARE, Stage, Trial, plausible, refusal
+from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import (
     PENALTY,
@@ -28,9 +28,7 @@ SURE = 100.0
 """Drop of -2 log L beside every other effect from which one is taken without a contest: 10
 standard errors, where no rival can be within reach."""
 FITTED, MORE_FITTED = 4, 2
-"""Joint fits in a turn, at most, and beside them effects easily confused with the best one."""
-TURNS = 3
-"""How often the next best are tried where the best were refused."""
+"""Joint fits at once, at most, and beside them effects easily confused with the best one."""
 RIVAL = 12.0
 """An effect that explains so little less, in -2 log L, is an alternative: odds of one in 400."""
 
@@ -78,39 +76,25 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         after = before
     if out:
         search.refit_without(*out)
-    search.tried.add(search.names())
 
 
 def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
-    """Fit the best of these candidates and join the first that passes.
-
-    Where all of the best are refused, the next ones get their turn: what is wrong with the
-    strongest need not be wrong with an effect on other channels.
-    """
-    scores = search.last.scores(search.now.keys, able)
-    before: Fit | None = None
-    for _ in range(TURNS):
-        shortlist = _shortlist(search, scores)
-        if not shortlist:
-            return False
-        before = before or search.problem.fit(search.now.point, search.now.keys, steps=1)
-        trials = _fitted(search, shortlist, before)
-        for trial in trials:
-            label = trial.variant.label
-            why = refusal(Stage.FITTED, trial)
-            if why is not None:
-                search.refused.setdefault(label, why)
-                continue
-            assert trial.fit is not None
-            trial.evidence = search.weighed(before, trial.fit, trial.variant)
-            trial.tried = search.names(label) in search.tried
-            search.held_out[label] = trial.evidence.held_out
-            why = refusal(Stage.WEIGHED, trial)
-            if why is None:
-                _join(search, trial, trials)
-                return True
-            search.refused[label] = why
-        scores = [one for one in scores if one not in shortlist]
+    """Fit the best of these candidates and join the first that passes."""
+    shortlist = _shortlist(search, search.last.scores(search.now.keys, able))
+    if not shortlist:
+        return False
+    before = search.problem.fit(search.now.point, search.now.keys, steps=1)
+    trials = _fitted(search, shortlist, before)
+    for trial in trials:
+        label = trial.variant.label
+        assert trial.fit is not None
+        trial.evidence = search.weighed(before, trial.fit, trial.variant)
+        search.held_out[label] = trial.evidence.held_out
+        why = refusal(Stage.WEIGHED, trial)
+        if why is None:
+            _join(search, trial, trials)
+            return True
+        search.refused[label] = why
     return False
 
 
@@ -122,6 +106,8 @@ def join_tried(search: SearchState) -> bool:
     """
     promising: list[Variant] = []
     for one, shape in best_tried(search, search.now.point, search.now.keys):
+        others = [other for other in search.scores if other.variant is not one.variant]
+        search.scores = [*others, one]
         why = refusal(Stage.SCREENED, Trial(one.variant, scored=one))
         if why is None:
             promising.append(one.variant)
@@ -166,7 +152,7 @@ def _shortlist(search: SearchState, scores: Sequence[Scored]) -> list[Scored]:
             search.refused[one.variant.label] = why
     if not able:
         return []
-    close = [one for one in able if one.drop > SHARE * able[0].drop][:FITTED]
+    close = able[:FITTED]
     rivals = {c.other for one in close[:1] for c in one.variant.definition.confused_with}
     more = [one for one in able if one.variant.effect in rivals and one not in close]
     return close + more[:MORE_FITTED]
@@ -183,12 +169,7 @@ def _fitted(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> li
         fit = search.nested(fit, before, one.variant)
         gain = before.cost - fit.cost - PENALTY * len(one.variant.keys)
         trials.append(Trial(one.variant, fit, gain))
-    trials.sort(key=lambda trial: trial.gain, reverse=True)
-    # What cannot be there explains nothing, and sets no bar for others.
-    able = [(t.gain, t.variant.effect) for t in trials if t.fit and _possible(t)]
-    for trial in trials:
-        trial.best = able[0] if able else (0.0, "")
-    return trials
+    return sorted(trials, key=lambda trial: trial.gain, reverse=True)
 
 
 def _join(search: SearchState, trial: Trial, others: Sequence[Trial]) -> None:
@@ -204,7 +185,6 @@ def _join(search: SearchState, trial: Trial, others: Sequence[Trial]) -> None:
     ]
     search.accepted.append(Accepted(variant, trial.evidence, rivals))
     search.refused.pop(variant.label, None)
-    search.tried.add(search.names())
     search.now = trial.fit
 
 

@@ -108,7 +108,7 @@ def drop_idle(search: SearchState, judge: Judge) -> bool:
         search.accepted.remove(out)
         names = _named(out.evidence.channels)
         search.refused[out.variant.label] = Refusal(
-            Reason.DROWNED,
+            Reason.BELOW_RESIDUAL,
             f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions of {names};"
             " something else is",
         )

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from groundstation.discrepancy.backward_step import drop_disputed, drop_drowned, drop_needless
-from groundstation.discrepancy.findings import Leftover, Refusal
-from groundstation.discrepancy.forward_step import (
-    best_tried,
-    join_best,
-    join_tried,
-    join_what_is_sure,
+from groundstation.discrepancy.backward_step import (
+    drop_below_residual,
+    drop_insignificant,
+    drop_needless,
 )
+from groundstation.discrepancy.findings import Leftover, Refusal
+from groundstation.discrepancy.forward_step import join_best, join_tried, join_what_is_sure
 from groundstation.discrepancy.screening import Scored, Screening, screen, settle
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.discrepancy.settlement import (
@@ -58,7 +57,6 @@ def search_effects(search: SearchState) -> None:
     search.first = settle(search.problem)
     plain = search.first.without_effects(search.base_keys)
     search.scores = plain.scores(search.base_keys, search.candidates)
-    search.scores += [one for one, _ in best_tried(search, plain.point, search.base_keys)]
     join_what_is_sure(search, plain)
     for number in range(MOST_ROUNDS):
         count = len(search.accepted)
@@ -68,12 +66,12 @@ def search_effects(search: SearchState) -> None:
         if not (
             drop_needless(search)
             or join_best(search, search.able())
-            or drop_disputed(search)
+            or drop_insignificant(search)
             or join_tried(search)
         ):
             break
     search.now = search.problem.fit(search.now.point, search.now.keys)
-    search.residual = drop_drowned(search)
+    search.residual = drop_below_residual(search)
     settle_trim(search)
     hold_base(search)
     name_base_changes(search)

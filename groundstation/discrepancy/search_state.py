@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from groundstation.discrepancy.base_constants import groups
@@ -40,11 +40,9 @@ class SearchState:
         known: Sequence[Variant],
         candidates: Sequence[Variant],
         progress: Progress,
-        steady: Collection[str] = (),
     ) -> None:
         """known: effects of the model, fitted along and never dropped. What the firmware does on
-        board is not fitted: its numbers are known, and beside what is missing they would bend.
-        steady: constants that stay as they were given."""
+        board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.folds, self.progress = problem, folds_of(problem.flights), progress
         self.judge: Judge | None = None
         self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
@@ -54,11 +52,9 @@ class SearchState:
         fixed = [one for one in known if not one.definition.fitted]
         free = [variant for variant in known if variant not in fixed]
         held = (key for one in fixed for key in one.keys if key not in problem.base_keys)
-        self.fixed = {key: problem.start[key] for key in (*held, *steady)}
-        every = (*problem.base_keys, *(key for variant in free for key in variant.keys))
-        self.base_keys = tuple(key for key in every if key not in steady)
-        every_group = groups(problem.start, [variant.keys for variant in free])
-        self.groups = [group for group in every_group if not set(group).intersection(steady)]
+        self.fixed = {key: problem.start[key] for key in held}
+        self.base_keys = (*problem.base_keys, *(key for variant in free for key in variant.keys))
+        self.groups = groups(problem.start, [variant.keys for variant in free])
         self.renames = [variant for variant in RENAMES if variant not in known]
         self.trim = problem.trim
         self.trims: dict[frozenset[str], tuple[float, float, float]] = {}
@@ -68,7 +64,6 @@ class SearchState:
         self.accepted: list[Accepted] = []
         self.refused: dict[str, Refusal] = {}
         self.held_out: dict[str, float] = {}
-        self.tried: set[frozenset[str]] = set()
         self.banned: set[str] = set()
         self.beside: list[Variant] = []
         """Fitted along, not named: too small to be believed, but left out they bend the others."""
@@ -86,10 +81,6 @@ class SearchState:
         """The candidates that may still join."""
         joined = {one.variant.effect for one in self.accepted}
         return [v for v in self.candidates if v.effect not in joined and v.label not in self.banned]
-
-    def names(self, *more: str) -> frozenset[str]:
-        """Labels of what has joined, and ``more``."""
-        return names_of(self.accepted) | {*more}
 
     def nested(self, fit: Fit, before: Fit, variant: Variant) -> Fit:
         """A fit with a variant, from where it is absent if that is better than where the fit with

@@ -6,13 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
 from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
-from groundstation.discrepancy.screening import removal_cost, sizes_at
-from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.search_state import Accepted, SearchState, names_of
 from groundstation.identification.likelihood.parameters import Variant
 from groundstation.identification.likelihood.problem import Fit
 
@@ -25,7 +22,7 @@ def settle_trim(search: SearchState) -> None:
     for _ in range(TRIM_ROUNDS):
         search.problem.learn_trim(search.now.point)
         search.now = search.problem.fit(search.now.point, search.now.keys)
-    search.trims = {search.names(): search.problem.trim}
+    search.trims = {names_of(search.accepted): search.problem.trim}
 
 
 def hold_base(search: SearchState) -> None:
@@ -71,37 +68,11 @@ def name_base_changes(search: SearchState) -> None:
 
 
 def confirm(search: SearchState) -> bool:
-    """Ask predictions, and the sizes that are left at the very end; whether anything left."""
-    changed, leaves = False, True
-    while leaves:
-        if search.judge is not None:
-            changed |= answer_to_predictions(search, search.judged)
-            changed |= drop_idle(search, search.judged)
-        leaves = drop_dwindled(search)
-        changed |= leaves
-    return changed
-
-
-def drop_dwindled(search: SearchState) -> bool:
-    """Take back, the weakest first, what the last fits left with a size that cannot be or that is
-    next to nothing; whether anything was."""
-    changed = False
-    while True:
-        asked = ((one, _left_with(search.now, one.variant)) for one in search.accepted)
-        out = [(one, why) for one, trial in asked if (why := refusal(Stage.SETTLED, trial))]
-        if not out:
-            return changed
-        one, why = min(out, key=lambda each: each[0].evidence.drop)
-        search.accepted.remove(one)
-        search.refused[one.variant.label] = why
-        search.now = search.refit(search.accepted, search.held)
-        changed = True
-
-
-def _left_with(fit: Fit, variant: Variant) -> Trial:
-    own = [fit.keys.index(key) for key in variant.sizes]
-    cost = removal_cost(sizes_at(variant, fit.point), fit.covariance[np.ix_(own, own)])
-    return Trial(variant, fit, removal=cost)
+    """Ask predictions; whether anything left."""
+    if search.judge is None:
+        return False
+    changed = answer_to_predictions(search, search.judged)
+    return drop_idle(search, search.judged) or changed
 
 
 def _renamed(

@@ -110,6 +110,16 @@ def test_a_change_of_a_constant_stands_only_where_its_own_axis_confirms_it():
     assert unconfirmed(problem, dataclasses.replace(moved, point={**point, "c1": c1})) is None
 
 
+def test_half_of_a_gain_that_was_given_wrong_is_found_all_the_same():
+    """What is known of it is information, and flights tell more."""
+    runs, _ = flights(1, {})
+    right = base_model()
+    body = msgspec.structs.replace(right.body, c0=0.5 * right.body.c0)
+    found = find_effects(runs, msgspec.structs.replace(right, body=body))
+    assert found.effects == ()
+    assert found.model.body.c0 == pytest.approx(right.body.c0, rel=0.01)
+
+
 def test_two_effects_at_once_are_both_named():
     hidden = {"rate_damping": {"damping_n_m_s": 1.2e-5}, "supply_sag": {"resistance_ohm": 0.2}}
     assert_found(search(2, hidden), hidden)

@@ -38,7 +38,7 @@ def test_what_was_known_before_promises_nothing_of_flights_left_out(problem):
     after = problem.fit(problem.start, ("c0", "c1", "c2", *DAMPING.keys))
     found = gather(problem, problem.flights, before, after, DAMPING)
     assert found.held_out == pytest.approx(found.expected, rel=0.2)
-    problem.prior = [(keys, centre, 100.0 * weight) for keys, centre, weight in problem.prior]
+    problem.prior = [replace(one, weight=100.0 * one.weight) for one in problem.prior]
     costs = [problem.fit(one.point, (), steps=0).cost for one in (before, after)]
     surely = [replace(one, cost=cost) for one, cost in zip((before, after), costs, strict=True)]
     again = gather(problem, problem.flights, *surely, DAMPING)

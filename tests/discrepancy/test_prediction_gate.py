@@ -166,7 +166,7 @@ def test_an_effect_that_leaves_its_channels_as_wrong_as_they_were_is_taken_back(
     )
     assert drop_idle(hunt, judge)
     assert [one.label for one in hunt.accepted] == ["drag"]
-    assert hunt.refused["bias"].reason is Reason.DROWNED
+    assert hunt.refused["bias"].reason is Reason.BELOW_RESIDUAL
     assert "explains 8 % of what is wrong in predictions of accelerometer_x, accelerometer_y" in (
         hunt.refused["bias"].words
     )

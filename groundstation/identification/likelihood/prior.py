@@ -1,6 +1,11 @@
-"""What is known before a flight is looked at: the motors, the filter's timing, a flight's trim."""
+"""What is known before a flight is looked at: the given model's constants, the motors, the filter's
+timing, a flight's trim."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +14,7 @@ from groundstation.dynamics.model import Model
 from groundstation.dynamics.registry import DELAY, SPIN_UP
 from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.likelihood.parameters import (
+    BODY_KEYS,
     KEYS,
     MOTOR_KEYS,
     SENSOR_LAG,
@@ -19,16 +25,41 @@ from groundstation.identification.likelihood.parameters import (
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
-Prior = tuple[tuple[str, ...], dict[str, float], Array]
 
 MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 """Relative standard error of a0, a1, a2 where the model does not say, and the least believed."""
+BODY_DOUBT = 0.03
+"""Relative standard deviation of c0, c1, c2 and thrust per mass, added to what the model states:
+what flights of one craft differ by."""
+BODY_TAIL = 10.0
+"""A model that was fitted to flights with something missing may be off by half: its prior has the
+tail of Student's distribution, and weighs an eleventh at 10 standard deviations."""
 TIMING_DOUBT = 0.5
 LAG_DOUBT_S = 0.01
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
 TRIM_SHARE = 0.03
 """Of one rotor's moment in hover: the lasting moment that flights of one craft differ by. It is a
 battery pushed in a millimetre elsewhere, a propeller changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is known of some unknowns p: it adds tail * log(1 + d / tail) to -2 log L, where d =
+    (p - centre)' weight (p - centre); of a normal distribution, without a tail, d."""
+
+    keys: tuple[str, ...]
+    centre: dict[str, float]
+    weight: Array
+    tail: float = math.inf
+
+    def at(self, point: Mapping[str, float]) -> tuple[Array, Array, float]:
+        """(normal matrix (k, k), gradient (k,), value) around a point."""
+        away = np.array([self.centre[key] - point[key] for key in self.keys])
+        square = float(away @ self.weight @ away)
+        if math.isinf(self.tail):
+            return self.weight, self.weight @ away, square
+        weight = self.weight / (1.0 + square / self.tail)
+        return weight, weight @ away, self.tail * math.log1p(square / self.tail)
 
 
 def trim_of(vehicle: Vehicle) -> tuple[float, float, float]:
@@ -60,6 +91,20 @@ def fitted_along(model: Model) -> Point:
     return found
 
 
+def body_prior(model: Model, start: Point) -> Prior:
+    """The given c0, c1, c2 and thrust per mass, with their stated covariance and ``BODY_DOUBT``."""
+    values = np.array([start[key] for key in BODY_KEYS])
+    covariance = np.diag((BODY_DOUBT * values) ** 2)
+    account = model.fit.get("body", {}).get("estimates") or {}
+    if set(BODY_KEYS) <= set(account.get("names", ())):
+        at = [account["names"].index(key) for key in BODY_KEYS]
+        stated = np.array(account["covariance"], np.float64)[np.ix_(at, at)]
+        if np.isfinite(stated).all():
+            covariance = covariance + stated
+    centre = {key: start[key] for key in BODY_KEYS}
+    return Prior(BODY_KEYS, centre, np.asarray(np.linalg.inv(covariance)), BODY_TAIL)
+
+
 def prior_of(model: Model, start: Point) -> tuple[list[Prior], bool]:
     """The bench's a0, a1, a2 with their covariance, and the attitude filter's timing.
 
@@ -76,5 +121,5 @@ def prior_of(model: Model, start: Point) -> tuple[list[Prior], bool]:
         if np.isfinite(given).all():
             covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
     weight = np.asarray(np.linalg.inv(covariance))
-    timing = ((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
-    return [(motor, centre, weight), timing], known
+    timing = Prior((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
+    return [Prior(motor, centre, weight), timing], known

@@ -28,6 +28,7 @@ from groundstation.identification.likelihood.parameters import (
 )
 from groundstation.identification.likelihood.prior import (
     LAG_DOUBT_S,
+    Prior,
     fitted_along,
     prior_of,
     sensor_lag,
@@ -109,7 +110,7 @@ class Problem:
         if lags:
             weight = np.array([[LAG_DOUBT_S**-2]])
             centre = {SENSOR_LAG: self.start[SENSOR_LAG]}
-            self.prior.append(((SENSOR_LAG,), centre, weight))
+            self.prior.append(Prior((SENSOR_LAG,), centre, weight))
         near = fitted_along(model) if measured else {}
         self.near: Point = {key: number for key, number in near.items() if key not in start}
         """Where columns are evaluated first: what the body's fit saw beside its constants."""
@@ -247,14 +248,13 @@ class Problem:
             len(linear.keys),
         )
         normal, gradient, cost = found.normal.copy(), found.gradient.copy(), found.value
-        for keys, centre, weight in self.prior:
-            inside = [key for key in keys if key in linear.keys]
-            away = np.array([centre[key] - linear.point[key] for key in keys])
-            cost += float(away @ weight @ away)
-            if len(inside) == len(keys):
-                at = linear.place(keys)
-                normal[np.ix_(at, at)] += weight
-                gradient[at] += weight @ away
+        for prior in self.prior:
+            weight, slope, value = prior.at(linear.point)
+            cost += value
+            inside = [number for number, key in enumerate(prior.keys) if key in linear.keys]
+            at = linear.place([prior.keys[number] for number in inside])
+            normal[np.ix_(at, at)] += weight[np.ix_(inside, inside)]
+            gradient[at] += slope[inside]
         return Quadratic(normal, gradient, cost, found.parts)
 
     def fit(
