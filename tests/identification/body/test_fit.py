@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from stand_in_flights import recorded
 
+from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
 from groundstation.identification.body.fit import fit_body, likeliest_that_turns
@@ -80,6 +81,10 @@ def test_on_the_faithful_plant_they_are_within_3_percent_once_known_effects_are_
     for effect in ("dead_time", "rotor_acceleration_torque"):
         assert effect in plain.shown
         assert effect not in fit.shown
+    assert plain.delay_s > 0.0  # fitted along
+    assert plain.saved[DELAY] == 0.0  # and not in what is saved
+    assert plain.saved["c0"] == plain.body.c0
+    assert fit.saved[DELAY] == fit.delay_s
 
 
 def test_the_sensor_delay_is_found_within_a_sample(faithful):
