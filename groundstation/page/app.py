@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
     HTMLResponse,
@@ -32,8 +32,9 @@ from groundstation.page.access import Access
 from groundstation.page.alarms import alarms
 from groundstation.page.follower import Follower
 from groundstation.page.help import help_route
+from groundstation.page.opening import add, add_example, channels, examples
 from groundstation.report.theme import THEME
-from groundstation.service.client import ask
+from groundstation.service.client import Pilot, ask
 from groundstation.text import printable
 
 STATIC = Path(__file__).with_name("static")
@@ -136,11 +137,72 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             Route("/devices", shows(_devices)),
             Route("/file/{kind}/{name}", file),
             help_route(),
+            *_opening(control, looks),
+            _parameters(control, looks, asks),
             *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
             *(Route(f"/{name}", static) for name in files),
         ]
     )
     return _Gate(app, access, control)
+
+
+def _opening(control: Path, looks: Callable[..., Awaitable[Any]]) -> list[Route]:
+    """Recordings that are opened, and files that become some."""
+    opening = asyncio.Lock()
+
+    async def folder() -> Path:
+        return Path((await looks(ask, control, "GET", "/config"))["recording.folder"]).absolute()
+
+    async def series(request: Request) -> Response:
+        """One at a time: each has a process of its own."""
+        name = request.path_params["name"]
+        try:
+            path = await folder() / name
+            if Path(name).name != name or name.startswith(".") or not path.is_file():
+                return _refusal(404, f"{name}: no such recording")
+            async with opening:
+                return Response(await channels(path), media_type="application/octet-stream")
+        except GroundStationError as error:
+            return _refusal(400, str(error))
+
+    async def added(request: Request) -> Response:
+        """A file that was dropped on the page, or an example, as a recording of the folder."""
+        kind, name = request.path_params["kind"], request.path_params["name"]
+        try:
+            if kind == "example":
+                return _json({"file": await add_example(await folder(), name)})
+            return _json({"file": await add(await folder(), name, request.stream())})
+        except (GroundStationError, OSError) as error:
+            return _refusal(400, str(error))
+        except ClientDisconnect:
+            return Response(status_code=499)
+
+    async def offered(request: Request) -> Response:
+        return _json(examples())
+
+    return [
+        Route("/series/{name}", series),
+        Route("/examples", offered),
+        Route("/add/{kind}/{name}", added, methods=["POST"]),
+    ]
+
+
+def _parameters(
+    control: Path, looks: Callable[..., Awaitable[Any]], asks: Callable[..., Awaitable[Any]]
+) -> Route:
+    """The craft's parameters."""
+
+    async def parameters(request: Request) -> Response:
+        """All that the craft has; or, by POST, some written under a lease of this moment."""
+        try:
+            if request.method == "GET":
+                return _json(await looks(ask, control, "GET", "/command/parameters"))
+            wanted = msgspec.json.decode(await request.body(), type=dict[str, dict[str, float]])
+            return _json(await asks(_write_parameters, control, wanted.get("values", {})))
+        except (GroundStationError, msgspec.MsgspecError) as error:
+            return _refusal(400, str(error))
+
+    return Route("/parameters", parameters, methods=["GET", "POST"])
 
 
 class _Gate:
@@ -204,6 +266,12 @@ def _way(name: str, threads: int) -> Callable[..., Awaitable[Any]]:
 def _asked(path: str) -> Callable[[Path], Any]:
     """What the daemon answers there, as it is."""
     return lambda control: ask(control, "GET", path)
+
+
+def _write_parameters(control: Path, values: dict[str, float]) -> dict[str, Any]:
+    """Nobody else may command meanwhile. Raises GroundStationError."""
+    with Pilot(control, "page") as pilot:
+        return {"values": pilot.write(values)}
 
 
 def _devices(control: Path) -> dict[str, Any]:

@@ -28,7 +28,7 @@ RETRY_S = 0.5
 OFFSET_MOST_S = 1.0
 DRIFT = 2e-4
 """By which the craft's clock may be off, of the time."""
-EVENTS_KEPT = 40
+EVENTS_KEPT = 120
 
 COLUMNS = (
     ("attitude", "attitude_rad", math.degrees(1.0), ("roll", "pitch", "yaw")),

@@ -120,7 +120,7 @@ def test_stop_is_in_the_same_corner_on_every_part_whatever_alarms_there_are(flyi
     stop = page.get_by_role("button", name="Stop motors")
     expect(page.locator("#live")).to_have_text("live")
     places = []
-    for part in page.get_by_role("navigation").get_by_role("link").all():
+    for part in page.locator("nav a[href^='#']").all():
         part.click()
         for alarms in (0, 5):
             page.evaluate(ALARMS, alarms)
@@ -136,6 +136,32 @@ ALARMS = """async (count) => {
     const { showAlarms } = await import("/alarms.js");
     showAlarms(Array.from({ length: count }, (_, n) => ({ level: "alarm", text: `A thing ${n}` })));
 }"""
+
+
+def test_a_parameter_is_searched_changed_after_a_question_and_put_back(page_daemon, visit):
+    with served(craft="crazyflie21") as craft:
+        page = visit(page_daemon("--link", craft.uri, "--no-record").address())
+        expect(page.locator("#armed")).to_have_text("yes")
+        page.get_by_role("link", name="Parameters").click()
+        page.get_by_label("Search parameters").fill("pid_rate.roll_kp")
+        row = page.locator("#parameter-rows tr")
+        expect(row).to_have_count(1)
+        before = row.get_by_role("cell").nth(1).text_content()
+        row.get_by_label("New value of").fill("61")
+        page.keyboard.press("Enter")
+        page.get_by_role("dialog").get_by_role("button", name="No").click()
+        expect(row).to_contain_text(before)
+        page.get_by_role("button", name="Set pid_rate.roll_kp").press("Enter")
+        expect(page.get_by_role("dialog")).to_contain_text(f"pid_rate.roll_kp: {before} to 61")
+        page.get_by_role("dialog").get_by_role("button", name="Change").click()
+        expect(row).to_contain_text(f"61 (was {before})")
+        page.get_by_role("button", name="Put back 1").click()
+        page.get_by_role("dialog").get_by_role("button", name="Change").click()
+        expect(row.get_by_role("cell").nth(1)).to_have_text(before)
+        row.get_by_label("New value of").fill("1e9")
+        page.keyboard.press("Enter")
+        page.get_by_role("dialog").get_by_role("button", name="Change").click()
+        expect(page.locator("#said")).to_contain_text("pid_rate.roll_kp")
 
 
 def test_a_crashed_craft_is_let_recover(page_daemon, visit):
@@ -348,6 +374,49 @@ def fitted_model_flies_and_watches(page):
     expect(page.locator("#link")).to_have_text("stand-in: streaming")
 
 
+def test_any_file_is_opened_played_and_scrubbed_with_the_keyboard(flying, visit):
+    page = visit(flying.address())
+    page.get_by_role("link", name="Open", exact=True).click()
+    page.get_by_label("Choose a file").set_input_files(RECORDINGS / "README.md")
+    expect(page.locator("#opened-state")).to_contain_text("README.md")
+    expect(page.locator("#opened-view")).to_be_hidden()
+    page.get_by_label("Choose a file").set_input_files(RECORDINGS / "microsd_log16")
+    expect(page.locator("#opened-state")).to_contain_text("46.7 s")
+    assert (flying.sessions / "microsd_log16.mcap").is_file()  # it can be fitted now
+    assert not (flying.sessions / "opened").exists()
+    plots = page.locator("#opened-plots figure")
+    expect(plots).to_have_count(2)  # it has no attitude
+    page.locator("#opened-tools summary").click()
+    page.get_by_role("searchbox", name="Find a channel").fill("specific")
+    page.get_by_role("checkbox", name="Specific force").check()
+    expect(plots).to_have_count(3)
+    page.locator("#examples-part summary").click()
+    page.get_by_role("button", name="nanobench_trefoil.mcap").click()
+    expect(page.locator("#opened-state")).to_contain_text("28.7 s")
+    scrubber = page.get_by_label("Time in the recording")
+    scrubber.focus()
+    page.keyboard.press("End")
+    expect(page.locator("#opened-time")).to_have_text(re.compile(r"^28\.\d\d s$"))
+    page.keyboard.press("Home")
+    expect(page.locator("#opened-time")).to_have_text("0.00 s")
+    page.mouse.move(5, 5)  # values are those of the scrubber where no cursor is in a plot
+    roll = plots.first.locator(".value").first
+    before = roll.text_content()
+    page.get_by_role("button", name="Play").press("Enter")
+    expect(page.locator("#opened-time")).not_to_have_text("0.00 s")
+    page.get_by_role("button", name="Pause", exact=True).press("Enter")
+    page.evaluate("""() => {
+        const scrubber = document.getElementById("scrubber");
+        scrubber.value = 12;
+        scrubber.dispatchEvent(new Event("input"));
+    }""")
+    expect(roll).not_to_have_text(before)
+    expect(page.locator("#opened-pose")).to_contain_text("roll -1.4°, pitch -6.9°")
+    # of this file, though the one before had the same channels in other places
+    expect(plots.filter(has_text="Motors")).to_contain_text("M3 82.5")
+    expect(plots.filter(has_text="Rates")).to_contain_text("x 21.1")
+
+
 def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled(flying, visit):
     shutil.copy(RECORDINGS / FLIGHT, flying.sessions / "another.mcap")
     page = visit(flying.address() + "#flights")
@@ -381,10 +450,13 @@ def test_axe_finds_nothing_that_keeps_anybody_out(flying, visit, theme):
     shutil.copy(RECORDINGS / FLIGHT, flying.sessions / f"{theme}.mcap")
     page = visit(flying.address(), color_scheme=theme)
     expect(page.locator("#live")).to_have_text("live")
-    for part in ("Now", "Flights", "Models"):
+    for part in ("Now", "Flights", "Open", "Models", "Parameters"):
         page.get_by_role("link", name=part, exact=True).click()
         if part == "Flights":
             expect(page.locator("#recordings")).to_contain_text(f"{theme}.mcap")
+        if part == "Open":
+            page.get_by_role("button", name="nanobench_trefoil.mcap").click()
+            expect(page.locator("#opened-state")).to_contain_text("28.7 s")
         if part == "Models":
             page.get_by_text(NUMBERS).first.click()
         judged = axe.run(page)

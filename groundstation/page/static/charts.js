@@ -25,9 +25,10 @@ function color(name) {
 
 export class Charts {
   /** host: is given the plots. view: of the time axis. shown: groups that are shown at first.
-   * clockText: what the time axis says of a time, and how fine its steps are. key: to keep a choice by. */
-  constructor(host, store, view, { shown, clockText, key }) {
-    Object.assign(this, { host, store, view, clockText, key });
+   * clockText: what the time axis says of a time, and how fine its steps are. key: to keep a choice by.
+   * playhead: a time that is marked and whose values are shown, where there is one. */
+  constructor(host, store, view, { shown, clockText, key, playhead = () => null }) {
+    Object.assign(this, { host, store, view, clockText, key, playhead });
     this.plots = new Map();
     this.groups = new Set(JSON.parse(localStorage.getItem(key) ?? "null") ?? shown);
     this.hidden = new Set();
@@ -39,6 +40,7 @@ export class Charts {
       this.width = host.clientWidth;
       for (const { plot, body } of this.plots.values())
         if (body.clientWidth) plot.setSize({ width: body.clientWidth, height: height() });
+      this.draw();
     }).observe(host);
   }
 
@@ -83,7 +85,9 @@ export class Charts {
   #arrange() {
     this.version = this.store.version;
     const groups = this.offered().filter((one) => this.groups.has(one.group));
-    reconcile(this.host, groups, (one) => `${one.group} ${one.channels.map((c) => c.id)}`,
+    // the same channels may stand in another place of another file
+    const key = (one) => `${one.group} ${one.channels.map(({ table, place, id }) => [table, place, id])}`;
+    reconcile(this.host, groups, key,
       (one) => this.#make(one), () => {});
     for (const [key, one] of this.plots) {
       if (one.figure.isConnected) continue;
@@ -139,7 +143,7 @@ export class Charts {
       axes: [
         { ...axis, size: 26, space: 70, values: (_, ticks, __, ___, step) =>
           ticks.map((one) => this.clockText(one, step)) },
-        { ...axis, size: AXIS, space: 28 },
+        { ...axis, size: AXIS, space: 20 },
       ],
       series: [{}, ...group.channels.map((one, place) => ({
         label: one.name, show: !this.hidden.has(one.id), width: 1.5, points: { show: false },
@@ -153,9 +157,20 @@ export class Charts {
           if (width > 5) this.view.fix(plot.posToVal(left, "x"), plot.posToVal(left + width, "x"));
           plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
         }],
+        draw: [(plot) => this.#mark(plot)],
         setCursor: [() => this.#cursorMoved()],
       },
     };
+  }
+
+  #mark({ ctx, bbox, valToPos, scales }) {
+    const time = this.playhead();
+    if (time === null || time < scales.x.min || time > scales.x.max) return;
+    const x = Math.round(valToPos(time, "x", true));
+    ctx.save();
+    ctx.fillStyle = color("--ink");
+    ctx.fillRect(x - 1, bbox.top, 2, bbox.height);
+    ctx.restore();
   }
 
   #cursorMoved() {
@@ -178,7 +193,9 @@ export class Charts {
   /** Values under the cursor, else the newest in view. */
   #values({ group, plot, legend }) {
     const times = plot.data[0];
-    const place = plot.cursor.left >= 0 ? plot.cursor.idx : null;
+    const marked = this.playhead();
+    const place = plot.cursor.left >= 0 ? plot.cursor.idx
+      : marked === null ? null : Math.max(0, firstFrom(times, marked + 1e-9) - 1);
     legend.forEach(({ value }, series) => {
       const found = plot.data[series + 1]?.[place ?? times.length - 1];
       const digits = group.unit === "V" || !group.unit ? 3 : 1;

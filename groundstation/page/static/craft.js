@@ -89,7 +89,7 @@ export class CraftView {
 
   /** Pixels of a point, and how far it is away. */
   #at([x, y, z]) {
-    const side = -x * this.sa + y * this.ca, away = x * this.ca + y * this.sa, high = z - this.up * 0.8 - 0.05;
+    const side = -x * this.sa + y * this.ca, away = x * this.ca + y * this.sa, high = z - this.up * 0.8 - 0.15;
     const depth = 2.6 - (away * this.ce + high * this.se);
     const rise = high * this.ce - away * this.se;
     const f = this.size / Math.max(0.4, depth);

@@ -1,6 +1,7 @@
 // The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
-import { at, element, link, reconcile, watch, write } from "./dom.js";
+import { at, button, element, link, reconcile, watch, write } from "./dom.js";
+import { openRecording } from "./opened.js";
 import { begunAt } from "./status.js";
 
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
@@ -58,7 +59,9 @@ function make(one) {
   select.append(new Option("–", ""), new Option("fit", "use"), new Option("proof", "proof"));
   const row = element("tr");
   const cells = [select, "", "", one.file, "", "", "", "",
-    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true)];
+    element("span", "links")];
+  cells[8].append(button("Open", one.file, () => openRecording(one.file)),
+    link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
   for (const content of cells) {
     const cell = element("td");
     cell.append(content);

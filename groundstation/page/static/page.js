@@ -5,11 +5,13 @@ import { showAlarms } from "./alarms.js";
 import { change } from "./change.js";
 import { Charts } from "./charts.js";
 import { CraftView } from "./craft.js";
-import { at, write } from "./dom.js";
+import { at, button, reconcile, write } from "./dom.js";
 import { watchFlights } from "./flights.js";
 import { watchJobs } from "./jobs.js";
 import { watchModels } from "./models.js";
 import { watchMotors } from "./motors.js";
+import { watchOpened } from "./opened.js";
+import { watchParameters } from "./parameters.js";
 import { poseAt } from "./pose.js";
 import { clockText, showEvents, showStatus } from "./status.js";
 import { Store } from "./store.js";
@@ -20,6 +22,7 @@ const HIDDEN_MS = 1000;
 const PATIENCE_MS = 10000;
 const LIVE_S = 1.0; // what is older is said to be behind
 const DRAW_MS = 150; // plots; the craft is drawn more often
+const SCAN_MS = 30000;
 const SHOWN_AFTER_S = 0.2; // the craft is drawn where it was then: rows come ten times a second
 const DRIFT = 2e-4; // by which two clocks may part, of the time
 
@@ -31,6 +34,7 @@ let clockAskedMs = 0;
 let newestMs = null; // on this browser's clock: when the newest row that is shown was measured
 let lastAnswerMs = performance.now();
 let vehicle = "";
+let receives = false, scanned = false;
 
 const nowS = () => (Number.isFinite(clockS) ? clockS + performance.now() / 1000 : 0);
 const view = new View({ nowS, beginS: () => store.oldest() ?? 0, windowS: 20 });
@@ -68,6 +72,7 @@ function take(found, askedMs) {
   showAlarms(found.alarms);
   if (found.status) {
     vehicle = found.status.vehicle;
+    receives = found.status.link.state === "streaming";
     showStatus(found.status);
   }
   if (found.events) showEvents(found.events);
@@ -143,12 +148,32 @@ async function offer() {
     const answer = await fetch("devices");
     if (!answer.ok) return;
     const { devices, links, commands } = await answer.json();
+    showFound(devices.filter((one) => one.usable && one.link));
     const described = (one) => devices.find((device) => device.link === one)?.description ?? "";
     for (const [id, names] of [["links", links], ["commands", commands]]) {
       at(id).replaceChildren(...names.map((name) => new Option(described(name), name)));
     }
   } catch { /* the alarms say so */ } finally { looking = false; }
 }
+/** Crafts that are plugged in or in reach, a button each. */
+function showFound(devices) {
+  reconcile(at("found"), devices, (one) => one.link, (one) => {
+    const made = button(`Receive from ${one.link}`, one.description, () =>
+      change("/link", { name: one.link }, `Receiving from ${one.link}.`));
+    made.className = "quiet";
+    return made;
+  }, () => {});
+}
+
+/** By itself at first, and then while there is nothing to receive: each look costs a second. */
+function scan() {
+  if (!document.hidden && (!scanned || !receives)) {
+    scanned = true;
+    offer();
+  }
+  setTimeout(scan, SCAN_MS);
+}
+
 for (const id of ["link-name", "command-uri"]) at(id).addEventListener("focus", offer);
 
 function showPart() {
@@ -166,7 +191,10 @@ showPart();
 watchMotors();
 ask();
 draw();
+setTimeout(scan, 3000);
 watchFlights(change);
 watchJobs(change);
 watchModels(change);
+watchOpened();
+watchParameters();
 window.frames_drawn = () => craft.frames; // for who measures

@@ -92,10 +92,17 @@ function duration(seconds) {
 }
 
 export function showEvents(events) {
-  at("events").replaceChildren(...events.toReversed().map((event) => {
+  const isConsole = (one) => one.kind === "console";
+  list("events", events.filter((one) => !isConsole(one)).slice(-40));
+  list("console", events.filter(isConsole));
+  at("console-part").hidden = !events.some(isConsole);
+}
+
+function list(id, events) {
+  at(id).replaceChildren(...events.toReversed().map((event) => {
     const item = element("li");
     item.append(element("time", "", new Date(event.time_ns / 1e6).toLocaleTimeString()),
-      `${event.link} ${event.kind}: ${event.text}`);
+      event.kind === "console" ? event.text : `${event.link} ${event.kind}: ${event.text}`);
     return item;
   }));
 }

@@ -16,7 +16,11 @@ const view = document.getElementById("the_canvas_id");
 view.classList.add("small");
 const badge = document.createElement("output");
 badge.id = "live";
-document.body.append(badge);
+const veil = document.createElement("div"); // until it shows what is live
+veil.id = "veil";
+veil.setAttribute("role", "status");
+veil.textContent = "Loading, catching up";
+document.body.append(veil, badge);
 let frame_ms = 0;
 let drawn_ms = performance.now();
 let newest = 0;
@@ -91,6 +95,7 @@ function draw_small() {
 }
 
 function draw_large() {
+  veil.remove();
   view.classList.remove("small");
   still?.remove();
   still = null;

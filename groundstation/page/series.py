@@ -1,0 +1,132 @@
+"""``python -m groundstation.page.series FILE``: a recording's channels, for the page's plots.
+
+On standard output: four bytes with the length of a JSON header, the header, then for each of its
+tables the times (float64) and the columns (float32), little endian, one after the other. Read in a
+process of its own: a file of strangers costs the page nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import GroundStationError
+from groundstation.page.follower import COLUMNS, TELEMETRY
+from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.session import Recording
+from groundstation.telemetry.samples import SampleBatch
+from groundstation.text import printable
+
+ROWS_MOST = 40_000
+"""Of a table that has more every nth is shown, each as it was recorded."""
+EVENTS_MOST = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """time_s: (n,), from the first sample on, never backwards; columns: name -> (n,)."""
+
+    name: str
+    time_s: NDArray[np.float64]
+    columns: dict[str, NDArray[np.float32]]
+
+
+def main(path: str) -> int:
+    try:
+        write(open_recording(path), sys.stdout.buffer)
+    except GroundStationError as error:
+        print(printable(str(error)), file=sys.stderr)
+        return 1
+    return 0
+
+
+def write(recording: Recording, out: BinaryIO) -> None:
+    """Everything of a recording that can be plotted."""
+    begin_s, tables = series(recording)
+    head: dict[str, Any] = {
+        "file": recording.path.name,
+        "vehicle": recording.metadata.get("vehicle", {}).get("profile", ""),
+        "damage": recording.damage[:5],
+        "events": list(_events(recording)),
+        "tables": [],
+    }
+    arrays: list[NDArray[Any]] = []
+    for one in tables:
+        step = max(1, -(-len(one.time_s) // ROWS_MOST))
+        head["tables"].append(
+            {
+                "name": one.name,
+                "columns": list(one.columns),
+                "rows": len(one.time_s[::step]),
+                "every": step,
+            }
+        )
+        arrays.append((one.time_s[::step] - begin_s).astype("<f8"))
+        arrays += [column[::step].astype("<f4") for column in one.columns.values()]
+    encoded = json.dumps(head).encode()
+    encoded += b" " * (-(len(encoded) + 4) % 8)  # so that numbers lie where they can be read
+    out.write(struct.pack("<I", len(encoded)) + encoded)
+    for array in arrays:
+        content = array.tobytes()
+        out.write(content + b"\0" * (-len(content) % 8))
+
+
+def series(recording: Recording) -> tuple[float, list[Series]]:
+    """When the first sample was measured, s; the samples, and the tables that have numbers."""
+    found = []
+    samples = recording.samples
+    if len(samples):
+        found.append(Series(TELEMETRY, _onward(samples), dict(_channels(samples))))
+    for name, table in recording.tables.items():
+        columns = {
+            key: values.astype(np.float32)
+            for key, values in table.columns.items()
+            if values.ndim == 1 and values.dtype.kind in "fiub"
+        }
+        order = np.argsort(table.time_s, kind="stable")
+        if columns and len(order):
+            ordered = {key: values[order] for key, values in columns.items()}
+            found.append(Series(name, table.time_s[order], ordered))
+    return (float(found[0].time_s[0]) if found else 0.0), found
+
+
+def _channels(samples: SampleBatch) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    """Those that have any value, in the units of the page."""
+    attributes = {field: name for name, (field, _) in SAMPLE_FIELDS.items()}
+    for name, field, factor, parts in COLUMNS:
+        values = np.asarray(getattr(samples, attributes[field]), np.float32) * np.float32(factor)
+        columns = values.reshape(len(samples), -1)
+        for part, column in zip(parts, columns.T, strict=True):
+            if np.isfinite(column).any():
+                yield f"{name}.{part}", column
+
+
+def _onward(samples: SampleBatch) -> NDArray[np.float64]:
+    """Times that go on where the craft's clock began anew, by the clock of the host."""
+    time_s = samples.time_s.copy()
+    for row in np.flatnonzero(np.diff(samples.segment) != 0) + 1:
+        host_s = float(samples.host_time_ns[row] - samples.host_time_ns[row - 1]) * 1e-9
+        time_s[row:] += time_s[row - 1] + max(host_s, 1e-3) - time_s[row]
+    return time_s
+
+
+def _events(recording: Recording) -> Iterator[dict[str, Any]]:
+    if not len(recording.samples):
+        return
+    first_ns = int(recording.samples.host_time_ns[0])
+    for event in recording.events[:EVENTS_MOST]:
+        if isinstance(at_ns := event.get("time_ns"), int):
+            text = printable(f"{event.get('kind', '')}: {event.get('text', '')}")
+            yield {"time_s": round((at_ns - first_ns) * 1e-9, 3), "text": text}
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))
