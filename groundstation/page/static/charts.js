@@ -74,7 +74,7 @@ export class Charts {
       });
     }
     // numbers that change ten times a second cannot be read
-    if (this.view.fixed || performance.now() - this.toldMs > 240) this.#tell();
+    if (this.view.fixed || this.playhead() !== null || performance.now() - this.toldMs > 240) this.#tell();
   }
 
   #tell() {
