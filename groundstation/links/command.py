@@ -84,8 +84,8 @@ class CommandLink(ABC):
 
     @property
     def disarms_in_flight(self) -> bool:
-        """Whether the craft is one that was armed by request and that may be disarmed while it
-        flies: its motors stop at once and it is not locked."""
+        """Whether the craft is one that was armed by request, or may have been, and that can be
+        disarmed while it flies: its motors stop at once and it is not locked."""
         return False
 
     @abstractmethod

@@ -184,9 +184,9 @@ class CrazyflieLink(CommandLink):
     def disarms_in_flight(self) -> bool:
         if not self._is_up_to_date() or self.supervisor.arms_itself:
             return False
-        # its log may not say yet what it was asked for
-        is_armed = bool(self.supervisor.armed) or self._asked_armed
-        return is_armed and self._connection.protocol >= DISARMS_SAFELY
+        # its log may not say yet what it was asked for, by a connection before this one too
+        may_be_armed = self.supervisor.armed is not False or self._asked_armed
+        return may_be_armed and self._connection.protocol >= DISARMS_SAFELY
 
     def parameters(self) -> dict[str, float]:
         if not self._connection.is_open:

@@ -162,9 +162,10 @@ async def outcome(stop: Stop) -> str:
 
 def _is_disarmed(stop: Stop, waited_s: float) -> bool:
     """Whether motors that stand will not idle again: one that was asked to disarm has said that it
-    did, or says nothing of it."""
+    did, or says nothing of it. One that arms itself stands without thrust all the same."""
     armed = stop.link.armed
-    return not stop.disarms or armed is False or (armed is None and waited_s > STILL_S)
+    is_asked = stop.disarms and not stop.link.supervisor.arms_itself
+    return not is_asked or armed is False or (armed is None and waited_s > STILL_S)
 
 
 def _forced(stop: Stop) -> str:

@@ -99,9 +99,8 @@ class CraftInHand(CommandLink):
 
     @property
     def disarms_in_flight(self) -> bool:
-        return not self.supervisor.arms_itself and (
-            bool(self.supervisor.armed) or self._asked_armed
-        )
+        may_be_armed = self.supervisor.armed is not False or self._asked_armed
+        return may_be_armed and not self.supervisor.arms_itself
 
     def arm(self, armed: bool) -> bool:
         self._require()

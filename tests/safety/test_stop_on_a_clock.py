@@ -305,6 +305,17 @@ def test_a_request_to_arm_grows_old_while_the_radio_takes_nothing(flying):
     assert asked_while_the_radio_takes_nothing(flying, patience_s) == []
 
 
+@pytest.mark.parametrize("flying", ["brushless"], indirect=True)
+def test_a_craft_that_has_not_said_yet_whether_it_is_armed_is_disarmed_by_a_stop(flying):
+    flying.run(flying.commander.arm(True))
+    flying.one.lose()
+    flying.one.connect()
+    assert flying.stopped() == STOPPED
+    assert tried(flying.one) == [("arm", 1), ("arm", 0)]
+    assert escalation(flying) == [], "disarmed at once, not where it still turns"
+    assert not flying.one.turns
+
+
 def test_no_thrust_and_no_arming_while_motors_are_being_stopped(flying):
     token = lease(flying)
     flying.steer(token, 0.5)
