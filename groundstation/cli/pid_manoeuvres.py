@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from groundstation.cli.sticks import (
     CLIMB_M_S,
@@ -22,7 +22,8 @@ from groundstation.service.motor_stop import STILL_TURN, STOPPED
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Firmware
-    from groundstation.control.programme import LowBattery, Programme
+    from groundstation.control.programme import LowBattery
+    from groundstation.links.software_craft import SoftwareCraft
 
 HOLD_HEIGHT = "flightmode.althold"
 DESCENT = 0.97
@@ -45,17 +46,39 @@ done: armed brushless motors idle, and with an assist mode on others turn as wel
 MOTORS_OFF = "motors are off"
 
 
+class Flyable(Protocol):
+    """setpoints: of every 10 ms roll (deg), pitch (deg), yaw rate (deg/s) and, where there is a
+    fourth column, metres above the height that is held, (k, 3) or (k, 4)."""
+
+    def setpoints(self) -> Any: ...
+
+
+class Clock(Protocol):
+    """What time it is for the craft, s, and waiting for a setpoint's time."""
+
+    def now_s(self) -> float: ...
+
+    def wait(self) -> None: ...
+
+
 def fly_programme(
-    pilot: Pilot, programme: Programme, sticks: Source, *, tells_battery: bool
+    pilot: Pilot | SoftwareCraft,
+    programme: Flyable,
+    sticks: Source,
+    *,
+    tells_battery: bool,
+    clock: Clock | None = None,
 ) -> str:
     """Take off, fly the programme, land; why it was aborted, or empty. tells_battery: whether the
-    craft says how its battery is."""
+    craft says how its battery is. clock: the craft's, None: real time."""
     from groundstation.control.programme import RATE_HZ, LowBattery, reason_to_abort
 
     table = programme.setpoints()
     # before the flight, which nothing may hold up
-    firmware = _firmware(pilot) if isinstance(sticks, StandInPilot) else None
-    clock, low = SetpointClock(), LowBattery() if tells_battery else None
+    firmware = None
+    if isinstance(sticks, StandInPilot) and isinstance(pilot, Pilot):
+        firmware = _firmware(pilot)
+    clock, low = clock or SetpointClock(), LowBattery() if tells_battery else None
     answer: dict[str, Any] = {}
 
     def send(hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> str:
@@ -77,7 +100,9 @@ def fly_programme(
     if all(motor == 0.0 for motor in answer["telemetry"]["motors"]):
         return NOT_TURNING
     pilot.mark("pid fly programme")
-    for roll, pitch, yaw in table.tolist():
+    for roll, pitch, yaw, *above in table.tolist():
+        if isinstance(sticks, CraftHeight) and above:
+            sticks.above_m = above[0]
         hands = sticks.read()
         if hands.stop or not hands.flies:
             return "stopped by hand"
@@ -89,7 +114,7 @@ def fly_programme(
     return _land(pilot, sticks, clock, low, answer, firmware)
 
 
-def stop_motors(pilot: Pilot) -> str:
+def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
     """Zero thrust until fresh telemetry says that the motors stand, and what else stops them where
     they go on turning; what is known of them."""
     from groundstation.control.programme import AbortLimits
@@ -119,9 +144,9 @@ def stop_motors(pilot: Pilot) -> str:
 
 
 def _land(
-    pilot: Pilot,
+    pilot: Pilot | SoftwareCraft,
     sticks: Source,
-    clock: SetpointClock,
+    clock: Clock,
     low: LowBattery | None,
     last: dict[str, Any],
     firmware: Firmware | None,
@@ -149,7 +174,7 @@ def _land(
         # to the floor even where it took off from a table: it may have drifted from there
         ticks = range(round((sticks.top_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
         heights = (max(sticks.top_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
-        return _come_down(pilot, clock, low, (Hands(height_m=lower) for lower in heights))
+        return _come_down(pilot, clock, low, (sticks.at(lower) for lower in heights))
     say("the programme is flown: land", error=True)
     while True:
         hands = sticks.read()
@@ -162,7 +187,7 @@ def _land(
 
 
 def _sent(
-    pilot: Pilot, hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+    pilot: Pilot | SoftwareCraft, hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
 ) -> dict[str, Any]:
     """The daemon's answer to a setpoint of the programme with a human's part in it."""
     return pilot.setpoint(
@@ -172,7 +197,7 @@ def _sent(
 
 
 def _come_down(
-    pilot: Pilot, clock: SetpointClock, low: LowBattery | None, steps: Iterable[Hands]
+    pilot: Pilot | SoftwareCraft, clock: Clock, low: LowBattery | None, steps: Iterable[Hands]
 ) -> str:
     """Send one after the other until the ground is met; why it was aborted, or empty."""
     from groundstation.control.programme import LANDING, reason_to_abort
@@ -202,6 +227,9 @@ class SetpointClock:
 
     def __init__(self) -> None:
         self._next = time.monotonic()
+
+    def now_s(self) -> float:
+        return time.monotonic()
 
     def wait(self) -> None:
         self._next = max(self._next + 0.01, time.monotonic() - 0.01)

@@ -14,6 +14,7 @@ import sys
 import termios
 import time
 import tty
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -90,19 +91,27 @@ class StandInPilot:
 
 class CraftHeight:
     """The craft holds its height by itself: nobody gives thrust. height_m: above where it stands,
-    floor_m by its own account."""
+    floor_m by its own account. now_s: the craft's clock. above_m: what a programme adds to it."""
 
-    def __init__(self, height_m: float, floor_m: float) -> None:
+    def __init__(
+        self, height_m: float, floor_m: float, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
         self.floor_m, self.top_m = floor_m, floor_m + height_m
+        self.above_m = 0.0
         self.help = f"the craft holds {height_m:g} m by itself"
+        self._now_s = now_s
         self._begun_s: float | None = None
 
     def read(self) -> Hands:
-        now_s = time.monotonic()
+        now_s = self._now_s()
         if self._begun_s is None:
             self._begun_s = now_s
         height_m = min(self.floor_m + CLIMB_M_S * (now_s - self._begun_s), self.top_m)
-        return Hands(height_m=max(height_m, 0.0), begin=height_m >= self.top_m)
+        return replace(self.at(height_m + self.above_m), begin=height_m >= self.top_m)
+
+    def at(self, height_m: float) -> Hands:
+        """What brings it to a height and holds it there."""
+        return Hands(height_m=max(height_m, 0.0))
 
     def __enter__(self) -> Self:
         return self

@@ -1,0 +1,166 @@
+"""Flights of ``learn``: one pilot for the software craft in fast time and a craft behind the
+daemon."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from groundstation.cli.commanding import (
+    LEAST_REST_V,
+    await_connection,
+    begin_recording,
+    end_recording,
+    patient,
+    require_ready,
+)
+from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
+from groundstation.cli.sticks import CraftHeight, Hands
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.service.client import Pilot
+from groundstation.service.config import socket_path
+
+if TYPE_CHECKING:
+    from groundstation.links.software_craft import SoftwareCraft
+
+CLIENT = "learn"
+SOFTWARE = "software:"
+LEAN_PER_M, LEAN_PER_M_S, LEAN_MOST_DEG = 5.8, 9.3, 10.0
+"""Of the onlooker who keeps a craft in its place."""
+LIFT_PER_M, LIFT_PER_M_S, LIFT_PER_M_SECOND = 4.0, 3.6, 1.5
+"""And of his thrust: accelerations, m/s^2."""
+TICK_S, GRAVITY = 0.01, 9.81
+HOVERS = 36000.0
+"""16-bit thrust that he begins with."""
+
+
+class Onlooker(CraftHeight):
+    """Somebody who watches the software craft: leans it back to its place, and gives the thrust
+    where it does not hold its height by itself. places: whether he leans."""
+
+    def __init__(self, craft: SoftwareCraft, height_m: float, *, places: bool) -> None:
+        super().__init__(height_m, 0.0, craft.now_s)
+        self._craft, self._places = craft, places
+        self._seen, self._lift, self._climb = craft.position_m, 0.0, 0.0
+
+    def at(self, height_m: float) -> Hands:
+        now = self._craft.position_m
+        ahead, aside, climb = ((a - b) / TICK_S for a, b in zip(now, self._seen, strict=True))
+        self._seen = now
+        roll = pitch = 0.0
+        if self._places:
+            turn = self._craft.heading_rad
+            x, y = (LEAN_PER_M * p + LEAN_PER_M_S * v
+                    for p, v in zip(now[:2], (ahead, aside), strict=True))  # fmt: skip
+            pitch = -_within(math.cos(turn) * x + math.sin(turn) * y, LEAN_MOST_DEG)
+            roll = _within(-math.sin(turn) * x + math.cos(turn) * y, LEAN_MOST_DEG)
+        hands = Hands(roll_deg=roll, pitch_deg=pitch)
+        if self._craft.lease["holds_height"]:
+            return replace(hands, height_m=max(height_m, 0.0))
+        error = height_m - now[2]
+        self._lift = _within(self._lift + LIFT_PER_M_SECOND * error * TICK_S, 4.0)
+        push = LIFT_PER_M * error - LIFT_PER_M_S * climb + self._lift
+        ratio = min(max(1.0 + push / GRAVITY, 0.3), 1.6)
+        return replace(hands, thrust=round(HOVERS * ratio ** (1.0 / 1.7)))
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """aborted: why, or empty. seconds: in the air. gains: those that flew."""
+
+    aborted: str
+    seconds: float
+    gains: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where flights are flown. link: ``software:SETTINGS`` or the daemon's. height_m: held."""
+
+    link: str
+    height_m: float
+    yes: bool = False
+
+    @property
+    def is_software(self) -> bool:
+        return self.link.startswith(SOFTWARE)
+
+    def fly(
+        self,
+        programme: Flyable,
+        file: Path,
+        *,
+        seed: int,
+        gains: Mapping[str, float] | None = None,
+        steps: bool = False,
+        **more: Any,
+    ) -> Flown:
+        """Fly a programme and leave its recording in ``file``.
+
+        steps: nobody but the programme leans it. gains: written before it; put back after it on a
+        real craft. more: settings of a software craft. Raises KeyboardInterrupt when the motors
+        stand and what was flown is in the file.
+        """
+        if self.is_software:
+            return self._fast(programme, file, seed, dict(gains or {}), steps, more)
+        return self._real(programme, file, dict(gains or {}))
+
+    def _fast(
+        self,
+        programme: Flyable,
+        file: Path,
+        seed: int,
+        gains: dict[str, float],
+        steps: bool,
+        more: dict[str, Any],
+    ) -> Flown:
+        from groundstation.links.software_craft import SoftwareCraft
+
+        craft = SoftwareCraft(self.link.removeprefix(SOFTWARE), CLIENT, seed=seed, **more)
+        try:
+            craft.arm()
+            craft.write(gains)
+            flying = {k: v for k, v in craft.parameters().items() if k.startswith("pid_")}
+            sticks = Onlooker(craft, self.height_m, places=not steps)
+            aborted = fly_programme(craft, programme, sticks, tells_battery=True, clock=craft)
+        finally:
+            craft.stop()
+            craft.save(file)
+        return Flown(aborted, craft.now_s(), flying)
+
+    def _real(self, programme: Flyable, file: Path, gains: dict[str, float]) -> Flown:
+        path = socket_path()
+        await_connection(path)
+        with Pilot(path, CLIENT) as pilot:
+            require_ready(pilot, needs_battery=False)
+            if not pilot.lease["holds_height"]:
+                raise BadInputError(
+                    f"{pilot.lease['uri']} holds no height by itself: it needs a Flow or Z-ranger"
+                    " deck or a positioning system"
+                )
+            before = pilot.parameters()
+            saved = {name: before[name] for name in gains}
+            floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
+            recording = begin_recording(path)
+            aborted = "an unforeseen error"
+            try:
+                pilot.write(gains)
+                sticks = CraftHeight(self.height_m, floor_m)
+                aborted = fly_programme(pilot, programme, sticks, tells_battery=True)
+            except GroundStationError as error:
+                aborted = str(error)
+            finally:
+                with patient():
+                    stop_motors(pilot)
+                    pilot.write(saved)
+                    flown = Path(end_recording(path, recording, aborted))
+                    file.write_bytes(flown.read_bytes())
+        flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
+        return Flown(aborted, 0.0, flying)

@@ -1,0 +1,147 @@
+"""The manoeuvres that flights are put together of, within limits of tilt and space.
+
+Signs are those of the telemetry: roll left side up, pitch nose down, yaw rate counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInputError
+
+Array = NDArray[np.float64]
+
+RATE_HZ = 100
+REST_S = 1.0
+"""Level flight before the first manoeuvre, between them and after the last."""
+GRAVITY = 9.81
+TAKE_OFF_S, LANDING_S = 3.0, 2.0
+PREFLIGHT_S = 4.0
+"""What a flight takes beside its programme: on the ground, up and down."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """tilt_deg: the most that is commanded. reach_m: to either side of where it took off. height_m:
+    above the ground."""
+
+    tilt_deg: float = 12.0
+    reach_m: float = 1.0
+    height_m: float = 0.5
+
+    @property
+    def step_m(self) -> float:
+        """The largest step of height: up and down by it leaves half the height below."""
+        return min(0.2, 0.4 * self.height_m)
+
+    def lean(self, wanted_deg: float, hold_s: float) -> float:
+        """An angle that carries the craft no further than its space when held for so long."""
+        most = math.degrees(math.atan(self.reach_m / (GRAVITY * hold_s**2)))
+        return min(wanted_deg, self.tilt_deg, most)
+
+
+def require_limits(limits: Limits) -> None:
+    """Raises BadInputError for limits in which nothing can be learnt."""
+    if not 0.3 <= limits.height_m <= 2.0:
+        raise BadInputError(f"--height {limits.height_m:g}: must be 0.3..2 m")
+    if not 0.5 <= limits.reach_m <= 20.0:
+        raise BadInputError(
+            f"--space: {2 * limits.reach_m:g} m across is too little or no room: give 1x1..40x40 m"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """table: roll, pitch (deg), yaw rate (deg/s), metres above the height held, every 10 ms
+    (k, 4)."""
+
+    name: str
+    table: Array
+
+    @property
+    def seconds(self) -> float:
+        return len(self.table) / RATE_HZ
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPlan:
+    """Manoeuvres in order; what a flight is for, in words."""
+
+    manoeuvres: tuple[Manoeuvre, ...]
+    purpose: str
+
+    def setpoints(self) -> Array:
+        """Of every 10 ms, (k, 4)."""
+        rest = np.zeros((round(REST_S * RATE_HZ), 4))
+        return np.vstack([rest, *(part for one in self.manoeuvres for part in (one.table, rest))])
+
+    @property
+    def seconds(self) -> float:
+        """In the air."""
+        return TAKE_OFF_S + len(self.setpoints()) / RATE_HZ + LANDING_S
+
+    def timeline(self) -> list[dict[str, Any]]:
+        """When to fly what: ``at_s`` from the end of the take-off, ``seconds``, ``fly``."""
+        rows, at_s = [], REST_S
+        for one in self.manoeuvres:
+            rows.append({"at_s": at_s, "seconds": one.seconds, "fly": one.name})
+            at_s += one.seconds + REST_S
+        return rows
+
+
+def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
+    """Every manoeuvre by name. seed: of the random ones."""
+    tilt, still = limits.lean(9.0, 0.5), np.zeros(round(6.0 * RATE_HZ))
+    chirp = limits.lean(6.0, 0.4)
+    sway = limits.lean(limits.tilt_deg, 0.45)
+    time = np.arange(len(still)) / RATE_HZ
+    doublet = np.select([np.mod(time, 1.5) < 0.5, np.mod(time, 1.5) < 1.0], [1.0, -1.0], 0.0)
+    sweep = np.sin(2 * math.pi * (0.6 * time + (5.0 - 0.6) * time**2 / 12.0))
+    to_and_fro = np.sin(2 * math.pi * time / 2.0)
+    steps = np.repeat([1.0, -1.0, 1.0, 0.0, -1.0, 0.0], RATE_HZ)
+    random = np.random.default_rng(seed)
+
+    def levels(size: float, hold_s: float) -> Array:
+        count = round(hold_s * RATE_HZ)
+        drawn = random.uniform(-size, size, len(still) // count + 1)
+        return np.asarray(np.repeat(drawn, count)[: len(still)])
+
+    def of(name: str, **axes: Array) -> Manoeuvre:
+        columns = [axes.get(axis, still) for axis in ("roll", "pitch", "yaw", "above")]
+        return Manoeuvre(name, np.column_stack(columns))
+
+    made = [
+        of("hover"),
+        of("thrust steps", above=limits.step_m * steps),
+        of("roll doublets", roll=tilt * doublet),
+        of("pitch doublets", pitch=tilt * doublet),
+        of("yaw steps", yaw=90.0 * doublet),
+        of("roll chirp", roll=chirp * sweep),
+        of("pitch chirp", pitch=chirp * sweep),
+        of("yaw chirp", yaw=60.0 * sweep),
+        of("to and fro, left and right", roll=sway * to_and_fro),
+        of("to and fro, ahead and back", pitch=sway * to_and_fro),
+        of("turn with doublets", yaw=0.0 * still + 90.0, pitch=tilt * doublet,
+           roll=tilt * np.roll(doublet, 75)),
+        of("all axes at random", roll=levels(tilt, 0.35), pitch=levels(tilt, 0.35),
+           yaw=levels(90.0, 0.5), above=levels(limits.step_m, 1.5)),
+    ]  # fmt: skip
+    return {one.name: one for one in made}
+
+
+HOVER = ("hover", "thrust steps", "yaw steps")
+BODY = ("roll doublets", "pitch doublets", "yaw steps", "roll chirp", "pitch chirp")
+PROOF = ("all axes at random", "roll doublets", "turn with doublets", "pitch doublets")
+"""Of the flights that need no model to be planned."""
+
+
+def flight_of(names: Sequence[str], purpose: str, limits: Limits, seed: int) -> FlightPlan:
+    """A flight of named manoeuvres."""
+    known = library(limits, seed)
+    return FlightPlan(tuple(known[name] for name in names), purpose)
