@@ -1,7 +1,7 @@
 """``python -m firmware_sim.hide``: a craft with something wrong in it, and nobody told what.
 
-The seed chooses one effect and its size. They go into a new settings file, which flies the craft
-like any other; opening it is giving up.
+The seed chooses one effect, or several, and their sizes. They go into a new settings file, which
+flies the craft like any other; opening it is giving up.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--settings", type=Path, required=True, help="the craft without it")
     parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--effects", type=int, default=1, metavar="N", help="how many (default 1)")
     parser.add_argument("-o", "--output", type=Path, required=True, help="a new TOML file")
     options = parser.parse_args(arguments)
     try:
-        text = _sealed(options.settings, options.seed)
+        text = _sealed(options.settings, options.seed, options.effects)
         with options.output.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
@@ -59,15 +60,21 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _sealed(settings: Path, seed: int) -> str:
-    """The settings' own text, and a table with what is hidden at its end."""
+def _sealed(settings: Path, seed: int, count: int) -> str:
+    """The settings' own text, and tables with what is hidden at its end."""
     if seed < 0:
         raise ValueError(f"--seed {seed}: must not be negative")
+    if not 1 <= count <= len(HIDEABLE):
+        raise ValueError(f"--effects {count}: must be 1..{len(HIDEABLE)}")
     plain = load_settings(settings)
-    name = HIDEABLE[seed % len(HIDEABLE)]
+    generator = np.random.default_rng(seed)
+    names = [HIDEABLE[seed % len(HIDEABLE)]]
+    if count > 1:
+        others = [name for name in HIDEABLE if name not in names]
+        names += generator.choice(others, count - 1, replace=False).tolist()
     if plain.effects:
         raise ValueError(f"{settings}: this craft has effects already; start from one without")
-    if name in present_effects(plain):
+    for name in sorted(set(names) & set(present_effects(plain))):
         _, model = craft_of(plain)
         modelled = model is not None and any(one.name == name for one in model.effects)
         remedy = "a model without it" if modelled else 'one with plant = "reduced"'
@@ -77,9 +84,12 @@ def _sealed(settings: Path, seed: int) -> str:
         )
     text = settings.read_text(encoding="utf-8")
     table = "stand_in.effects" if "stand_in" in tomllib.loads(text) else "effects"
-    values = draw(name, np.random.default_rng(seed))
-    lines = [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
-    sealed = "\n".join([text.rstrip(), "", f"[{table}.{name}]", *lines, ""])
+    lines = []
+    for name in names:
+        values = draw(name, generator)
+        lines += ["", f"[{table}.{name}]"]
+        lines += [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
+    sealed = "\n".join([text.rstrip(), *lines, ""])
     try:
         parse_settings(sealed.encode())
     except ValueError as error:

@@ -4,13 +4,13 @@ daemon."""
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from groundstation.cli.commanding import (
-    LEAST_REST_V,
     await_connection,
     begin_recording,
     end_recording,
@@ -19,6 +19,7 @@ from groundstation.cli.commanding import (
 )
 from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
+from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot
 from groundstation.service.config import socket_path
@@ -82,11 +83,12 @@ class Flown:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where flights are flown. link: ``software:SETTINGS`` or the daemon's. height_m: held."""
+    """Where flights are flown. link: ``software:SETTINGS`` or ``daemon``. height_m: held. model: a
+    file that the software craft flies in the place of its own physics."""
 
     link: str
     height_m: float
-    yes: bool = False
+    model: str = ""
 
     @property
     def is_software(self) -> bool:
@@ -100,17 +102,43 @@ class Place:
         seed: int,
         gains: Mapping[str, float] | None = None,
         steps: bool = False,
-        **more: Any,
     ) -> Flown:
         """Fly a programme and leave its recording in ``file``.
 
-        steps: nobody but the programme leans it. gains: written before it; put back after it on a
-        real craft. more: settings of a software craft. Raises KeyboardInterrupt when the motors
-        stand and what was flown is in the file.
+        steps: nobody but the programme leans it. gains: written before it, and put back after it.
+        Raises KeyboardInterrupt when the motors stand and what was flown is in the file.
         """
         if self.is_software:
-            return self._fast(programme, file, seed, dict(gains or {}), steps, more)
+            return self._fast(programme, file, seed, dict(gains or {}), steps)
         return self._real(programme, file, dict(gains or {}))
+
+    def write(self, gains: Mapping[str, float]) -> None:
+        """Write gains to a craft that stands; a software craft is switched off between flights."""
+        if not self.is_software:
+            with Pilot(socket_path(), CLIENT) as pilot:
+                pilot.write(dict(gains))
+
+    def says(self) -> dict[str, Any]:
+        """What the craft says before anything turns: ``craft``, ``vehicle``, ``firmware``,
+        ``battery_v``. Raises GroundStationError where it cannot fly."""
+        if self.is_software:
+            craft = self._craft(0)
+            return {"craft": craft.uri, "vehicle": craft.vehicle.name,
+                    "firmware": craft.lease["firmware"], "battery_v": None}  # fmt: skip
+        path = socket_path()
+        await_connection(path)
+        with Pilot(path, CLIENT) as pilot:
+            _require_height(pilot)
+            telemetry = require_ready(pilot, needs_battery=False)
+            return {"craft": pilot.lease["uri"], "vehicle": pilot.ask("GET", "/status")["vehicle"],
+                    "firmware": pilot.lease["firmware"],
+                    "battery_v": telemetry["battery_v"]}  # fmt: skip
+
+    def _craft(self, seed: int) -> SoftwareCraft:
+        from groundstation.links.software_craft import SoftwareCraft
+
+        flies = {"plant": "model", "craft": self.model, "effects": {}} if self.model else {}
+        return SoftwareCraft(self.link.removeprefix(SOFTWARE), CLIENT, seed=seed, **flies)
 
     def _fast(
         self,
@@ -119,11 +147,8 @@ class Place:
         seed: int,
         gains: dict[str, float],
         steps: bool,
-        more: dict[str, Any],
     ) -> Flown:
-        from groundstation.links.software_craft import SoftwareCraft
-
-        craft = SoftwareCraft(self.link.removeprefix(SOFTWARE), CLIENT, seed=seed, **more)
+        craft = self._craft(seed)
         try:
             craft.arm()
             craft.write(gains)
@@ -139,28 +164,45 @@ class Place:
         path = socket_path()
         await_connection(path)
         with Pilot(path, CLIENT) as pilot:
-            require_ready(pilot, needs_battery=False)
-            if not pilot.lease["holds_height"]:
-                raise BadInputError(
-                    f"{pilot.lease['uri']} holds no height by itself: it needs a Flow or Z-ranger"
-                    " deck or a positioning system"
-                )
+            tells = require_ready(pilot, needs_battery=False)["battery_v"] is not None
+            _require_height(pilot)
             before = pilot.parameters()
             saved = {name: before[name] for name in gains}
             floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
             recording = begin_recording(path)
-            aborted = "an unforeseen error"
+            aborted, begun_s = "interrupted", time.monotonic()
             try:
-                pilot.write(gains)
+                if gains:
+                    pilot.write(gains)
                 sticks = CraftHeight(self.height_m, floor_m)
-                aborted = fly_programme(pilot, programme, sticks, tells_battery=True)
+                aborted = fly_programme(pilot, programme, sticks, tells_battery=tells)
             except GroundStationError as error:
                 aborted = str(error)
             finally:
+                seconds = time.monotonic() - begun_s
                 with patient():
-                    stop_motors(pilot)
-                    pilot.write(saved)
-                    flown = Path(end_recording(path, recording, aborted))
-                    file.write_bytes(flown.read_bytes())
+                    told = stop_motors(pilot)
+                    say(told, error=True)
+                    file.write_bytes(Path(end_recording(path, recording, aborted)).read_bytes())
+                    _put_back(pilot, saved)
         flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
-        return Flown(aborted, 0.0, flying)
+        return Flown(aborted, seconds, flying)
+
+
+def _require_height(pilot: Pilot) -> None:
+    """Raises BadInputError for a craft that nobody could hold in the air."""
+    if not pilot.lease["holds_height"]:
+        raise BadInputError(
+            f"{pilot.lease['uri']} holds no height by itself: it needs today's firmware and a Flow"
+            " or Z-ranger deck, or a positioning system that has told it where it is"
+        )
+
+
+def _put_back(pilot: Pilot, saved: dict[str, float]) -> None:
+    if not saved:
+        return
+    try:
+        pilot.write(saved)
+    except GroundStationError:  # its lease is over, where the operator stopped it
+        with Pilot(socket_path(), CLIENT) as anew:
+            anew.write(saved)

@@ -187,7 +187,11 @@ def _land(
 
 
 def _sent(
-    pilot: Pilot | SoftwareCraft, hands: Hands, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+    pilot: Pilot | SoftwareCraft,
+    hands: Hands,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    yaw: float = 0.0,
 ) -> dict[str, Any]:
     """The daemon's answer to a setpoint of the programme with a human's part in it."""
     return pilot.setpoint(

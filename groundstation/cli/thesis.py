@@ -37,7 +37,7 @@ def thesis(
 
     Example: [bold]groundstation thesis --only 7.3 --only 8.5 -o some[/bold]
     """
-    from groundstation.demo.shell import Shell
+    from groundstation.shell import Shell
     from groundstation.thesis.catalogue import chosen, make
     from groundstation.thesis.page import as_json as whole
     from groundstation.thesis.page import markdown, page

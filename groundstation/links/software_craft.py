@@ -1,4 +1,4 @@
-"""The software craft on its own clock: commanded as a craft behind the daemon is, without waiting."""
+"""The software craft on its own clock, commanded as a craft behind the daemon is."""
 
 from __future__ import annotations
 
@@ -110,8 +110,15 @@ class SoftwareCraft:
     def write(self, values: dict[str, float]) -> dict[str, float]:
         for name, value in values.items():
             self._craft.set_parameter(name, value)
-            self._commands.append({"time_ns": self._time_ns(), "kind": "parameter",
-                                   "client": self.client, "name": name, "value": value})  # fmt: skip
+            self._commands.append(
+                {
+                    "time_ns": self._time_ns(),
+                    "kind": "parameter",
+                    "client": self.client,
+                    "name": name,
+                    "value": value,
+                }
+            )
         return {name: self._craft.get_parameter(name) for name in values}
 
     def mark(self, text: str, **details: Any) -> None:

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 
 from groundstation.control.gains_file import gains_text
 from groundstation.control.thesis_tables import GAINS
-from groundstation.demo.shell import Shell
 from groundstation.dynamics.model import Model, load_model
 from groundstation.identification.runs import Run, runs_of
 from groundstation.recording.open_recording import open_recording
+from groundstation.shell import Shell
 from groundstation.telemetry.samples import SampleBatch
 
 Value = TypeVar("Value")

@@ -6,13 +6,11 @@ import contextlib
 import os
 import resource
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -34,15 +32,7 @@ mkdir "${{1:?give a new folder}}"
 cd "$1"
 cp {inputs} .
 export PATH={path}:"$PATH"
-run=$(mktemp -d)
-export GROUNDSTATION_SOCKET="$run/control.sock" XDG_STATE_HOME="$run"
-daemon=
-trap 'test -z "$daemon" || kill -TERM $daemon; rm -rf "$run"' EXIT
-trap 'exit 130' INT TERM
 """
-_SCRIPT_WAIT = """daemon=$!
-until groundstation status >/dev/null 2>&1; do kill -0 $daemon; sleep 0.5; done"""
-_SCRIPT_END = """kill -TERM $daemon; wait $daemon; daemon="""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +46,10 @@ class Spent:
 class Shell:
     """Runs commands in a folder that becomes theirs. A context: nothing is left running.
 
-    folder: must not exist or be empty. inputs: name -> text of the files to begin with.
-    say: is given every command as it starts. by: whose commands they are, for the script.
+    folder: must not exist or be empty, or be one that a shell goes on in, with ``goes_on``.
+    inputs: name -> text of the files to begin with, or None for those that come later and are
+    copied all the same. say: is given every command as it starts. by: whose commands they are, for
+    the script.
 
     Programs run in process groups of their own: Ctrl-C is told them once, by us, and in order.
     """
@@ -65,11 +57,14 @@ class Shell:
     def __init__(
         self,
         folder: Path,
-        inputs: dict[str, str],
+        inputs: Mapping[str, str | None],
         say: Callable[[str], None] = print,
-        by: str = "groundstation demo",
+        by: str = "groundstation thesis",
+        goes_on: bool = False,
     ) -> None:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        if goes_on and (folder / SCRIPT).is_file():
+            inputs = {}
+        elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise BadInputError(
                 f"{folder}: exists already and is not an empty folder; name another one with -o"
             )
@@ -78,23 +73,18 @@ class Shell:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name, text in inputs.items():
-                (folder / name).write_text(text, encoding="utf-8")
-            copied = " ".join(f'"$here/{name}"' for name in inputs)
-            path = shlex.quote(str(Path(sys.executable).parent))
-            head = _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path, by=by)
-            (folder / SCRIPT).write_text(head, encoding="utf-8")
+                if text is not None:
+                    (folder / name).write_text(text, encoding="utf-8")
+            if inputs:
+                copied = " ".join(f'"$here"/{name}' for name in inputs)
+                path = shlex.quote(str(Path(sys.executable).parent))
+                head = _SCRIPT_HEAD.format(script=SCRIPT, inputs=copied, path=path, by=by)
+                (folder / SCRIPT).write_text(head, encoding="utf-8")
         except OSError as error:
             raise BadInputError(f"{folder}: cannot be written: {error.strerror}") from error
         self._log = (folder / LOG).open("ab")
-        # not in the folder, whose path may be longer than a socket's may be
-        self._runtime = Path(tempfile.mkdtemp(prefix="groundstation-demo-"))
-        self.socket = self._runtime / "control.sock"
-        self._environment = {
-            **{k: v for k, v in os.environ.items() if not k.startswith("GROUNDSTATION_")},
-            "GROUNDSTATION_SOCKET": str(self.socket),
-            "XDG_STATE_HOME": str(self._runtime),
-            "NO_COLOR": "1",
-        }
+        own = {k: v for k, v in os.environ.items() if not k.startswith("GROUNDSTATION_")}
+        self._environment = {**own, "NO_COLOR": "1"}
         self._began_s = time.monotonic()
         self._began_processor_s = _children_s()
 
@@ -103,7 +93,6 @@ class Shell:
 
     def __exit__(self, *error: object) -> None:
         self._log.close()
-        shutil.rmtree(self._runtime, ignore_errors=True)
 
     @property
     def spent(self) -> Spent:
@@ -139,28 +128,6 @@ class Shell:
             )
         self._note(line)
 
-    @contextlib.contextmanager
-    def running(self, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-        """A daemon while inside; it is asked to end in the end. Raises GroundStationError where
-        it says that it could not do its work."""
-        line = f"{_shown(words)} &"
-        mark = self._tell(line)
-        self._note(f"{line}\n{_SCRIPT_WAIT}")
-        with _Interruptions() as interruptions:
-            process = self._start(words, self._log)
-            try:
-                interruptions.let_in()
-                yield process
-            finally:
-                status = _end(process)
-                self._note(_SCRIPT_END)
-        if status:
-            raise GroundStationError(f"'{_shown(words)}' failed: {self._last_words(mark)}")
-
-    def said(self, process: subprocess.Popen[bytes]) -> str:
-        """Why a daemon has ended, to be asked when it has."""
-        return f"the daemon has ended ({process.poll()}): {self._last_words(0)}"
-
     def files(self, pattern: str) -> list[Path]:
         """The folder's files that a pattern names, in order."""
         return sorted(self.folder.glob(pattern))
@@ -189,11 +156,6 @@ class Shell:
         if not found:
             raise GroundStationError(f"{self.folder / word}: no such file")
         return found
-
-    def remark(self, text: str) -> None:
-        """Say something beside the commands, and keep it in the script."""
-        self._say(f"# {text}")
-        self._note(f"# {text}")
 
     def _tell(self, line: str) -> int:
         """Show and log a command; where in the log its own words begin."""

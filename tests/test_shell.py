@@ -8,8 +8,8 @@ from subprocess import Popen
 import pytest
 from programs import run_program
 
-from groundstation.demo.shell import LOG, SCRIPT, Shell
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.shell import LOG, SCRIPT, Shell
 
 
 def python(text):

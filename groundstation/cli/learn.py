@@ -1,0 +1,258 @@
+"""``learn`` and ``plan``: from a craft to a better craft, and what to fly next by hand."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
+from groundstation.cli.terminal import show, show_json
+from groundstation.errors import BadInputError, GroundStationError
+
+if TYPE_CHECKING:
+    from groundstation.cli.learn_flights import Place
+    from groundstation.learn.journal import Journal, Task
+    from groundstation.learn.manoeuvres import Limits
+    from groundstation.shell import Shell
+
+Told = Callable[[str], None]
+CRAFT, SEALED = "craft.toml", "sealed.toml"
+HIDDEN_EFFECTS = (2, 3)
+HEIGHT = typer.Option(0.5, "--height", help="Height to fly at, m.")
+SPACE = typer.Option("2x2", "--space", metavar="WIDTHxDEPTH", help="Room there is, m.")
+
+
+def add_commands(app: typer.Typer) -> None:
+    app.command("learn")(learn)
+    app.command("plan")(plan)
+
+
+def learn(
+    link: str = typer.Option(
+        "daemon",
+        "--link",
+        help="daemon (the running daemon's craft), or software:VEHICLE or software:FILE.toml, a"
+        " software craft in fast time.",
+    ),
+    output: Path = typer.Option(
+        Path("learnt"), "-o", "--output", help="Its folder; one that was begun is gone on with."
+    ),
+    height: float = HEIGHT,
+    space: str = SPACE,
+    batteries: int = typer.Option(3, "--batteries", min=1, max=20, help="As many at most."),
+    seed: int = typer.Option(1, "--seed", min=0, max=10**6, help="Of all that is random."),
+    hide: int | None = typer.Option(
+        None, "--hide", min=0, max=10**6, help="Hide effects by this seed; told at the end."
+    ),
+    undo: bool = typer.Option(False, "--undo", help="Only put the former gains back."),
+    yes: bool = typer.Option(False, "--yes", help="Do not ask before a real craft flies."),
+    as_json: bool = AS_JSON,
+) -> None:
+    """Learn a craft: fly what is unknown, name what a model lacks, prove it, design gains, fly
+    them.
+
+    The folder is the state: whatever ends it, the same command goes on. Ctrl-C stops the motors.
+
+    Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
+    """
+    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.learn.journal import Journal, journal_in
+    from groundstation.shell import Shell
+
+    limits = _limits(height, space)
+    journal = journal_in(output)
+    if hide is not None and not link.startswith(SOFTWARE):
+        raise BadInputError("--hide: only in a software craft, --link software:VEHICLE")
+    if undo:
+        _undo(journal, output)
+        return
+    task = _task(link, limits, seed, batteries, hide)
+    if journal is None:
+        journal = Journal(task=task)
+    elif journal.task != (task := _same(journal.task, task)):
+        raise BadInputError(
+            f"{output}: was begun with other options ({journal.task}); go on with those, or learn"
+            " in another folder with -o"
+        )
+    inputs: dict[str, str | None] = {"flight*.mcap": None, "proof.mcap": None}
+    craft = _craft_text(link) if link.startswith(SOFTWARE) else None
+    if craft is not None:
+        inputs = {CRAFT: craft, **inputs}
+    begun_s = time.monotonic()
+
+    def told(text: str) -> None:
+        show(text, error=as_json)
+
+    with Shell(
+        output, inputs, lambda line: told(f"  {line}"), "groundstation learn", True
+    ) as shell:
+        pilot = Place(link, height)
+        if craft is not None:
+            pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, hide)), height)
+        journal.save(shell.folder)
+        _preflight(pilot, journal, limits, yes, told)
+        _learn(journal, shell, pilot, told)
+        journal.seconds += time.monotonic() - begun_s
+        journal.save(shell.folder)
+        _report(journal, shell.folder, as_json, told)
+
+
+def plan(
+    model: str = typer.Option(..., "--model", help="Model file: what is known of the craft."),
+    seconds: float = typer.Option(45.0, "--seconds", min=7.0, max=300.0, help="Time to fly."),
+    output: Path | None = typer.Option(None, "-o", "--output", help="A new JSON file."),
+    height: float = HEIGHT,
+    space: str = SPACE,
+    as_json: bool = AS_JSON,
+) -> None:
+    """What to fly next: the manoeuvres that tell the most of what a model leaves open.
+
+    Example: [bold]groundstation plan --model body.json[/bold]
+    """
+    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.learn.planning import plan_flight
+    from groundstation.learn.story import told_plan
+
+    limits = _limits(height, space)
+    if output is not None:
+        require_new(output)
+    loaded = fitted_model(model)
+    place = Place(f"{SOFTWARE}{loaded.vehicle}", height, model=model)
+    planned = plan_flight(place, loaded, limits, seconds)
+    if output is not None:
+        planned.write(output)
+    if as_json:
+        show_json(planned.as_dict())
+        return
+    for line in told_plan(planned):
+        show(line)
+    say_written(output)
+
+
+def _limits(height: float, space: str) -> Limits:
+    from groundstation.learn.manoeuvres import Limits, require_limits
+
+    try:
+        width, depth = (float(side) for side in space.lower().split("x"))
+    except ValueError:
+        raise BadInputError(f"--space {space}: give two sides in m, 2x2 say") from None
+    limits = Limits(reach_m=min(width, depth) / 2.0, height_m=height)
+    require_limits(limits)
+    return limits
+
+
+def _task(link: str, limits: Limits, seed: int, batteries: int, hide: int | None) -> Task:
+    from groundstation.learn.journal import Task
+
+    return Task(
+        link=link,
+        vehicle="",
+        height_m=limits.height_m,
+        reach_m=limits.reach_m,
+        seed=seed,
+        batteries=batteries,
+        hide=hide,
+    )
+
+
+def _same(begun: Task, asked: Task) -> Task:
+    """What is asked now, with what only the craft says and what may change on the way."""
+    import msgspec
+
+    begun_with = {"vehicle": begun.vehicle, "batteries": begun.batteries}
+    return msgspec.structs.replace(asked, **begun_with)
+
+
+def _craft_text(link: str) -> str:
+    """Settings of the software craft, for the folder. Raises BadInputError."""
+    from groundstation.dynamics.vehicle import load_vehicle
+
+    source = link.partition(":")[2]
+    if not source.endswith(".toml"):
+        load_vehicle(source)
+        return f'[stand_in]\nplant = "reduced"\ncraft = "{source}"\n'
+    try:
+        return Path(source).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"--link {link}: cannot be read: {error}") from error
+
+
+def _sealed(shell: Shell, hide: int | None) -> str:
+    """The settings that fly: with effects hidden in them where a seed was given."""
+    if hide is None:
+        return CRAFT
+    if not (shell.folder / SEALED).exists():
+        count = HIDDEN_EFFECTS[hide % len(HIDDEN_EFFECTS)]
+        shell.run(
+            *("python", "-m", "firmware_sim.hide", "--settings", CRAFT, "--seed", str(hide)),
+            *("--effects", str(count), "-o", SEALED),
+        )
+    return SEALED
+
+
+def _preflight(pilot: Place, journal: Journal, limits: Limits, yes: bool, told: Told) -> None:
+    """Say what will happen; ask where motors of a real craft would turn."""
+    import msgspec
+
+    from groundstation.learn.story import flights_ahead
+
+    says = pilot.says()
+    journal.task = msgspec.structs.replace(journal.task, vehicle=says["vehicle"] or "crazyflie21")
+    battery = "" if says["battery_v"] is None else f", battery at {says['battery_v']:.2f} V"
+    told(f"craft: {says['craft']}, a {journal.task.vehicle}, firmware {says['firmware']}{battery}")
+    count, seconds = flights_ahead(journal, limits)
+    told(
+        f"ahead: {count} flights, {seconds:.0f} s in the air at {limits.height_m:g} m, within"
+        f" {limits.reach_m:g} m to either side, leaning {limits.tilt_deg:g} deg at most, on at most"
+        f" {journal.task.batteries} batteries; Ctrl-C stops the motors"
+    )
+    real = not pilot.is_software and not says["craft"].startswith("udp://")
+    if real and not yes and not typer.confirm("clear of people, ready to fly?"):
+        raise BadInputError("not flown")
+
+
+def _learn(journal: Journal, shell: Shell, pilot: Place, told: Told) -> None:
+    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.learn.story import Learner
+
+    plain = shell.folder / CRAFT
+    source = str(plain) if plain.exists() else journal.task.vehicle
+
+    def rehearse(model: Path) -> Place:
+        return Place(SOFTWARE + source, journal.task.height_m, model=str(model))
+
+    Learner(journal, shell, pilot, rehearse, told).learn()
+
+
+def _report(journal: Journal, folder: Path, as_json: bool, told: Told) -> None:
+    from groundstation.learn.outcome import outcome_of
+    from groundstation.learn.report import REPORT, report_page
+
+    outcome = outcome_of(journal, folder)
+    (folder / REPORT).unlink(missing_ok=True)
+    report_page(outcome).write(folder / REPORT)
+    if as_json:
+        show_json({**outcome.as_dict(), "report": str(folder / REPORT)})
+    else:
+        for line in outcome.lines():
+            told(line)
+        told(f"{folder / REPORT}   ({journal.seconds:.0f} s)")
+    if outcome.wrong:
+        raise GroundStationError(
+            f"not everything came true ({', '.join(outcome.wrong)}): see {folder / REPORT}"
+        )
+
+
+def _undo(journal: Journal | None, folder: Path) -> None:
+    from groundstation.cli.learn_flights import Place
+
+    if journal is None or not journal.gains.startswith("written"):
+        raise BadInputError(f"{folder}: no gains were written from here; nothing to put back")
+    Place(journal.task.link, journal.task.height_m).write(journal.former)
+    journal.gains = f"put back by --undo; they were {journal.gains}"
+    journal.save(folder)
+    show("the former gains are back: " + ", ".join(journal.former))

@@ -1,0 +1,136 @@
+"""The next flight: every manoeuvre is flown by the present model, and those that tell the most are
+put together."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from groundstation.dynamics.model import Model
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.identification.recordings import flights_of
+from groundstation.identification.runs import Run
+from groundstation.learn.information import Choice, Information, choose, information_of
+from groundstation.learn.manoeuvres import (
+    REST_S,
+    FlightPlan,
+    Limits,
+    Manoeuvre,
+    library,
+)
+from groundstation.recording.open_recording import open_recording
+
+BEGINS = "pid fly programme"
+
+
+class Rehearsal(Protocol):
+    """Who flies a model."""
+
+    def fly(self, programme: Any, file: Path, *, seed: int) -> Any: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A flight with why each manoeuvre is in it, and the standard errors it should leave."""
+
+    plan: FlightPlan
+    choices: tuple[Choice, ...]
+    expected: dict[str, float]
+    seed: int
+
+    def as_dict(self) -> dict[str, Any]:
+        rows = [
+            {**row, "gain_nats": choice.gain, "tells": list(choice.tells)}
+            for row, choice in zip(self.plan.timeline(), self.choices, strict=True)
+        ]
+        return {
+            "seconds": self.plan.seconds,
+            "seed": self.seed,
+            "timeline": rows,
+            "expected_stderr": self.expected,
+        }
+
+    def write(self, path: Path) -> None:
+        path.write_text(json.dumps(self.as_dict(), indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, path: Path, limits: Limits) -> Planned:
+        """One that was written. Raises BadInputError."""
+        try:
+            said = json.loads(path.read_bytes())
+            choices = tuple(
+                Choice(row["fly"], row["gain_nats"], tuple(row["tells"]))
+                for row in said["timeline"]
+            )
+            plan = _flight(choices, limits, said["seed"])
+            return cls(plan, choices, said["expected_stderr"], said["seed"])
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            raise BadInputError(f"{path}: is no plan ({error}); remove it") from error
+
+
+def plan_flight(
+    rehearsal: Rehearsal,
+    model: Model,
+    limits: Limits,
+    budget_s: float,
+    seed: int = 0,
+    known: Mapping[str, float] | None = None,
+) -> Planned:
+    """The flight of at most ``budget_s`` that tells the most of what ``model`` leaves open.
+
+    known: standard errors of effects' sizes that flights have given already, by key.
+    """
+    told = rehearsed(rehearsal, model, limits, seed, known)
+    seconds = {name: one.seconds + REST_S for name, one in library(limits).items()}
+    choices = tuple(choose(told, seconds, budget_s))
+    expected = told.errors([one.name for one in choices])
+    return Planned(_flight(choices, limits, seed), choices, expected, seed)
+
+
+def rehearsed(
+    rehearsal: Rehearsal,
+    model: Model,
+    limits: Limits,
+    seed: int = 0,
+    known: Mapping[str, float] | None = None,
+) -> Information:
+    """What each manoeuvre would tell."""
+    manoeuvres = tuple(library(limits, seed).values())
+    whole = FlightPlan(manoeuvres, "every manoeuvre, by the model")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rehearsal.mcap"
+        flown = rehearsal.fly(whole, file, seed=seed)
+        if flown.aborted:
+            raise GroundStationError(f"the model does not fly: {flown.aborted}")
+        recording = open_recording(file)
+    (begin_ns,) = (e["time_ns"] for e in recording.events if e.get("text") == BEGINS)
+    samples = recording.samples
+    first = int(np.searchsorted(samples.host_time_ns, begin_ns))
+    begin_s = float(samples.time_s[first])
+    run = max(flights_of(samples), key=len)
+    return information_of(_parts(run, manoeuvres, begin_s), model, known)
+
+
+def _parts(run: Run, manoeuvres: tuple[Manoeuvre, ...], begin_s: float) -> dict[str, Run]:
+    """The rows of each manoeuvre with half of the rests around it."""
+    parts, at_s = {}, begin_s + REST_S
+    for one in manoeuvres:
+        low, high = np.searchsorted(
+            run.time_s, [at_s - 0.5 * REST_S, at_s + one.seconds + 0.5 * REST_S]
+        )
+        parts[one.name] = run[int(low) : int(high)]
+        at_s += one.seconds + REST_S
+    return parts
+
+
+def _flight(choices: tuple[Choice, ...], limits: Limits, seed: int) -> FlightPlan:
+    """What is flown twice is, where it is random, another the second time."""
+    made = [library(limits, seed + number)[one.name] for number, one in enumerate(choices, 1)]
+    tells = dict.fromkeys(key.partition(".")[0] for one in choices for key in one.tells)
+    return FlightPlan(tuple(made), f"what tells most of {', '.join(tells)}")

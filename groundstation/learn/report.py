@@ -1,0 +1,228 @@
+"""The craft on a page: what it is, how well it is predicted, its gains before and after, what is
+open, and everything behind it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from groundstation.control.step_analysis import Flown as Steps
+from groundstation.discrepancy.report_figures import evidence_bars, waterfall
+from groundstation.dynamics.meanings import meaning_of
+from groundstation.learn.journal import JOURNAL
+from groundstation.learn.outcome import Outcome, said_named
+from groundstation.learn.story import (
+    BODY_MODEL,
+    DESIGN,
+    GAINS,
+    NEW_STEPS,
+    mean_rms,
+    open_names,
+)
+from groundstation.report.figure import figure
+from groundstation.report.page import Page
+from groundstation.report.theme import FAINT, IMPROVED, MEASURED, MODELLED
+from groundstation.shell import LOG, SCRIPT
+from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REPORT = "report.html"
+
+
+def report_page(outcome: Outcome) -> Page:
+    """From the outcome and the files of its folder."""
+    task = outcome.journal.task
+    page = Page(f"What was learnt of a {task.vehicle}", f"groundstation learn --link {task.link}")
+    _summary(page, outcome)
+    _craft(page, outcome)
+    _predicted(page, outcome)
+    _gains(page, outcome)
+    _open(page, outcome)
+    _behind(page, outcome)
+    return page
+
+
+def _summary(page: Page, outcome: Outcome) -> None:
+    flights = outcome.journal.flights
+    words = f"Found: {said_named(outcome)}."
+    if outcome.found is not None:
+        gap = outcome.found.gap.validation
+        after = gap.before if gap.after is None else gap.after
+        words += (
+            f" On a flight on which nothing was chosen, predictions miss by {after:.2f} times"
+            f" what noise leaves, {gap.before:.2f} before."
+        )
+    words += f" Gains: {outcome.journal.gains}."
+    good = outcome.names_right is not False and outcome.journal.gains.startswith("written")
+    page.verdict(words, "good" if good else "neutral")
+    page.text(
+        f"{len(flights)} flights, {sum(one.seconds for one in flights):.0f} s on"
+        f" {outcome.journal.batteries} of {outcome.journal.task.batteries} batteries, learnt in"
+        f" {outcome.journal.seconds:.0f} s."
+    )
+    if outcome.hidden is not None:
+        _truth(page, outcome)
+
+
+def _truth(page: Page, outcome: Outcome) -> None:
+    assert outcome.hidden is not None
+    page.text(
+        f"This software craft was given effects by seed {outcome.journal.task.hide}; the file was"
+        " opened after everything had been said."
+    )
+    rows = [
+        [one.effect, one.parameter, one.true, one.value, one.stderr,
+         "not named" if one.value is None else "yes" if one.inside else "NO"]
+        for one in outcome.hidden
+    ]  # fmt: skip
+    too_many = sorted(outcome.named - {one.effect for one in outcome.hidden})
+    rows += [[name, "", None, None, None, "not there"] for name in too_many]
+    page.table(["hidden", "number", "true", "found", "standard error", "within 95 %"], rows)
+
+
+def _craft(page: Page, outcome: Outcome) -> None:
+    page.heading("What it is")
+    account = outcome.model.fit["body"]["estimates"]
+    errors = dict(zip(account["names"], account["stderr"], strict=True))
+    body = outcome.model.body
+    assert body is not None
+    rows = []
+    for name in ("c0", "c1", "c2", "thrust_per_mass"):
+        unit, meaning = meaning_of(name)
+        value, error = getattr(body, name), errors.get(name)
+        percent = None if error is None else 100 * error / abs(value)
+        rows.append([name, meaning, value, unit, percent])
+    page.table(
+        ["constant", "meaning", "value", "unit", "standard error of the fit, %"],
+        rows,
+        "Values as the search left them; the error is that of the body's fit.",
+    )
+    if outcome.found is None or not outcome.effects:
+        page.text("No effect beyond the base model was found.")
+        return
+    page.table(
+        ["effect", "what it does", "number", "value", "standard error", "unit", "its share, %"],
+        [
+            [one.name, one.adds, key, number.value, number.stderr, number.unit,
+             None if one.weight is None else 100 * one.weight]
+            for one in outcome.effects
+            for key, number in one.parameters.items()
+        ],
+        "Share: of what all effects together explain on the proof flight.",
+    )  # fmt: skip
+    page.figure(
+        evidence_bars(outcome.found.candidates),
+        "What each effect alone would explain, before any was added.",
+    )
+
+
+def _predicted(page: Page, outcome: Outcome) -> None:
+    page.heading("How well it is predicted")
+    if outcome.found is None:
+        page.text("Nothing was searched.")
+        return
+    steps = [("body alone", outcome.found.gap.validation.before)]
+    steps += [(one.name, one.gap.after) for one in outcome.found.effects]
+    page.figure(
+        waterfall(steps),
+        "Error of predictions 20 and 50 ms ahead on the proof flight, over what noise leaves.",
+    )
+    page.table(
+        ["channel", "unit", "error before", "after", "noise alone"],
+        [
+            [name.replace("_", " "), one.own_unit.unit, one.own_unit.before, one.own_unit.after,
+             one.own_unit.noise_floor]
+            for name, one in outcome.found.gap.channels.items()
+        ],
+    )  # fmt: skip
+
+
+def _gains(page: Page, outcome: Outcome) -> None:
+    page.heading("Gains before and after")
+    page.verdict(f"{outcome.journal.gains[:1].upper()}{outcome.journal.gains[1:]}.",
+                 "good" if outcome.journal.gains.startswith("written") else "neutral")  # fmt: skip
+    flown = {one.file: one.gains for one in outcome.journal.flights}
+    if outcome.journal.former and NEW_STEPS in flown:
+        page.table(
+            ["gain", "before", "designed"],
+            [[name, old, flown[NEW_STEPS][name]] for name, old in outcome.journal.former.items()],
+        )
+    if outcome.steps is None:
+        return
+    before, after = outcome.steps
+    page.figure(
+        steps_figure(before, after),
+        "Mean response to the same doublets, flown with the gains before and with the designed"
+        " ones; dashed what the found model predicts.",
+    )
+    page.table(
+        ["axis", "RMS before", "after", "predicted before", "predicted after",
+         "overshoot before, %", "after, %", "settled before, s", "after, s"],
+        [
+            [old.axis, *(_rms(one) for one in (old.measured, new.measured)),
+             *(_rms(one) for one in (old.predicted, new.predicted)),
+             old.measured.overshoot_pct, new.measured.overshoot_pct,
+             old.measured.settling_s, new.measured.settling_s]
+            for old, new in zip(before.axes, after.axes, strict=True)
+            for _rms in [lambda one, step=old.step: None if one is None else one.rms / step]
+        ],
+        f"RMS: of the step's size. Mean of the axes: {mean_rms(before):.3f} before,"
+        f" {mean_rms(after):.3f} after.",
+    )  # fmt: skip
+
+
+def steps_figure(before: Steps, after: Steps) -> Figure:
+    """One panel an axis: both flights over each other, with what the model predicts of each."""
+    made, panels = figure(rows=1, columns=len(after.axes), height=3.0, sharey=True)
+    for panel, old, new in zip(panels, before.axes, after.axes, strict=True):
+        panel.axhline(1.0, color=FAINT, linewidth=1.0)
+        for one, color, name in ((old, MODELLED, "before"), (new, IMPROVED, "designed")):
+            time = np.arange(len(one.response)) * SAMPLE_PERIOD_S
+            panel.plot(time, one.response, color=color, label=name)
+            if one.predicted_response is not None:
+                panel.plot(time, one.predicted_response, "--", color=MEASURED, linewidth=0.8)
+        panel.set_title(old.axis)
+        panel.set_xlabel("s")
+        panel.legend(loc="lower right")
+    panels[0].set_ylabel("response / step")
+    return made
+
+
+def _open(page: Page, outcome: Outcome) -> None:
+    page.heading("What is still open")
+    found = outcome.found
+    if found is None:
+        return
+    lines = [f"{name} could also be {', '.join(others)}"
+             for name, others in open_names(found).items()]  # fmt: skip
+    lines += [one.words for one in found.left]
+    page.bullets(lines or ["no named effect has another name that explains as much"])
+    if found.not_shown:
+        page.table(
+            ["not shown by these flights", "number", "standard error", "usual size", "unit",
+             "to see it"],
+            [[one.name, one.parameter, one.stderr, one.plausible, one.unit, one.manoeuvre]
+             for one in found.not_shown],
+        )  # fmt: skip
+
+
+def _behind(page: Page, outcome: Outcome) -> None:
+    page.heading("Everything behind it")
+    page.table(
+        ["flight", "for", "manoeuvres", "s", "battery", "cut short"],
+        [
+            [one.file, one.purpose, ", ".join(row["fly"] for row in one.timeline), one.seconds,
+             one.battery, one.aborted]
+            for one in outcome.journal.flights
+        ],
+    )  # fmt: skip
+    page.bullets(outcome.journal.said)
+    names = [one.file for one in outcome.journal.flights]
+    names += [BODY_MODEL, "body.html", *(f"plan{n}.json" for n in (1, 2))]
+    names += [f"{outcome.found_name}{end}" for end in (".html", ".json", ".model.json")]
+    names += [GAINS, DESIGN, SCRIPT, LOG, JOURNAL, "craft.toml", "sealed.toml"]
+    there = [name for name in dict.fromkeys(names) if (outcome.folder / name).exists()]
+    page.links([(name, name) for name in there])

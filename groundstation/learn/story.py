@@ -1,0 +1,432 @@
+"""What is done, in order: each flight and each command; what is in the folder is not done again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from groundstation.control.design_report import firmware_page, firmware_report
+from groundstation.control.firmware_design import cascade_limits, design_cascade
+from groundstation.control.firmwares import firmware_of_vehicle
+from groundstation.control.gains_file import gains_text, load_gains
+from groundstation.control.pid import AXES
+from groundstation.control.programme import Programme
+from groundstation.control.search import Budget
+from groundstation.control.step_analysis import Flown as Steps
+from groundstation.control.step_recording import analyse_recording
+from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
+from groundstation.dynamics.model import load_model, model_vehicle
+from groundstation.dynamics.registry import EFFECTS
+from groundstation.errors import BadInputError, GroundStationError
+from groundstation.identification.likelihood.parameters import KEYS
+from groundstation.learn.journal import Journal, Landed
+from groundstation.learn.manoeuvres import (
+    BODY,
+    HOVER,
+    LANDING_S,
+    PREFLIGHT_S,
+    PROOF,
+    TAKE_OFF_S,
+    Limits,
+    flight_of,
+)
+from groundstation.learn.planning import Planned, plan_flight
+from groundstation.recording.open_recording import open_recording
+from groundstation.shell import Shell
+
+CLIENT = "learn"
+BATTERY_S = 300.0
+"""In the air on one battery: the firmware lands a Crazyflie after some 6 to 7 minutes."""
+DESIGNED_S = 45.0
+"""Of a flight that is designed."""
+ROUNDS = 2
+"""Designed flights at most: one for everything, one for names that the first could not settle."""
+BUDGET = Budget(first=120, population=16, generations=20)
+STEPS_HOLD_S, STEPS_REPEATS = 0.7, 2
+WORTH = 1e-3
+"""Of the noise: by how much a name has to improve predictions on the proof flight to be one. What
+improves them by less is no gain, and is told as such."""
+WORSE = 1.02
+"""RMS of new gains over that of the old ones that is no more than noise."""
+BODY_MODEL, GAINS, DESIGN = "body.json", "gains.toml", "design.html"
+STOCK_STEPS, NEW_STEPS = "steps_before.mcap", "steps_after.mcap"
+PROOF_FLIGHT = "proof.mcap"
+
+
+class Flight(Protocol):
+    """What came of a flight."""
+
+    @property
+    def aborted(self) -> str: ...
+
+    @property
+    def seconds(self) -> float: ...
+
+    @property
+    def gains(self) -> dict[str, float]: ...
+
+
+class Pilot(Protocol):
+    """Who flies: ``cli.learn_flights.Place``."""
+
+    @property
+    def is_software(self) -> bool: ...
+
+    def fly(
+        self,
+        programme: Any,
+        file: Path,
+        *,
+        seed: int,
+        gains: Mapping[str, float] | None = None,
+        steps: bool = False,
+    ) -> Flight: ...
+
+    def write(self, gains: Mapping[str, float]) -> None: ...
+
+
+class StepFlight(Programme):
+    """Doublets of every axis, with what the journal wants to know."""
+
+    purpose = "doublets, to see how the gains follow"
+
+    def timeline(self) -> list[dict[str, Any]]:
+        return [{"at_s": 0.0, "seconds": self.seconds, "fly": f"{self.repeats} doublets an axis"}]
+
+
+class Learner:
+    """One craft being learnt, in a folder. say: is given every line."""
+
+    def __init__(
+        self,
+        journal: Journal,
+        shell: Shell,
+        pilot: Pilot,
+        rehearse: Callable[[Path], Pilot],
+        say: Callable[[str], None],
+    ) -> None:
+        self.journal, self.shell, self.pilot = journal, shell, pilot
+        self.folder, self._say = shell.folder, say
+        self._rehearse = rehearse
+        task = journal.task
+        self.limits = Limits(reach_m=task.reach_m, height_m=task.height_m)
+
+    def learn(self) -> None:
+        """All of it. Raises GroundStationError where a flight or a command fails: what there is
+        stays, and ``learn`` goes on there."""
+        flights = ["flight1.mcap", "flight2.mcap"]
+        seed = self.journal.task.seed
+        self._fly(flights[0], flight_of(HOVER, "hover and motors", self.limits, seed))
+        self._tell("hover", self._hover_line)
+        self._fly(flights[1], flight_of(BODY, "the body", self.limits, seed + 1))
+        self._fit(flights)
+        self._tell("body", self._body_line)
+        found: DiscrepancyReport | None = None
+        for number in range(1, ROUNDS + 1):
+            model = "body.json" if found is None else f"found{number - 1}.model.json"
+            planned = self._plan(number, model, found)
+            if not planned.plan.manoeuvres:
+                self._tell(f"plan{number}", lambda: "no manoeuvre would tell more that matters")
+                break
+            flights.append(f"flight{number + 2}.mcap")
+            self._fly(flights[-1], planned.plan)
+            if number == 1:
+                proof = flight_of(PROOF, "proof: nothing is chosen on it", self.limits, seed + 50)
+                self._fly(PROOF_FLIGHT, proof)
+            found = self._search(number, flights)
+            self._tell(f"search{number}", partial(_found_line, found))
+            if not open_names(found):
+                break
+        self._gains(f"found{number}.model.json" if found is not None else BODY_MODEL)
+
+    # flights
+
+    def _fly(self, file: str, plan: Any, **how: Any) -> None:
+        """Fly it, unless it has been. What is cut short is kept under another name."""
+        journal, path = self.journal, self.folder / file
+        if journal.good(file) is not None and path.exists():
+            return
+        self._keep_aside(path)  # of a program that was killed
+        needs_s = plan.seconds + PREFLIGHT_S
+        battery = journal.batteries
+        if journal.flights and journal.on_battery_s + needs_s > BATTERY_S:
+            battery += 1
+            if battery > journal.task.batteries:
+                raise GroundStationError(
+                    f"{journal.task.batteries} batteries are flown empty: what is known is in"
+                    f" {self.folder}; go on with more: --batteries"
+                )
+            self._say(f"battery {battery}: put a full one in")
+        self._say(f"flying {file}, {plan.seconds:.0f} s: {plan.purpose}")
+        seed = 100 * journal.task.seed + len(journal.flights)
+        flown = None
+        try:
+            flown = self.pilot.fly(plan, path, seed=seed, **how)
+        finally:
+            aborted = "interrupted" if flown is None else flown.aborted
+            kept = self._keep_aside(path) if aborted and path.exists() else path
+            if path.exists() or kept != path:
+                journal.flights.append(
+                    Landed(
+                        file=kept.name,
+                        purpose=plan.purpose,
+                        seconds=plan.seconds if flown is None else flown.seconds,
+                        battery=battery,
+                        timeline=plan.timeline(),
+                        aborted=aborted,
+                        gains={} if flown is None else flown.gains,
+                    )
+                )
+                journal.save(self.folder)
+        if aborted:
+            raise GroundStationError(
+                f"{file}: flight cut short: {aborted}; what was flown is in {kept}; `learn` with"
+                " the same folder goes on here"
+            )
+
+    def _keep_aside(self, path: Path) -> Path:
+        if not path.exists():
+            return path
+        number = 1
+        while (other := path.with_name(f"{path.stem}.cut{number}.mcap")).exists():
+            number += 1
+        path.rename(other)
+        return other
+
+    # commands
+
+    def _run(self, makes: str, *words: str) -> None:
+        """A command, unless what it makes last is there; a page of one that was ended is not."""
+        if not (self.folder / makes).exists():
+            for left in self.folder.glob(f"{makes.partition('.')[0]}.*"):
+                left.unlink()
+            self.shell.run("groundstation", *words)
+
+    def _fit(self, flights: list[str]) -> None:
+        vehicle = ("--vehicle", self.journal.task.vehicle)
+        self._run(
+            BODY_MODEL,
+            *("fit", "body", *flights, *vehicle, "-o", BODY_MODEL, "--html", "body.html"),
+        )
+
+    def _plan(self, number: int, model: str, found: DiscrepancyReport | None) -> Planned:
+        path = self.folder / f"plan{number}.json"
+        if path.exists():
+            return Planned.read(path, self.limits)
+        self._say("planning the next flight")
+        known = {} if found is None else known_errors(found)
+        planned = plan_flight(
+            self._rehearse(self.folder / model),
+            load_model(str(self.folder / model)),
+            self.limits,
+            DESIGNED_S,
+            seed=self.journal.task.seed + 10 * number,
+            known=known,
+        )
+        planned.write(path)
+        return planned
+
+    def _search(self, number: int, flights: list[str]) -> DiscrepancyReport:
+        name = f"found{number}"
+        self._run(
+            f"{name}.json",
+            *("discrepancy", *flights, "--validate", PROOF_FLIGHT, "--model", BODY_MODEL),
+            *("-o", f"{name}.model.json", "--html", f"{name}.html", "--json", f"{name}.json"),
+        )
+        return read_found(self.folder / f"{name}.json")
+
+    # gains
+
+    def _gains(self, model: str) -> None:
+        if self.journal.gains:
+            return
+        try:
+            gains = self._design(model)
+        except BadInputError as error:
+            self._settle(f"none: {error}")
+            return
+        angle = self.limits.lean(10.0, STEPS_HOLD_S)
+        flight = StepFlight(angle_deg=angle, hold_s=STEPS_HOLD_S, repeats=STEPS_REPEATS)
+        self._fly(STOCK_STEPS, flight, steps=True)
+        before = self.journal.good(STOCK_STEPS)
+        assert before is not None
+        self.journal.former = {name: before.gains[name] for name in gains}
+        try:
+            self._fly(NEW_STEPS, flight, steps=True, gains=gains)
+        except GroundStationError as error:
+            if "cut short" not in str(error):
+                raise
+            self._settle(f"put back: {error}")
+            return
+        old, new = self.steps(STOCK_STEPS, model), self.steps(NEW_STEPS, model)
+        worse = [
+            one.axis
+            for one, other in zip(new.axes, old.axes, strict=True)
+            if one.measured.rms / one.step > WORSE * other.measured.rms / other.step
+        ]
+        was, now = mean_rms(old), mean_rms(new)
+        told = f"steps miss by {now:.3f} of their size (RMS), by {was:.3f} before"
+        if worse or now >= was:
+            why = f"worse about {', '.join(worse)}" if worse else "no better"
+            self._settle(f"put back: {told}; {why}")
+            return
+        self.pilot.write(gains)
+        self._settle(f"written: {told}")
+
+    def _settle(self, what: str) -> None:
+        self.journal.gains = what
+        self._tell("gains", lambda: f"gains {what}")
+
+    def _design(self, model: str) -> dict[str, float]:
+        """As ``pid design``, with fewer candidates. Raises BadInputError where there are none."""
+        if not (self.folder / GAINS).exists():
+            self._say("designing gains for the model that was found")
+            loaded = load_model(str(self.folder / model))
+            release = firmware_of_vehicle(model_vehicle(loaded)).name
+            limits = cascade_limits()
+            designs = design_cascade(loaded, AXES, limits, budget=BUDGET, release=release)
+            report = firmware_report(loaded, release, designs, None, limits)
+            page = self.folder / DESIGN
+            page.unlink(missing_ok=True)
+            firmware_page(loaded, model, designs, None, report).write(page)
+            found = {key: value for one in designs for key, value in one.gains.items()}
+            (self.folder / GAINS).write_text(gains_text(found, release), encoding="utf-8")
+        gains = load_gains(self.folder / GAINS)
+        return {name: value for name, value in gains.items() if isinstance(value, float)}
+
+    def steps(self, file: str, model: str) -> Steps:
+        """The doublets of a flight, measured, and as a model predicts them."""
+        flight = self.journal.good(file)
+        if flight is None:
+            raise BadInputError(f"{self.folder / file}: was not flown to its end")
+        recording = open_recording(self.folder / file)
+        return analyse_recording(
+            recording, load_model(str(self.folder / model)), flight.gains, CLIENT
+        )
+
+    # words
+
+    def _tell(self, what: str, line: Callable[[], str]) -> None:
+        """Say once what is known now."""
+        if not any(said.startswith(f"{what}: ") for said in self.journal.said):
+            text = f"{what}: {line()}"
+            self.journal.said.append(text)
+            self.journal.save(self.folder)
+            self._say(text)
+
+    def _hover_line(self) -> str:
+        samples = open_recording(self.folder / "flight1.mcap").samples
+        begin = PREFLIGHT_S + TAKE_OFF_S
+        rows = (samples.time_s > begin) & (samples.time_s < samples.time_s[-1] - LANDING_S)
+        duty = float(np.mean(samples.duty[rows]))
+        noise = float(np.degrees(np.std(np.diff(samples.gyro[rows], axis=0))) / np.sqrt(2.0))
+        return (
+            f"it hovers at {100 * duty:.0f} % of full PWM, the battery is at"
+            f" {float(np.nanmedian(samples.battery_v[rows])):.2f} V, the gyro's noise is"
+            f" {noise:.2f} deg/s a row; the next flight is for the body"
+        )
+
+    def _body_line(self) -> str:
+        account = load_model(str(self.folder / BODY_MODEL)).fit["body"]["estimates"]
+        told = ", ".join(
+            f"{name} {value:.4g} ± {100 * error / abs(value):.1g} %"
+            for name, value, error in zip(
+                account["names"], account["values"], account["stderr"], strict=True
+            )
+        )
+        return f"{told}; the next flights are for what this model lacks, and for the proof"
+
+
+def read_found(path: Path) -> DiscrepancyReport:
+    return msgspec.json.decode(path.read_bytes(), type=DiscrepancyReport)
+
+
+def named_effects(found: DiscrepancyReport) -> list[EffectFound]:
+    """Effects that were found and are worth a name."""
+    return [one for one in found.effects if one.gap.before - one.gap.after >= WORTH]
+
+
+def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
+    """Names with others that explain as much."""
+    return {one.name: [other.name for other in one.alternatives]
+            for one in named_effects(found) if one.alternatives}  # fmt: skip
+
+
+def known_errors(found: DiscrepancyReport) -> dict[str, float]:
+    """What flights say already of effects' sizes, by key: of those that are open nothing."""
+    open_ones = {name for pair in open_names(found).items() for name in (pair[0], *pair[1])}
+    weak = {f"{one.name}.{one.parameter}": one.stderr for one in found.not_shown}
+    known = {}
+    for key, one in KEYS.items():
+        if one.effect.name not in open_ones:
+            known[key] = min(weak.get(key, one.worth / 10.0), one.worth) or 1.0
+    return known
+
+
+def _found_line(found: DiscrepancyReport) -> str:
+    named = (
+        "; ".join(said_effect(one.name, one.parameters) for one in named_effects(found))
+        or "nothing"
+    )
+    gap = found.gap.validation
+    after = gap.before if gap.after is None else gap.after
+    open_ones = open_names(found)
+    hardly = sorted({one.name for one in found.effects} - {o.name for o in named_effects(found)})
+    told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
+    told += f" noise before and {after:.2f} times after"
+    if hardly:
+        told += f"; {', '.join(hardly)} would hardly improve them: not named"
+    for name, others in open_ones.items():
+        told += f"; {name} could also be {', '.join(others)}"
+    return told
+
+
+def said_effect(name: str, parameters: Mapping[str, Any]) -> str:
+    """An effect with its numbers: 'dead_time delay_s 0.0041 ± 0.0001 s'."""
+    parts = []
+    for key, one in parameters.items():
+        unit = EFFECTS[name].parameter(key).unit if name in EFFECTS else one.unit
+        spread = "" if one.stderr is None else f" ± {one.stderr:.2g}"
+        parts.append(f"{key} {one.value:.4g}{spread} {unit}".rstrip())
+    return f"{name} ({', '.join(parts)})"
+
+
+def mean_rms(flown: Steps) -> float:
+    """RMS of the steps as a share of their size, mean of the axes."""
+    return float(np.mean([one.measured.rms / one.step for one in flown.axes]))
+
+
+def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
+    """How many flights there are to come at most, and s in the air."""
+    seed = journal.task.seed
+    plans: dict[str, Any] = {
+        "flight1.mcap": flight_of(HOVER, "", limits, seed),
+        "flight2.mcap": flight_of(BODY, "", limits, seed),
+        PROOF_FLIGHT: flight_of(PROOF, "", limits, seed),
+    }
+    seconds = {name: plan.seconds for name, plan in plans.items()}
+    seconds |= {f"flight{n + 2}.mcap": DESIGNED_S + TAKE_OFF_S + LANDING_S
+                for n in range(1, ROUNDS + 1)}  # fmt: skip
+    steps = StepFlight(hold_s=STEPS_HOLD_S, repeats=STEPS_REPEATS).seconds
+    seconds |= dict.fromkeys((STOCK_STEPS, NEW_STEPS), steps + TAKE_OFF_S + LANDING_S)
+    left = [s for name, s in seconds.items() if journal.good(name) is None]
+    return len(left), sum(left)
+
+
+def told_plan(planned: Planned) -> list[str]:
+    """A plan as a timeline for people."""
+    if not planned.choices:
+        return ["no manoeuvre would tell more that matters of what this model leaves open"]
+    lines = [f"{planned.plan.seconds:.0f} s in the air, from the end of the take-off:"]
+    for row in planned.as_dict()["timeline"]:
+        tells = ", ".join(key.replace(".", " ", 1) for key in row["tells"])
+        lines.append(
+            f"  {row['at_s']:5.1f} s  {row['fly']:<28} {row['seconds']:.0f} s"
+            f"  {row['gain_nats']:6.1f} nats; most of {tells}"
+        )
+    return lines
