@@ -1,4 +1,4 @@
-"""The demo's commands: shown, logged, kept for repeating, and never left behind."""
+"""Commands in a folder: shown, logged, kept for repeating, and never left behind."""
 
 import os
 import signal
@@ -67,29 +67,22 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_settings_of_the_user_s_daemon_do_not_reach_the_demo_s(tmp_path, monkeypatch):
+def test_settings_of_the_user_s_daemon_do_not_reach_its_commands(tmp_path, monkeypatch):
     monkeypatch.setenv("GROUNDSTATION_LINK_NAME", "usb")
     with Shell(tmp_path / "story", {}, lambda line: None) as shell:
         shell.run(*python("import os; print(os.environ.get('GROUNDSTATION_LINK_NAME'))"), into="o")
         assert (shell.folder / "o").read_text() == "None\n"
 
 
-def test_a_daemon_ends_with_its_block_here_and_in_the_script_and_its_recording_is_whole(shell):
-    with shell.running("groundstation", "run", "--recordings", "flights") as daemon:
-        shell.run(*python(_RECORDED))
-    assert daemon.returncode == 0
-    shell.run("groundstation", "inspect", "flights/*.mcap")
-    again = shell.folder.parent / "again"
-    run_program(["sh", shell.folder / SCRIPT, again], check=True)
-    assert len(list(again.glob("flights/*.mcap"))) == 1
-
-
-def test_an_interrupt_ends_what_runs_before_it_goes_on(shell):
-    with pytest.raises(KeyboardInterrupt), shell.running(*python(_WAIT)) as daemon:
-        raise KeyboardInterrupt
-    assert daemon.returncode is not None
-    with pytest.raises(ProcessLookupError):
-        os.kill(daemon.pid, 0)
+def test_a_folder_that_was_begun_is_gone_on_with_where_that_is_asked_for(tmp_path):
+    with Shell(tmp_path / "story", {"input.txt": "here"}, lambda line: None) as shell:
+        shell.run(*python("print('one')"), into="one.txt")
+    with Shell(tmp_path / "story", {"input.txt": "else"}, lambda line: None, goes_on=True) as shell:
+        shell.run(*python("print(open('input.txt').read())"), into="two.txt")
+    assert (tmp_path / "story" / "two.txt").read_text() == "here\n"
+    script = (tmp_path / "story" / SCRIPT).read_text()
+    assert script.count("#!/bin/sh") == 1
+    assert script.index("one.txt") < script.index("two.txt")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -109,38 +102,10 @@ def test_an_interrupt_while_a_command_starts_leaves_nothing_running(shell, monke
     try:
         with pytest.raises(KeyboardInterrupt):
             shell.run(*python("import time; time.sleep(100)"))
-        with (
-            pytest.raises(KeyboardInterrupt),
-            shell.running(*python("import time; time.sleep(100)")),
-        ):
-            pass
         assert signal.getsignal(number) is interrupted
     finally:
         signal.signal(number, before)
     for pid in born:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-    assert len(born) == 2
-
-
-_RECORDED = """
-import time
-from pathlib import Path
-from groundstation.service.client import ask
-from groundstation.service.config import socket_path
-from groundstation.errors import GroundStationError
-deadline = time.monotonic() + 60
-while time.monotonic() < deadline:
-    try:
-        if ask(socket_path(), "GET", "/status")["recording"]["samples"] > 0:
-            break
-    except GroundStationError:
-        pass
-    time.sleep(0.1)
-"""
-_WAIT = """
-import signal, time
-signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in the background of a script
-signal.signal(signal.SIGTERM, lambda number, frame: exit(0))
-time.sleep(60)
-"""
+    assert len(born) == 1

@@ -95,9 +95,11 @@ def learn(
             pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, hide)), height)
         journal.save(shell.folder)
         _preflight(pilot, journal, limits, yes, told)
-        _learn(journal, shell, pilot, told)
-        journal.seconds += time.monotonic() - begun_s
-        journal.save(shell.folder)
+        try:
+            _learn(journal, shell, pilot, told)
+        finally:
+            journal.seconds += time.monotonic() - begun_s
+            journal.save(shell.folder)
         _report(journal, shell.folder, as_json, told)
 
 

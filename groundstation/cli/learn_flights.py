@@ -17,6 +17,7 @@ from groundstation.cli.commanding import (
     patient,
     require_ready,
 )
+from groundstation.cli.left_changed import also_written, forget_changes, note_changes
 from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
@@ -172,7 +173,8 @@ class Place:
             recording = begin_recording(path)
             aborted, begun_s = "interrupted", time.monotonic()
             try:
-                if gains:
+                if gains:  # `pid fly --undo` puts back what a killed program leaves
+                    note_changes(pilot.lease["uri"], saved, also_written({}, gains))
                     pilot.write(gains)
                 sticks = CraftHeight(self.height_m, floor_m)
                 aborted = fly_programme(pilot, programme, sticks, tells_battery=tells)
@@ -206,3 +208,4 @@ def _put_back(pilot: Pilot, saved: dict[str, float]) -> None:
     except GroundStationError:  # its lease is over, where the operator stopped it
         with Pilot(socket_path(), CLIENT) as anew:
             anew.write(saved)
+    forget_changes(pilot.lease["uri"])

@@ -22,6 +22,7 @@ from groundstation.control.step_recording import analyse_recording
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
 from groundstation.dynamics.model import load_model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
+from groundstation.dynamics.unknowns import to_point
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.likelihood.parameters import KEYS
 from groundstation.learn.journal import Journal, Landed
@@ -48,9 +49,8 @@ ROUNDS = 2
 """Designed flights at most: one for everything, one for names that the first could not settle."""
 BUDGET = Budget(first=120, population=16, generations=20)
 STEPS_HOLD_S, STEPS_REPEATS = 0.7, 2
-WORTH = 1e-3
-"""Of the noise: by how much a name has to improve predictions on the proof flight to be one. What
-improves them by less is no gain, and is told as such."""
+WORTH = 0.1
+"""Of the size worth finding: what is smaller in every number is told, and not named."""
 WORSE = 1.02
 """RMS of new gains over that of the old ones that is no more than noise."""
 BODY_MODEL, GAINS, DESIGN = "body.json", "gains.toml", "design.html"
@@ -280,7 +280,7 @@ class Learner:
 
     def _settle(self, what: str) -> None:
         self.journal.gains = what
-        self._tell("gains", lambda: f"gains {what}")
+        self._tell("gains", lambda: what)
 
     def _design(self, model: str) -> dict[str, float]:
         """As ``pid design``, with fewer candidates. Raises BadInputError where there are none."""
@@ -348,7 +348,19 @@ def read_found(path: Path) -> DiscrepancyReport:
 
 def named_effects(found: DiscrepancyReport) -> list[EffectFound]:
     """Effects that were found and are worth a name."""
-    return [one for one in found.effects if one.gap.before - one.gap.after >= WORTH]
+    return [one for one in found.effects if _size(one) >= WORTH]
+
+
+def _size(found: EffectFound) -> float:
+    """The largest of an effect's sizes, over the one worth finding; a user's own always counts."""
+    if found.name not in EFFECTS:
+        return np.inf
+    point = to_point(EFFECTS[found.name], {k: one.value for k, one in found.parameters.items()})
+    return max(
+        abs(value - KEYS[key].absent) / KEYS[key].worth
+        for key, value in point.items()
+        if KEYS[key].parameter.kind == "size"
+    )
 
 
 def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
@@ -380,7 +392,7 @@ def _found_line(found: DiscrepancyReport) -> str:
     told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
     told += f" noise before and {after:.2f} times after"
     if hardly:
-        told += f"; {', '.join(hardly)} would hardly improve them: not named"
+        told += f"; {', '.join(hardly)} too small to be named"
     for name, others in open_ones.items():
         told += f"; {name} could also be {', '.join(others)}"
     return told

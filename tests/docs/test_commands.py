@@ -53,7 +53,8 @@ ELSEWHERE = {
     "make soak": ("a quarter of an hour", "bench/soak.py", "--hours"),
     "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
     "make demo": ("three minutes", ".ci/run", "make -s demo"),
-    "groundstation demo": ("three minutes", ".ci/run", "make -s demo"),
+    "groundstation learn": ("minutes", "tests/learn/test_learn.py", '"learn"'),
+    "groundstation plan": ("flies a model for 90 s", "tests/learn/test_plan.py", '"plan"'),
     "groundstation compare flight.mcap --model body.json --marked": (
         *("a flight that a twin watched", "tests/discrepancy/test_commands.py", '"--marked"'),
     ),
@@ -62,7 +63,7 @@ ELSEWHERE = {
     ),
     "groundstation page": ("a daemon with a page", "tests/page/test_browser.py", '"page"'),
     "groundstation motors": ("a craft to command", "tests/system/test_pid_fly.py", 'told("stop")'),
-    "sh demo-1/commands.sh": ("after the demo", "tests/demo/test_shell.py", "can_be_run_again"),
+    "sh learnt/commands.sh": ("after it", "tests/test_shell.py", "can_be_run_again"),
     # one axis and one search are in the story
     "groundstation pid design": ("20 s", "tests/cli/test_pid.py", '"design"'),
     "groundstation discrepancy": ("10 s", "tests/discrepancy/test_commands.py", "--validate"),
