@@ -10,8 +10,10 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from groundstation.control.design import RMS, SENSITIVITY
+from groundstation.control.design import Limits as DesignLimits
 from groundstation.control.design_report import firmware_page, firmware_report
-from groundstation.control.firmware_design import cascade_limits, design_cascade
+from groundstation.control.firmware_design import AxisDesign, cascade_limits, design_cascade
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.pid import AXES
@@ -283,7 +285,8 @@ class Learner:
         self._tell("gains", lambda: what)
 
     def _design(self, model: str) -> dict[str, float]:
-        """As ``pid design``, with fewer candidates. Raises BadInputError where there are none."""
+        """As ``pid design``, with fewer candidates, and of those on its front that keep the limits
+        the ones that miss a step the least. Raises BadInputError where there are none."""
         if not (self.folder / GAINS).exists():
             self._say("designing gains for the model that was found")
             loaded = load_model(str(self.folder / model))
@@ -294,7 +297,7 @@ class Learner:
             page = self.folder / DESIGN
             page.unlink(missing_ok=True)
             firmware_page(loaded, model, designs, None, report).write(page)
-            found = {key: value for one in designs for key, value in one.gains.items()}
+            found = {k: v for one in designs for k, v in followers(one, limits).items()}
             (self.folder / GAINS).write_text(gains_text(found, release), encoding="utf-8")
         gains = load_gains(self.folder / GAINS)
         return {name: value for name, value in gains.items() if isinstance(value, float)}
@@ -340,6 +343,16 @@ class Learner:
             )
         )
         return f"{told}; the next flights are for what this model lacks, and for the proof"
+
+
+def followers(design: AxisDesign, limits: DesignLimits) -> dict[str, float]:
+    """Of an axis's front, within the limits, the gains with the least RMS of a step."""
+    front, gains = design.design.front, design.design.front_gains
+    kept = np.flatnonzero(front[:, SENSITIVITY] <= limits.sensitivity)
+    best = min(kept, key=lambda row: front[row, RMS], default=None)
+    if best is None or front[best, RMS] >= design.design.judgement[RMS]:
+        return design.gains
+    return {name: float(f"{v:.4g}") for name, v in zip(design.gains, gains[best], strict=True)}
 
 
 def read_found(path: Path) -> DiscrepancyReport:
