@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
+from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 
@@ -63,6 +64,7 @@ def learn(
     from groundstation.learn.journal import Journal, journal_in
     from groundstation.shell import Shell
 
+    own_terminal()
     limits = _limits(height, space)
     journal = journal_in(output)
     if hide is not None and not link.startswith(SOFTWARE):

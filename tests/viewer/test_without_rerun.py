@@ -25,9 +25,8 @@ def without_rerun(*arguments, cwd):
         ("convert", FLIGHT, "flight.rrd"),
         ("inspect", "live.rrd"),
         ("fit", "body", FLIGHT, "-o", "body.json", "--rerun", "body.rrd"),
-        ("demo",),
     ],
-    ids=["live view", "convert", "inspect", "fit --rerun", "demo"],
+    ids=["live view", "convert", "inspect", "fit --rerun"],
 )
 def test_what_needs_rerun_names_the_extra(arguments, tmp_path):
     (tmp_path / "live.rrd").write_bytes(b"RRF2" + bytes(64))
