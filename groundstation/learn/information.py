@@ -80,10 +80,10 @@ def information_of(
     spread = dict(known or {})
     doubts = [_doubt(key, point, spread) for key in keys]
     prior = np.diag([0.0 if doubt is None else doubt**-2 for doubt in doubts])
-    for names, _, weight in problem.prior:
-        if set(names) <= set(keys):
-            at = linear.place(names)
-            prior[np.ix_(at, at)] += weight
+    for one in problem.prior:
+        if set(one.keys) <= set(keys):
+            at = linear.place(one.keys)
+            prior[np.ix_(at, at)] += one.at(point)[0]
     scale = np.array([_scale(key, point) for key in keys])
     _require_definite(prior, scale)
     return Information(keys, prior, parts)
