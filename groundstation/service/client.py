@@ -79,8 +79,9 @@ class Client:
         with _explained(self._path):
             try:
                 self._connection.request(method, route, content, headers)
-                response = self._connection.getresponse()
-                answer = response.read()
+                # closed here: what its finaliser raises, Ctrl-C too, Python would drop silently
+                with self._connection.getresponse() as response:
+                    answer = response.read()
                 if response.status == 200:
                     return json.loads(answer)
             except BaseException:

@@ -95,7 +95,8 @@ def test_viewers_that_sleep_are_dropped_and_told_and_nobody_waits(sleepers, capf
 
     reads, said = asyncio.run(session())
     assert reads > 10, "the others read on while it sleeps"
-    assert "a viewer was dropped: it took nothing" in said
+    # told by the clock or by what waits for it, whichever comes first
+    assert "a viewer was dropped: it took nothing" in said or "it is too slow" in said
 
 
 @pytest.mark.parametrize(

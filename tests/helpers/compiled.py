@@ -15,6 +15,7 @@ RECORDINGS = Path(__file__).parents[2] / "recordings"
 def craft():
     """The software craft, the decoder and what reads its motor bench and its attitude."""
     import numpy as np
+    from stand_in_bench import fly, plant, slopes
 
     from firmware_sim.craft import StandIn, StandInSettings
     from groundstation import (
@@ -36,6 +37,8 @@ def craft():
         if settings.program == "motor_bench":
             vehicle = load_vehicle("crazyflie1")
             identify_motor(runs_of(samples, "bench"), [], vehicle_model(vehicle), vehicle)
+    fly(*plant(), 0.01)
+    slopes(*plant())
     kalman(samples.time_s, samples.gyro, samples.accelerometer)
     complementary(samples.time_s, samples.gyro, samples.accelerometer)
 

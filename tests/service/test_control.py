@@ -4,12 +4,13 @@ import os
 import socket
 import stat
 import threading
+from http.client import HTTPResponse
 
 import pytest
 import served_station
 
 from groundstation.errors import GroundStationError, TakenError
-from groundstation.service.client import ask
+from groundstation.service.client import Client, ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.control_socket import ControlSocket
 
@@ -157,3 +158,20 @@ def test_without_a_daemon_the_asker_is_told_how_to_start_one(path):
         left.bind(str(path))
     with pytest.raises(GroundStationError, match="no groundstation is running"):
         ask(path, "GET", "/status")
+
+
+def test_ctrl_c_that_comes_while_an_answer_is_closed_is_not_dropped(serve, path, monkeypatch):
+    """Python drops what a stream's finaliser raises: a motor bench would not hear it."""
+
+    def interrupted(response):
+        monkeypatch.undo()
+        raise KeyboardInterrupt
+
+    def conversation():
+        with Client(path) as client:
+            client.ask("GET", "/status")
+            monkeypatch.setattr(HTTPResponse, "close", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                client.ask("GET", "/status")
+
+    serve(conversation)
