@@ -9,7 +9,8 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-OWN = "groundstation"
+from groundstation import __version__
+
 LIBRARIES = ("numpy", "scipy", "numba", "control", "matplotlib")
 """Whose numbers and figures are in reports."""
 
@@ -23,7 +24,7 @@ def provenance() -> dict[str, str]:
         "command": command,
         "with": ", ".join(
             [
-                f"{OWN} {_version(OWN)}",
+                f"groundstation {__version__}",
                 f"Python {platform.python_version()}",
                 *(f"{name} {_version(name)}" for name in LIBRARIES),
             ]

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from groundstation import __version__
 from groundstation.errors import BadInputError
 from groundstation.report.figure import figure, png, svg, thinned
 from groundstation.report.page import Page
@@ -51,6 +52,7 @@ def test_a_page_needs_no_other_file_and_escapes_what_it_is_given(tmp_path):
     assert "<footer>" in text
     assert re.search(r"<dt>made</dt><dd>\d{4}-\d\d-\d\d ", text)
     assert re.search(r"<dt>command</dt><dd>\S", text)
+    assert f"groundstation {__version__}" in text
     assert f"numpy {np.__version__}" in text
     assert 'href="a&quot;b.mcap"' in text
     outside = re.findall(r'(?:src|href)="(?!#|a&quot;b)([^"]+)"', text)
