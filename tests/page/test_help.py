@@ -49,8 +49,15 @@ def test_the_site_is_read_and_searched_and_asks_no_other_host(site, visit):
         page.get_by_role("link", name="Effects").first.click()
         page.wait_for_url("**/reference/effects.html")
         page.locator("h2#rotor_drag").wait_for()
-        page.get_by_role("textbox", name="Search").fill("recover")
-        page.locator(".md-search-result__link").first.wait_for()
+        search, found = page.get_by_role("textbox", name="Search"), ".md-search-result__link"
+
+        def typed_and_found():
+            search.fill("")  # again, for the page may not listen yet
+            search.fill("recover")
+            page.wait_for_timeout(1000)
+            return page.locator(found).first.is_visible()
+
+        until(typed_and_found, "what was searched for", 120)
 
 
 def test_every_reference_page_has_what_the_code_has(site):

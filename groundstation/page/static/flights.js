@@ -80,7 +80,7 @@ function update(row, one) {
   for (const [place, text] of Object.entries(texts)) {
     if (row.cells[place].textContent !== text) row.cells[place].textContent = text;
   }
-  if (!records && !row.cells[2].firstChild) row.cells[2].append(picture(one));
+  if (!records && !row.cells[2].firstElementChild) row.cells[2].append(picture(one));
 }
 
 const LOADING_MOST = 2; // of the six requests that a browser has for all its pages, Stop among them
