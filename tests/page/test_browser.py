@@ -220,7 +220,7 @@ def test_a_moment_is_marked_the_recording_stopped_and_found(flying, visit):
 
 def test_a_refusal_is_shown_in_the_words_of_the_daemon(flying, visit):
     page = visit(flying.address())
-    page.get_by_label("Receive from").fill("replay:../../etc/passwd")
+    page.get_by_label("Receive from", exact=True).fill("replay:../../etc/passwd")
     page.get_by_role("button", name="Switch link").click()
     expect(page.locator("#said")).to_contain_text("is not in the recordings folder")
     expect(page.locator("#link")).to_have_text("stand-in: streaming")
@@ -369,7 +369,7 @@ def fitted_model_flies_and_watches(page):
     model.get_by_role("button", name="Watch no more").click()
     page.get_by_role("link", name="Now", exact=True).click()
     expect(page.locator("#doing")).to_have_text("it flies, with battery 1")
-    page.get_by_label("Receive from").fill("stand-in")
+    page.get_by_label("Receive from", exact=True).fill("stand-in")
     page.get_by_role("button", name="Switch link").click()
     expect(page.locator("#link")).to_have_text("stand-in: streaming")
 
@@ -436,7 +436,7 @@ def test_text_can_be_read_in_both_themes(flying, visit, theme):
     """Contrast of at least 4.5:1 between each text and what lies behind it."""
     page = visit(flying.address(), color_scheme=theme)
     expect(page.locator("#live")).to_have_text("live")
-    page.get_by_label("Receive from").focus()
+    page.get_by_label("Receive from", exact=True).focus()
     found = json.loads(page.evaluate(CONTRASTS))
     assert len(found) > 30
     poor = [one for one in found if one["ratio"] < 4.5]
