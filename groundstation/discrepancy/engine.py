@@ -15,6 +15,7 @@ from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import base_changes
 from groundstation.discrepancy.division import divide
+from groundstation.discrepancy.evidence import by_parts, separated
 from groundstation.discrepancy.findings import (
     Alternative,
     Candidate,
@@ -54,7 +55,7 @@ from groundstation.identification.likelihood.parameters import (
     point_of,
 )
 from groundstation.identification.likelihood.prior import Prior, body_prior
-from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
+from groundstation.identification.likelihood.problem import BASE_KEYS, Fit, Problem
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
 
@@ -292,7 +293,8 @@ def _findings(
     warnings: list[str],
 ) -> Findings:
     final, residual = outcome.final, outcome.residual
-    errors = outcome.errors = with_differences(outcome.errors, final.point, outcome.accepted)
+    at_the_end = _by_flights(problem, final, outcome.accepted)
+    errors = outcome.errors = with_differences(outcome.errors, final.point, at_the_end)
     keys = given = tuple(key for v in known for key in v.keys)
     effects: list[FoundEffect] = []
     # measured rotor speeds know what the controller did within a row
@@ -339,6 +341,17 @@ def _findings(
         residual=residual,
         warnings=tuple(warnings),
     )
+
+
+def _by_flights(problem: Problem, final: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
+    """What each flight tells of the sizes beside the noise and the trims of the last fit, which are
+    others than those that an effect joined by."""
+    linear = problem.linear(final.point, final.keys, problem.flights)
+    parts = [by_parts(problem, separated(problem, linear, one.variant))[1] for one in accepted]
+    return [
+        replace(one, evidence=replace(one.evidence, parts=own))
+        for one, own in zip(accepted, parts, strict=True)
+    ]
 
 
 def with_differences(

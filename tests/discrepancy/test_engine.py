@@ -92,10 +92,10 @@ def test_a_lasting_moment_without_a_name_bends_no_gain():
         assert fit.point[constant] == pytest.approx(problem.start[constant], rel=0.02)
 
 
-def test_two_flights_tell_a_centre_of_gravity_to_a_tenth_of_a_millimetre():
+def test_flights_that_agree_tell_a_centre_of_gravity_to_a_few_micrometres():
     (effect,) = searched_alone("centre_of_gravity_offset").effects
     for estimate in effect.parameters.values():
-        assert estimate.stderr < 1e-4
+        assert estimate.stderr < 5e-6
 
 
 def test_a_change_of_a_constant_stands_only_where_its_own_axis_confirms_it():
