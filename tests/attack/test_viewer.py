@@ -77,6 +77,7 @@ def stalled(port):
 @pytest.mark.parametrize("sleepers", [1, 20])
 def test_viewers_that_sleep_are_dropped_and_told_and_nobody_waits(sleepers, capfd, monkeypatch):
     monkeypatch.setattr(relay, "STALL_S", 1.0)
+    monkeypatch.setattr(relay, "WAITING_MOST", 1 << 40)  # the clock tells, not what waits
 
     async def session():
         async with relayed() as (port, _):
@@ -95,8 +96,7 @@ def test_viewers_that_sleep_are_dropped_and_told_and_nobody_waits(sleepers, capf
 
     reads, said = asyncio.run(session())
     assert reads > 10, "the others read on while it sleeps"
-    # told by the clock or by what waits for it, whichever comes first
-    assert "a viewer was dropped: it took nothing" in said or "it is too slow" in said
+    assert "a viewer was dropped: it took nothing" in said
 
 
 @pytest.mark.parametrize(

@@ -255,6 +255,7 @@ def test_a_killed_page_is_begun_anew_under_an_open_browser(flying, visit):
     expect(page.locator("#said")).to_have_text("Marked: after the restart")
     after = flying.status()
     assert after["recording"]["dropped"] == before["recording"]["dropped"] == 0
+    assert after["link"]["lost"] == before["link"]["lost"]
     until(lambda: not psutil.pid_exists(old.pid), "the old one is gone")
 
 
