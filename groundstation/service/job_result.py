@@ -13,7 +13,6 @@ from groundstation.documents import read_document
 from groundstation.text import printable
 
 _VERDICT = re.compile(r"verdict\s+(.*)")
-_ADVISED = re.compile(r"--with ([a-z_]+(?:,[a-z_]+)*)")
 
 
 class Advice(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,10 +40,13 @@ def result(kind: str, model: Path | None, lines: Sequence[str]) -> str:
 
 def advice(model: Path | None) -> Advice:
     """What the fit of a body advised; nothing where there is no such model."""
-    warnings = _mapping(_mapping(_read(model), "fit"), "body").get("warnings")
-    text = "\n".join(map(str, warnings)) if isinstance(warnings, list) else ""
-    effects = {name for found in _ADVISED.findall(text) for name in found.split(",")}
-    return Advice(effects=sorted(effects), measured_rotors="--measured-rotors" in text)
+    account = _mapping(_mapping(_read(model), "fit"), "body")
+    left_out, warnings = (
+        list(map(str, found)) if isinstance(found := account.get(key), list) else []
+        for key in ("left_out", "warnings")
+    )
+    measured = any("--measured-rotors" in text for text in warnings)
+    return Advice(effects=sorted(left_out), measured_rotors=measured)
 
 
 def _constants(document: Mapping[str, Any]) -> str:

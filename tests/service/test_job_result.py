@@ -37,11 +37,8 @@ def test_an_inspection_is_told_by_its_verdict_and_others_by_what_they_said():
     assert result("fit", None, []) == ""
 
 
-def test_what_a_fit_advises_is_read_from_its_warnings(tmp_path):
-    warnings = [
-        "the data clearly show rotor_drag; fit it along: --with rotor_drag,supply_sag",
-        "give --measured-rotors",
-    ]
-    found = advice(model(tmp_path, fit={"body": {"warnings": warnings}}))
+def test_what_a_fit_advises_is_read_from_what_it_left_out_and_warns_of(tmp_path):
+    account = {"left_out": ["supply_sag", "rotor_drag"], "warnings": ["give --measured-rotors"]}
+    found = advice(model(tmp_path, fit={"body": account}))
     assert (found.effects, found.measured_rotors) == (["rotor_drag", "supply_sag"], True)
     assert advice(None).effects == []
