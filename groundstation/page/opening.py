@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import shutil
-import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.commands import limit_memory, own_environment, run_command
+from groundstation.service.commands import own_program, run_command, run_program
 from groundstation.text import printable
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "recordings"
@@ -32,26 +30,12 @@ def examples() -> list[str]:
 
 async def channels(path: Path) -> bytes:
     """A recording's channels (``series.py``). Raises GroundStationError, in a reader's words."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), "1"),
-        *(sys.executable, "-m", "groundstation.page.series", str(path)),
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        env=own_environment(),
-    )
-    limit_memory(process.pid)
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            out, err = await process.communicate()
-    except TimeoutError as error:
-        raise GroundStationError(f"{path.name}: not read within {PATIENCE_S:g} s") from error
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            process.kill()
-    if process.returncode:
-        said = err.decode(errors="replace").strip().splitlines()
-        raise GroundStationError(said[-1] if said else f"{path.name}: could not be read")
+    words = own_program("-m", "groundstation.page.series", str(path), niceness=1)
+    status, out, said = await run_program(words, path.name, PATIENCE_S, bounded=True)
+    if status:
+        raise GroundStationError(
+            said.splitlines()[-1] if said else f"{path.name}: could not be read"
+        )
     return out
 
 

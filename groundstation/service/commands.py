@@ -7,6 +7,7 @@ import contextlib
 import os
 import resource
 import sys
+from collections.abc import Sequence
 
 from groundstation.errors import GroundStationError
 
@@ -15,13 +16,19 @@ MEMORY_SHARE = 0.5
 """Of this machine's memory, for one process of ours beside the recorder."""
 
 
-def own_command(*arguments: str, niceness: int = 5) -> tuple[str, ...]:
-    """What starts one of our commands so that it ends with this process. niceness: beyond ours."""
+def own_program(*words: str, niceness: int = 5) -> tuple[str, ...]:
+    """What starts Python with ``words`` so that it ends with this process. niceness: beyond
+    ours."""
     return (
         *(sys.executable, "-m", "groundstation.viewer.leash", str(os.getpid()), str(niceness)),
-        *(sys.executable, "-c", "from groundstation.cli.main import main; main()"),
-        *arguments,
+        *(sys.executable, *words),
     )
+
+
+def own_command(*arguments: str, niceness: int = 5) -> tuple[str, ...]:
+    """The same with one of our commands."""
+    main = "from groundstation.cli.main import main; main()"
+    return own_program("-c", main, *arguments, niceness=niceness)
 
 
 def own_environment() -> dict[str, str]:
@@ -43,18 +50,28 @@ async def run_command(*arguments: str, patience_s: float = PATIENCE_S) -> tuple[
 
     Raises GroundStationError where it does not end in time.
     """
+    return await run_program(own_command(*arguments), arguments[0], patience_s)
+
+
+async def run_program(
+    words: Sequence[str], name: str, patience_s: float, *, bounded: bool = False
+) -> tuple[int, bytes, str]:
+    """The same of any program of ours. name: what it is called where it is late. bounded: to its
+    share of the memory (``limit_memory``)."""
     process = await asyncio.create_subprocess_exec(
-        *own_command(*arguments),
+        *words,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
         env=own_environment(),
     )
+    if bounded:
+        limit_memory(process.pid)
     try:
         async with asyncio.timeout(patience_s):
             out, err = await process.communicate()
     except TimeoutError as error:
-        raise GroundStationError(f"{arguments[0]}: no answer within {patience_s:g} s") from error
+        raise GroundStationError(f"{name}: no answer within {patience_s:g} s") from error
     finally:
         with contextlib.suppress(ProcessLookupError):
             process.kill()
