@@ -1,7 +1,7 @@
 // Channels over time: a plot for each group, on one time axis, with one cursor.
 
 import uPlot from "./uplot/uPlot-1.6.32.js";
-import { element, reconcile } from "./dom.js";
+import { element, pressable, reconcile, writeIn } from "./dom.js";
 import { firstFrom } from "./store.js";
 
 const AXIS = 58, POINTS_MOST = 2500;
@@ -9,19 +9,11 @@ const SPAN_LEAST = { "°": 2, "°/s": 5, "%": 2, "m/s²": 1, V: 0.1 };
 const COLORS = 6;
 const height = () => Math.max(120, Math.min(190, (innerHeight - 370) / 3)); // three are seen at once
 const dark = matchMedia("(prefers-color-scheme: dark)");
-let theme = null;
-dark.addEventListener("change", () => { theme = null; });
+let colors = {}; // as the theme has them
+dark.addEventListener("change", () => { colors = {}; });
 
-function color(name) {
-  if (!theme) {
-    const style = getComputedStyle(document.documentElement);
-    theme = (one) => style.getPropertyValue(one).trim();
-    const kept = {};
-    const look = theme;
-    theme = (one) => (kept[one] ??= look(one));
-  }
-  return theme(name);
-}
+const color = (name) => (colors[name] ??=
+  getComputedStyle(document.documentElement).getPropertyValue(name).trim());
 
 export class Charts {
   /** host: is given the plots. view: of the time axis. shown: groups that are shown at first.
@@ -105,17 +97,15 @@ export class Charts {
     body.setAttribute("aria-label", `${group.group} over time`);
     figure.append(caption, body);
     const legend = group.channels.map((channel, place) => {
-      const made = element("button", `key s${place % COLORS}`);
-      made.type = "button";
-      made.title = "show or hide";
-      const value = element("span", "value");
-      made.append(`${channel.name} `, value);
-      made.setAttribute("aria-pressed", String(!this.hidden.has(channel.id)));
-      made.addEventListener("click", () => {
+      const made = pressable(`key s${place % COLORS}`, "", () => {
         const on = this.hidden.delete(channel.id) || !this.hidden.add(channel.id);
         made.setAttribute("aria-pressed", String(on));
         plot.setSeries(place + 1, { show: on });
       });
+      made.title = "show or hide";
+      const value = element("span", "value");
+      made.append(`${channel.name} `, value);
+      made.setAttribute("aria-pressed", String(!this.hidden.has(channel.id)));
       return { made, value };
     });
     caption.append(...legend.map((one) => one.made));
@@ -200,7 +190,7 @@ export class Charts {
       const found = plot.data[series + 1]?.[place ?? times.length - 1];
       const digits = group.unit === "V" || !group.unit ? 3 : 1;
       const text = found === null || found === undefined ? "–" : found.toFixed(digits);
-      if (value.textContent !== text) value.textContent = text;
+      writeIn(value, text);
     });
   }
 

@@ -3,10 +3,15 @@
 const ASK_MS = 2000;
 export const at = (id) => document.getElementById(id);
 
-export function write(id, text) {
-  const one = at(id);
+/** Only where it changes: what is the same is not read out again. */
+export function writeIn(one, text) {
   if (one.textContent !== text) one.textContent = text;
 }
+
+export const write = (id, text) => writeIn(at(id), text);
+
+export const fixed = (value, digits, unit) =>
+  value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
 
 export function element(kind, style = "", text = "") {
   const made = document.createElement(kind);
@@ -15,12 +20,18 @@ export function element(kind, style = "", text = "") {
   return made;
 }
 
+/** A button that says by its own words what it does. */
+export function pressable(style, text, work) {
+  const made = element("button", style, text);
+  made.type = "button";
+  made.addEventListener("click", work);
+  return made;
+}
+
 /** of: what it acts on, for those who hear the page. */
 export function button(text, of, work) {
-  const made = element("button", "", text);
-  made.type = "button";
+  const made = pressable("", text, work);
   made.setAttribute("aria-label", `${text}: ${of}`);
-  made.addEventListener("click", work);
   return made;
 }
 

@@ -1,13 +1,13 @@
 // The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
-import { at, button, element, link, reconcile, watch, write } from "./dom.js";
+import { change } from "./change.js";
+import { at, button, element, link, reconcile, watch, write, writeIn } from "./dom.js";
 import { openRecording } from "./opened.js";
 import { begunAt } from "./status.js";
 
 const WORDS = { finished: "complete", torn: "torn: see recover", recording: "being recorded" };
 
-/** change: asks for an operation of the control API; what it answered, or null. */
-export function watchFlights(change) {
+export function watchFlights() {
   watch("flights", "recordings", show);
   for (const work of document.querySelectorAll("#work button[data-kind]")) {
     work.addEventListener("click", async () => {
@@ -78,7 +78,7 @@ function update(row, one) {
     4: long === null ? "" : `${long.toFixed(1)} s`, 5: one.link ?? "",
     6: `${(one.bytes / 1e6).toFixed(1)} MB`, 7: WORDS[one.state] ?? one.state };
   for (const [place, text] of Object.entries(texts)) {
-    if (row.cells[place].textContent !== text) row.cells[place].textContent = text;
+    writeIn(row.cells[place], text);
   }
   if (!records && !row.cells[2].firstElementChild) row.cells[2].append(picture(one));
 }

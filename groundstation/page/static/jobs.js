@@ -1,11 +1,11 @@
 // Work on recordings: how far it is, and what came of it.
 
+import { change } from "./change.js";
 import { at, button, element, link, reconcile, watch } from "./dom.js";
 
-/** change: asks for an operation of the control API; what it answered, or null. */
-export function watchJobs(change) {
+export function watchJobs() {
   watch("flights", "jobs", (jobs) => {
-    reconcile(at("jobs"), jobs.toReversed(), (one) => one.id, (one) => make(one, change), update);
+    reconcile(at("jobs"), jobs.toReversed(), (one) => one.id, make, update);
     const models = jobs.filter((one) => one.model_file).map((one) => one.id).toReversed();
     const option = (one) => new Option(one || "the vehicle's profile", one);
     reconcile(at("model"), [...models, "thesis"], (one) => one, option, () => {});
@@ -16,7 +16,7 @@ export function watchJobs(change) {
   }, 1000);
 }
 
-function make(job, change) {
+function make(job) {
   const row = element("tr");
   const state = element("td"), word = element("span"), bar = element("progress");
   bar.setAttribute("aria-label", `How far ${job.id} is`);
@@ -45,13 +45,13 @@ function make(job, change) {
     see.push(link(`file/log/${name}`, "Log", job.id));
     if (now === "waiting" || now === "running") see.push(cancel);
     reconcile(links, see, (one) => one.textContent, (one) => one, () => {});
-    again.replaceChildren(...advised(row.job, advice, change));
+    again.replaceChildren(...advised(row.job, advice));
   };
   return row;
 }
 
 /** What a fit advises, and the button that does it. */
-function advised(job, { effects, measured_rotors: measured }, change) {
+function advised(job, { effects, measured_rotors: measured }) {
   if (!effects.length && !measured) return [];
   const what = [...effects.map((one) => one.replaceAll("_", " ")), ...(measured ? ["recorded rotor speeds"] : [])];
   const made = button("Fit again with these", job.id, () => change("/jobs/start", {

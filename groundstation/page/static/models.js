@@ -1,20 +1,20 @@
 // The models that jobs have made: their numbers, and what can be done with them.
 
+import { change } from "./change.js";
 import { at, button as action, element, link, watch } from "./dom.js";
 
-/** change: asks for an operation of the control API; what it answered, or null. */
-export function watchModels(change) {
-  watch("models", "models", (found) => show(found, change));
+export function watchModels() {
+  watch("models", "models", show);
 }
 
-function show(found, change) {
+function show(found) {
   const open = new Set([...document.querySelectorAll("#models details[open]")]
     .map((one) => one.dataset.model));
-  const cards = found.models.toReversed().map((one) => card(one, found, open.has(one.id), change));
+  const cards = found.models.toReversed().map((one) => card(one, found, open.has(one.id)));
   at("models").replaceChildren(...cards);
 }
 
-function card(one, { flown, watching }, open, change) {
+function card(one, { flown, watching }, open) {
   const made = element("section", "card wide model");
   const title = element("h2", "", one.id === "thesis" ? "thesis (built in)" : one.id);
   title.id = `model-${one.id}`;

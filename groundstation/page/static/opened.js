@@ -3,7 +3,7 @@
 import { send } from "./change.js";
 import { Charts } from "./charts.js";
 import { CraftView } from "./craft.js";
-import { at, element, write } from "./dom.js";
+import { at, element, pressable, write } from "./dom.js";
 import { poseAt } from "./pose.js";
 import { Store } from "./store.js";
 import { View, viewTools } from "./view.js";
@@ -18,7 +18,7 @@ const clockText = (time, step) => time.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 :
 
 export function watchOpened() {
   at("open-file").addEventListener("change", () => {
-    if (at("open-file").files[0]) add(at("open-file").files[0]);
+    if (at("open-file").files[0]) addFile(at("open-file").files[0]);
     at("open-file").value = "";
   });
   document.addEventListener("dragover", (event) => {
@@ -29,7 +29,7 @@ export function watchOpened() {
     if (!dropped) return;
     event.preventDefault();
     location.hash = "#opened";
-    add(dropped);
+    addFile(dropped);
   });
   at("scrubber").addEventListener("input", () => seek(Number(at("scrubber").value)));
   at("play").addEventListener("click", () => (playing ? pause() : play()));
@@ -41,23 +41,16 @@ async function offerExamples() {
   if (location.hash !== "#opened" || at("examples").firstChild) return;
   const answer = await fetch("examples");
   const names = answer.ok ? await answer.json() : [];
-  at("examples").replaceChildren(...names.map((name) => {
-    const made = element("button", "quiet", name);
-    made.type = "button";
-    made.addEventListener("click", async () => {
-      at("opened-state").textContent = `Reading ${name}…`;
-      const found = await send(`add/example/${encodeURIComponent(name)}`, null, "text/plain", null);
-      if (found) openRecording(found.file);
-      else at("opened-state").textContent = at("said").textContent;
-    });
-    return made;
-  }));
+  at("examples").replaceChildren(...names.map((name) =>
+    pressable("quiet", name, () => add("example", name, null, "text/plain"))));
   at("examples-part").hidden = !names.length;
 }
 
-async function add(dropped) {
-  at("opened-state").textContent = `Reading ${dropped.name}…`;
-  const found = await send(`add/file/${encodeURIComponent(dropped.name)}`, dropped, "application/octet-stream", null);
+const addFile = (file) => add("file", file.name, file, "application/octet-stream");
+
+async function add(kind, name, content, type) {
+  at("opened-state").textContent = `Reading ${name}…`;
+  const found = await send(`add/${kind}/${encodeURIComponent(name)}`, content, type, null);
   if (found) openRecording(found.file);
   else at("opened-state").textContent = at("said").textContent;
 }
@@ -117,10 +110,9 @@ function begin() {
 
 function showEvents(events) {
   at("opened-events").replaceChildren(...events.map(({ time_s: time, text }) => {
-    const item = element("li"), made = element("button", "quiet", `${time.toFixed(1)} s`);
-    made.type = "button";
-    made.addEventListener("click", () => seek(Math.max(0, Math.min(endS, time))));
-    item.append(made, ` ${text}`);
+    const item = element("li");
+    item.append(pressable("quiet", `${time.toFixed(1)} s`,
+      () => seek(Math.max(0, Math.min(endS, time)))), ` ${text}`);
     return item;
   }));
 }

@@ -5,7 +5,7 @@ import { showAlarms } from "./alarms.js";
 import { change } from "./change.js";
 import { Charts } from "./charts.js";
 import { CraftView } from "./craft.js";
-import { at, button, reconcile, write } from "./dom.js";
+import { at, button, fixed, reconcile, write } from "./dom.js";
 import { watchFlights } from "./flights.js";
 import { watchJobs } from "./jobs.js";
 import { watchModels } from "./models.js";
@@ -13,14 +13,13 @@ import { watchMotors } from "./motors.js";
 import { watchOpened } from "./opened.js";
 import { watchParameters } from "./parameters.js";
 import { poseAt } from "./pose.js";
-import { clockText, showEvents, showStatus } from "./status.js";
+import { clockText, LIVE_S, showEvents, showStatus } from "./status.js";
 import { Store } from "./store.js";
 import { View, viewTools } from "./view.js";
 
 const ASK_MS = 100; // ten times a second
 const HIDDEN_MS = 1000;
 const PATIENCE_MS = 10000;
-const LIVE_S = 1.0; // what is older is said to be behind
 const DRAW_MS = 150; // plots; the craft is drawn more often
 const SCAN_MS = 30000;
 const SHOWN_AFTER_S = 0.2; // the craft is drawn where it was then: rows come ten times a second
@@ -85,9 +84,6 @@ function take(found, askedMs) {
   store.add(found.tables);
   showNewest();
 }
-
-const fixed = (value, digits, unit) =>
-  value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
 
 function showNewest() {
   const newest = store.newest();
@@ -192,9 +188,9 @@ watchMotors();
 ask();
 draw();
 setTimeout(scan, 3000);
-watchFlights(change);
-watchJobs(change);
-watchModels(change);
+watchFlights();
+watchJobs();
+watchModels();
 watchOpened();
 watchParameters();
 window.frames_drawn = () => craft.frames; // for who measures

@@ -1,7 +1,7 @@
 // The craft's parameters: read, searched, changed after a question, and put back.
 
 import { confirmed, send } from "./change.js";
-import { at, element, reconcile, write } from "./dom.js";
+import { at, element, reconcile, write, writeIn } from "./dom.js";
 
 const SHOWN_MOST = 150;
 let values = null; // by name, as the craft last said
@@ -70,7 +70,7 @@ function make(name) {
 function update(row, name) {
   const now = digits(values[name]), before = digits(first.get(name));
   const text = now === before ? now : `${now} (was ${before})`;
-  if (row.cells[1].textContent !== text) row.cells[1].textContent = text;
+  writeIn(row.cells[1], text);
 }
 
 async function change(wanted) {

@@ -1,13 +1,11 @@
 // What the daemon is doing, once a second.
 
-import { at, element, write } from "./dom.js";
+import { at, element, fixed, write } from "./dom.js";
 import { showMotors } from "./motors.js";
 
-const LIVE_S = 1.0;
+export const LIVE_S = 1.0; // what is older is said to be behind
 let recordingRate = null;
 
-const fixed = (value, digits, unit) =>
-  value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
 const spell = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
 
 /** A Unix time in s on a time axis whose steps are that fine. */

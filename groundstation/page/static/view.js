@@ -1,6 +1,6 @@
 // Which seconds are looked at: the last ones, as they come, or some that were chosen.
 
-import { at, element, write } from "./dom.js";
+import { element, pressable } from "./dom.js";
 
 const LEAST_S = 0.05;
 
@@ -46,11 +46,9 @@ export class View {
 /** Buttons for a view. live: whether it goes on by itself; charts: that show it. */
 export function viewTools(host, view, charts, { live }) {
   const tool = (text, name, work) => {
-    const made = element("button", "quiet", text);
-    made.type = "button";
+    const made = pressable("quiet", text, work);
     made.setAttribute("aria-label", name);
     made.title = name;
-    made.addEventListener("click", work);
     host.append(made);
     return made;
   };
