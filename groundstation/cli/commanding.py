@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from groundstation.cli.terminal import require_yes, say
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.motor_stop import BY_OPERATOR
 
@@ -75,6 +75,16 @@ def require_ready(pilot: Pilot, *, needs_battery: bool) -> dict[str, Any]:
             f"battery at {battery} V, {LEAST_REST_V} V at rest is the least; charge it"
         )
     return dict(telemetry)
+
+
+def require_height(pilot: Pilot, what: str = "") -> None:
+    """Raises BadInputError for a craft that does not hold a height that it is told. what: asks for
+    that, as the sentence's beginning."""
+    if not pilot.lease["holds_height"]:
+        raise BadInputError(
+            f"{what}{pilot.lease['uri']} holds no height by itself; it needs today's firmware and a"
+            " Flow or Z-ranger deck, or a positioning system that has told it where it is"
+        )
 
 
 @contextlib.contextmanager

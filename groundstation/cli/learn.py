@@ -11,7 +11,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
 from groundstation.cli.progress import own_terminal
-from groundstation.cli.terminal import show, show_json
+from groundstation.cli.terminal import require_yes, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 
 if TYPE_CHECKING:
@@ -215,8 +215,8 @@ def _preflight(pilot: Place, journal: Journal, limits: Limits, yes: bool, told: 
         f" {journal.task.batteries} batteries; Ctrl-C stops the motors"
     )
     real = not pilot.is_software and not says["craft"].startswith("udp://")
-    if real and not yes and not typer.confirm("clear of people, ready to fly?"):
-        raise BadInputError("not flown")
+    if real and not yes:
+        require_yes("clear of people, ready to fly?", "not flown")
 
 
 def _learn(journal: Journal, shell: Shell, pilot: Place, told: Told) -> None:

@@ -15,13 +15,16 @@ from groundstation.cli.commanding import (
     begin_recording,
     end_recording,
     patient,
+    require_height,
     require_ready,
 )
-from groundstation.cli.left_changed import also_written, forget_changes, note_changes
+from groundstation.cli.craft_parameters import put_back, why_aborted, write_parameters
+from groundstation.cli.left_changed import also_written, note_changes
 from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
-from groundstation.errors import BadInputError, GroundStationError
+from groundstation.control.programme import GRAVITY
+from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot
 from groundstation.service.config import socket_path
 
@@ -34,7 +37,7 @@ LEAN_PER_M, LEAN_PER_M_S, LEAN_MOST_DEG = 5.8, 9.3, 10.0
 """Of the onlooker who keeps a craft in its place."""
 LIFT_PER_M, LIFT_PER_M_S, LIFT_PER_M_SECOND = 4.0, 3.6, 1.5
 """And of his thrust: accelerations, m/s^2."""
-TICK_S, GRAVITY = 0.01, 9.81
+TICK_S = 0.01
 HOVERS = 36000.0
 """16-bit thrust that he begins with."""
 
@@ -129,7 +132,7 @@ class Place:
         path = socket_path()
         await_connection(path)
         with Pilot(path, CLIENT) as pilot:
-            _require_height(pilot)
+            require_height(pilot)
             telemetry = require_ready(pilot, needs_battery=False)
             return {"craft": pilot.lease["uri"], "vehicle": pilot.ask("GET", "/status")["vehicle"],
                     "firmware": pilot.lease["firmware"],
@@ -166,7 +169,7 @@ class Place:
         await_connection(path)
         with Pilot(path, CLIENT) as pilot:
             tells = require_ready(pilot, needs_battery=False)["battery_v"] is not None
-            _require_height(pilot)
+            require_height(pilot)
             before = pilot.parameters()
             saved = {name: before[name] for name in gains}
             floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
@@ -175,37 +178,17 @@ class Place:
             try:
                 if gains:  # `pid fly --undo` puts back what a killed program leaves
                     note_changes(pilot.lease["uri"], saved, also_written({}, gains))
-                    pilot.write(gains)
+                    write_parameters(pilot, gains)
                 sticks = CraftHeight(self.height_m, floor_m)
                 aborted = fly_programme(pilot, programme, sticks, tells_battery=tells)
             except GroundStationError as error:
-                aborted = str(error)
+                aborted = why_aborted(error)
             finally:
                 seconds = time.monotonic() - begun_s
                 with patient():
                     told = stop_motors(pilot)
                     say(told, error=True)
                     file.write_bytes(Path(end_recording(path, recording, aborted)).read_bytes())
-                    _put_back(pilot, saved)
+                    put_back(pilot, CLIENT, saved, {}, {}, aborted)
         flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
         return Flown(aborted, seconds, flying)
-
-
-def _require_height(pilot: Pilot) -> None:
-    """Raises BadInputError for a craft that nobody could hold in the air."""
-    if not pilot.lease["holds_height"]:
-        raise BadInputError(
-            f"{pilot.lease['uri']} holds no height by itself: it needs today's firmware and a Flow"
-            " or Z-ranger deck, or a positioning system that has told it where it is"
-        )
-
-
-def _put_back(pilot: Pilot, saved: dict[str, float]) -> None:
-    if not saved:
-        return
-    try:
-        pilot.write(saved)
-    except GroundStationError:  # its lease is over, where the operator stopped it
-        with Pilot(socket_path(), CLIENT) as anew:
-            anew.write(saved)
-    forget_changes(pilot.lease["uri"])

@@ -16,8 +16,10 @@ from groundstation.cli.commanding import (
     patient,
     require_consent,
     require_ended,
+    require_height,
     require_ready,
 )
+from groundstation.cli.craft_parameters import put_back, why_aborted, write_parameters
 from groundstation.cli.left_changed import (
     Written,
     also_written,
@@ -45,7 +47,6 @@ from groundstation.cli.terminal import say, show, show_json
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import Pilot
 from groundstation.service.config import socket_path
-from groundstation.service.motor_stop import BY_OPERATOR
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Release
@@ -238,11 +239,8 @@ def _flight(
         by_itself = pilot.lease["holds_height"]
         # where it stands now: it may have been put elsewhere before it was said to be ready
         floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
-        if thrust.startswith("height") and not by_itself:
-            raise BadInputError(
-                f"--thrust {thrust}: {uri} holds no height by itself; it needs today's firmware and"
-                " a Flow or Z-ranger deck, or a positioning system that has told it where it is"
-            )
+        if thrust.startswith("height"):
+            require_height(pilot, f"--thrust {thrust}: ")
         usual = "height" if by_itself else "keyboard" if real else "stand-in"
         with open_sticks(thrust or usual, floor_m) as sticks:
             recording = begin_recording(path)
@@ -255,7 +253,7 @@ def _flight(
                 note_changes(uri, {**former, **saved}, also_written(written, changed))
             aborted, motors, stopped = "an unforeseen error", "", False
             try:
-                _write(pilot, changed)
+                write_parameters(pilot, changed)
                 details = {
                     "programme": programme.as_dict(),
                     "gains": wanted,
@@ -268,7 +266,7 @@ def _flight(
             except KeyboardInterrupt as stop:
                 aborted, stopped = str(stop) or "Ctrl-C", True
             except GroundStationError as error:
-                aborted = BY_OPERATOR if BY_OPERATOR in str(error) else str(error)
+                aborted = why_aborted(error)
             finally:
                 # motors first: parameters may take a while
                 with patient():
@@ -278,7 +276,7 @@ def _flight(
                 stays = {} if restore or aborted else wanted
                 back = {name: value for name, value in saved.items() if name not in stays}
                 earlier = {name: value for name, value in former.items() if name not in changed}
-                _settle(pilot, uri, back, earlier, written, aborted)
+                put_back(pilot, CLIENT, back, earlier, written, aborted)
     return {
         "aborted": aborted,
         "motors": motors,
@@ -307,52 +305,6 @@ def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str
     return {name: value for name, value in before.items() if name.startswith("pid_")} | wanted
 
 
-def _write(pilot: Pilot, values: dict[str, float]) -> None:
-    """Write parameters and require that the craft read back the same numbers."""
-    import numpy as np
-
-    if not values:
-        return
-    back = pilot.write(values)
-    for name, value in values.items():
-        if np.float32(back[name]) != np.float32(value):
-            raise GroundStationError(
-                f"{name}: wrote {value:g}, the craft says {back[name]:g}; nothing was flown"
-            )
-
-
-def _settle(
-    pilot: Pilot,
-    uri: str,
-    back: dict[str, float],
-    earlier: dict[str, float],
-    written: Written,
-    aborted: str,
-) -> None:
-    """Put parameters back. Once that has worked the note holds no more than ``earlier``, what an
-    interrupted flight changed and this one did not touch."""
-    try:
-        if aborted == BY_OPERATOR and back:  # its lease is over, and its craft stands
-            with Pilot(socket_path(), CLIENT) as anew:
-                if anew.lease["uri"] != uri:
-                    raise GroundStationError(f"the daemon commands {anew.lease['uri']} now")
-                _write(anew, back)
-        else:
-            _write(pilot, back)
-    except (GroundStationError, KeyboardInterrupt) as error:
-        say(
-            f"the former gains could not be put back ({error}): `groundstation pid fly --undo`",
-            error=True,
-        )
-        return
-    if earlier:
-        note_changes(uri, earlier, written)
-    else:
-        forget_changes(uri)
-    if back and aborted:
-        say("the former gains are back", error=True)
-
-
 def _tell_left(
     uri: str, left: dict[str, Any], former: dict[str, float], present: dict[str, float]
 ) -> None:
@@ -379,7 +331,7 @@ def _undo() -> None:
             )
         former, _ = _left_changed(uri, pilot.parameters())
         if former:
-            _write(pilot, former)
+            write_parameters(pilot, former)
             forget_changes(uri)
     if former:
         show("the former values are back: " + ", ".join(former))

@@ -71,7 +71,13 @@ def fly_programme(
 ) -> str:
     """Take off, fly the programme, land; why it was aborted, or empty. tells_battery: whether the
     craft says how its battery is. clock: the craft's, None: real time."""
-    from groundstation.control.programme import RATE_HZ, LowBattery, reason_to_abort
+    from groundstation.control.programme import (
+        BEGINS,
+        LANDS,
+        RATE_HZ,
+        LowBattery,
+        reason_to_abort,
+    )
 
     table = programme.setpoints()
     # before the flight, which nothing may hold up
@@ -99,7 +105,7 @@ def fly_programme(
         clock.wait()
     if all(motor == 0.0 for motor in answer["telemetry"]["motors"]):
         return NOT_TURNING
-    pilot.mark("pid fly programme")
+    pilot.mark(BEGINS)
     for roll, pitch, yaw, *above in table.tolist():
         if isinstance(sticks, CraftHeight) and above:
             sticks.above_m = above[0]
@@ -110,7 +116,7 @@ def fly_programme(
         if reason:
             return reason
         clock.wait()
-    pilot.mark("pid fly landing")
+    pilot.mark(LANDS)
     return _land(pilot, sticks, clock, low, answer, firmware)
 
 

@@ -21,6 +21,8 @@ Shape = Literal["doublet", "step", "level"]
 SHAPES: tuple[Shape, ...] = ("doublet", "step", "level")
 
 RATE_HZ = 100
+BEGINS, LANDS = "pid fly programme", "pid fly landing"
+"""Marks in a recording: between them the programme was flown."""
 SETTLE_S = 2.0
 """Level flight before the first manoeuvre and after the last: the hover settles, the pilot too."""
 ANGLE_MOST_DEG, YAW_MOST_DPS = 25.0, 200.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.control.plant import plant_of_model
+from groundstation.control.programme import BEGINS, LANDS
 from groundstation.control.step_analysis import Flown, analyse, setpoint_table
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.vehicle import load_vehicle
@@ -38,7 +39,7 @@ def analyse_recording(
         for event in recording.events
         if event.get("kind") == "mark"
     }
-    begin, end = marks.get("pid fly programme"), marks.get("pid fly landing")
+    begin, end = marks.get(BEGINS), marks.get(LANDS)
     if begin is None or end is None:
         raise BadInputError(f"{recording.path}: holds no whole programme of 'pid fly'")
     times, setpoints = setpoint_table(recording.commands, client)

@@ -35,13 +35,16 @@ class Information:
 
     def errors(self, flown: Sequence[str]) -> dict[str, float]:
         """Standard errors by key that these manoeuvres would leave, all fitted jointly."""
-        total = self.prior + sum((self.parts[name] for name in flown), np.zeros_like(self.prior))
-        return dict(zip(self.keys, np.sqrt(np.diag(inverse(total))).tolist(), strict=True))
+        errors = np.sqrt(np.diag(inverse(self._known(flown))))
+        return dict(zip(self.keys, errors.tolist(), strict=True))
 
     def gain(self, flown: Sequence[str], more: str) -> float:
         """By how much one more manoeuvre shrinks what is open, in nats."""
-        total = self.prior + sum((self.parts[name] for name in flown), np.zeros_like(self.prior))
-        return 0.5 * (_volume(total + self.parts[more]) - _volume(total))
+        known = self._known(flown)
+        return 0.5 * (_volume(known + self.parts[more]) - _volume(known))
+
+    def _known(self, flown: Sequence[str]) -> Array:
+        return self.prior + sum((self.parts[name] for name in flown), np.zeros_like(self.prior))
 
 
 @dataclass(frozen=True, slots=True)

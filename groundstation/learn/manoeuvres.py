@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.control.programme import GRAVITY, RATE_HZ
 from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
 
-RATE_HZ = 100
 REST_S = 1.0
 """Level flight before the first manoeuvre, between them and after the last."""
-GRAVITY = 9.81
 TAKE_OFF_S, LANDING_S = 3.0, 2.0
 PREFLIGHT_S = 4.0
 """What a flight takes beside its programme: on the ground, up and down."""

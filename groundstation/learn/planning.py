@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from groundstation.control.programme import BEGINS
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.recordings import flights_of
@@ -25,8 +26,6 @@ from groundstation.learn.manoeuvres import (
     library,
 )
 from groundstation.recording.open_recording import open_recording
-
-BEGINS = "pid fly programme"
 
 
 class Rehearsal(Protocol):

@@ -129,8 +129,8 @@ class Learner:
         self._fit(flights)
         self._tell("body", self._body_line)
         found: DiscrepancyReport | None = None
+        model = BODY_MODEL
         for number in range(1, ROUNDS + 1):
-            model = "body.json" if found is None else f"found{number - 1}.model.json"
             planned = self._plan(number, model, found)
             if not planned.plan.manoeuvres:
                 self._tell(f"plan{number}", lambda: "no manoeuvre would tell more that matters")
@@ -140,11 +140,11 @@ class Learner:
             if number == 1:
                 proof = flight_of(PROOF, "proof: nothing is chosen on it", self.limits, seed + 50)
                 self._fly(PROOF_FLIGHT, proof)
-            found = self._search(number, flights)
+            found, model = self._search(number, flights), f"found{number}.model.json"
             self._tell(f"search{number}", partial(_found_line, found))
             if not open_names(found):
                 break
-        self._gains(f"found{number}.model.json" if found is not None else BODY_MODEL)
+        self._gains(model)
 
     # flights
 

@@ -1,0 +1,68 @@
+"""Parameters of a craft that a flight changes: written, read back, and put back at its end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from groundstation.cli.left_changed import Written, forget_changes, note_changes
+from groundstation.cli.terminal import say
+from groundstation.errors import GroundStationError
+from groundstation.service.client import Pilot
+from groundstation.service.config import socket_path
+from groundstation.service.motor_stop import BY_OPERATOR
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+def write_parameters(pilot: Pilot, values: Mapping[str, float]) -> None:
+    """Write parameters and require that the craft read back the same numbers."""
+    import numpy as np
+
+    if not values:
+        return
+    back = pilot.write(dict(values))
+    for name, value in values.items():
+        if np.float32(back[name]) != np.float32(value):
+            raise GroundStationError(
+                f"{name}: wrote {value:g}, the craft says {back[name]:g}; nothing was flown"
+            )
+
+
+def put_back(
+    pilot: Pilot,
+    client: str,
+    back: Mapping[str, float],
+    earlier: dict[str, float],
+    written: Written,
+    aborted: str,
+) -> None:
+    """Put parameters back. Once that has worked the note holds no more than ``earlier``, what an
+    interrupted flight changed and this one did not touch. client: who commands anew where the
+    operator has ended the lease."""
+    uri = pilot.lease["uri"]
+    try:
+        if aborted == BY_OPERATOR and back:  # its lease is over, and its craft stands
+            with Pilot(socket_path(), client) as anew:
+                if anew.lease["uri"] != uri:
+                    raise GroundStationError(f"the daemon commands {anew.lease['uri']} now")
+                write_parameters(anew, back)
+        else:
+            write_parameters(pilot, back)
+    except (GroundStationError, KeyboardInterrupt) as error:
+        say(
+            f"the former gains could not be put back ({error}): `groundstation pid fly --undo`",
+            error=True,
+        )
+        return
+    if earlier:
+        note_changes(uri, earlier, written)
+    else:
+        forget_changes(uri)
+    if back and aborted:
+        say("the former gains are back", error=True)
+
+
+def why_aborted(error: GroundStationError) -> str:
+    """What a flight that ended so is told to have been cut short by."""
+    return BY_OPERATOR if BY_OPERATOR in str(error) else str(error)
