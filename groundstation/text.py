@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 _CONTROLS = re.compile(
     r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
@@ -21,3 +22,9 @@ def encodable(text: str) -> str:
     The bytes of a file name that is not UTF-8 are lone surrogates in Python: ``\udcff``.
     """
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``; of at least one name."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

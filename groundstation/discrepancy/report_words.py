@@ -7,11 +7,12 @@ import re
 from collections.abc import Sequence
 
 from groundstation.comparison.localisation import Place
-from groundstation.discrepancy.findings import NotShown
+from groundstation.discrepancy.findings import FoundEffect, NotShown
 from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, EffectFound
 from groundstation.dynamics.meanings import physics_of, title_of
 from groundstation.dynamics.model import Estimate
 from groundstation.report.page import Advice
+from groundstation.text import listed
 
 SURE = 1.96
 """Standard errors either way that hold 95 % of estimates."""
@@ -33,7 +34,7 @@ def is_zero(estimate: Estimate) -> bool:
     return estimate.stderr is not None and abs(estimate.value) < SURE * estimate.stderr
 
 
-def meaning(effect: EffectFound) -> str:
+def meaning(effect: EffectFound | FoundEffect) -> str:
     """What it does to the craft, with the size that was found."""
     values = {name: one.value for name, one in effect.parameters.items()}
     return physics_of(effect.name, values) or effect.adds
@@ -47,7 +48,7 @@ def found_in_words(report: DiscrepancyReport) -> str:
         effects = by_weight(report.effects)
         names = [f"{title_of(one.name)} ({meaning(one)})" for one in effects[:2]]
         rest = [title_of(one.name) for one in effects[2:]]
-        first = f"Missing in the model: {_listed([*names, *rest])}."
+        first = f"Missing in the model: {listed([*names, *rest])}."
         return f"{first} {_how_sure(report)}"
     if report.verdict == "unexplained":
         return (
@@ -56,7 +57,7 @@ def found_in_words(report: DiscrepancyReport) -> str:
         )
     moved = [change.name for change in report.base_changes]
     if moved:
-        return f"No effect is missing, but {_listed(moved)} had to change. {_how_sure(report)}"
+        return f"No effect is missing, but {listed(moved)} had to change. {_how_sure(report)}"
     return f"Nothing is missing that these recordings could show: {gap}."
 
 
@@ -99,7 +100,7 @@ def next_in_words(report: DiscrepancyReport, written: bool = False) -> str:
     use = "use the improved model" if written else "write the improved model with -o, use it"
     use += " in place of the given one"
     if off := _still_off(report):
-        use += f", but do not rely on its {_listed(off)}"
+        use += f", but do not rely on its {listed(off)}"
     more = f"; to look for the rest, {fly}" if plan else ""
     return f"{use}{more}."
 
@@ -140,7 +141,7 @@ def advice_of(report: DiscrepancyReport) -> list[Advice]:
     plan = flight_plan(report.not_shown)
     fly = f"Fly the plan below: {plan[0][0]}" if plan else "Fly longer, and other manoeuvres"
     if worse:
-        names = _listed([one.replace("_", " ") for one in worse])
+        names = listed([one.replace("_", " ") for one in worse])
         found.append(
             Advice(
                 f"The improved model predicts {names} worse than the given one",
@@ -223,9 +224,3 @@ def _capital(one: Advice) -> Advice:
 
 def _place(channel: str, regime: str) -> str:
     return f"{channel.replace('_', ' ')} ({regime})"
-
-
-def _listed(names: Sequence[str]) -> str:
-    """``a, b and c``."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last

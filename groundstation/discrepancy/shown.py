@@ -15,12 +15,11 @@ from groundstation.discrepancy.report_figures import (
     where_map,
     worst_overlay,
 )
-from groundstation.dynamics.meanings import physics_of, title_of
+from groundstation.discrepancy.report_words import meaning
+from groundstation.dynamics.meanings import title_of
 from groundstation.report.result import Shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from matplotlib.figure import Figure
 
 
@@ -30,9 +29,9 @@ def comparison(one: Comparison) -> Shown:
     names = ("channel", "regime", "rms", "expected_rms", "unit", "significance", "seconds")
     columns = {name: [getattr(place, name) for place in places] for name in names}
     pictures = {
-        "where": partial(_drawn, lambda: where_map([("error over noise", places)]), "Where"),
-        "time": partial(_drawn, lambda: time_map(one), "Second by second"),
-        "horizons": partial(_drawn, lambda: by_horizon(one), "By horizon"),
+        "where": partial(where_map, [("error over noise", places)]),
+        "time": partial(time_map, one),
+        "horizons": partial(by_horizon, one),
         **_worst(one, None),
     }
     line = f"prediction errors are {one.gap:.2f} times noise over all channels"
@@ -47,8 +46,7 @@ def discrepancy(one: Discrepancy) -> Shown:
         for name in ("effect", "title", "does", "parameter", "value", "stderr", "unit", "weight")
     }
     for effect in one.findings.effects:
-        values = {name: each.value for name, each in effect.parameters.items()}
-        does = physics_of(effect.name, values) or effect.adds
+        does = meaning(effect)
         for name, each in effect.parameters.items():
             row = (effect.name, title_of(effect.name), does, name, each.value, each.stderr)
             for column, cell in zip(
@@ -57,24 +55,19 @@ def discrepancy(one: Discrepancy) -> Shown:
                 column.append(cell)
     maps = [("before", proof.before.places), ("after", proof.after.places)]
     pictures = {
-        "gap": partial(_drawn, lambda: waterfall(proof.steps), "The gap, effect by effect"),
-        "where": partial(_drawn, lambda: where_map(maps), "Where, before and after"),
-        "horizons": partial(_drawn, lambda: by_horizon(proof.before, proof.after), "By horizon"),
+        "gap": partial(waterfall, proof.steps),
+        "where": partial(where_map, maps),
+        "horizons": partial(by_horizon, proof.before, proof.after),
         **_worst(proof.before, proof.after),
     }
     return Shown(repr(one), columns, one.warnings, pictures)
 
 
-def _worst(before: Comparison, after: Comparison | None) -> dict[str, partial[tuple[Figure, str]]]:
+def _worst(before: Comparison, after: Comparison | None) -> dict[str, partial[Figure]]:
     """The channel that is worst, where it is worst."""
     if not before.places:
         return {}
     stretch = worst_stretch(before.errors, before.floors, before.places[0].channel)
     if stretch is None:
         return {}
-    draw = partial(worst_overlay, stretch, before, after)
-    return {"worst": partial(_drawn, draw, "Where the model is wrong most")}
-
-
-def _drawn(draw: Callable[[], Figure], words: str) -> tuple[Figure, str]:
-    return draw(), words
+    return {"worst": partial(worst_overlay, stretch, before, after)}

@@ -118,8 +118,13 @@ _PHYSICS = {
     "wind": ("slow air", "moments and forces that drift, of no known cause"),
     "yaw_damping": ("damping of yaw", "a yaw turn is braked in proportion to its rate"),
 }
-_SCALES = {"_percent": 100.0, "_ms": 1e3, "_mn_s_m": 1e3, "_mohm": 1e3}
-_SI = {"_percent": "", "_ms": "_s", "_mn_s_m": "_n_s_m", "_mohm": "_ohm"}
+_SHOWN_IN = (
+    ("", "_percent", 100.0),
+    ("_s", "_ms", 1e3),
+    ("_n_s_m", "_mn_s_m", 1e3),
+    ("_ohm", "_mohm", 1e3),
+)
+"""Ending of a parameter in SI, of the same as it is shown, and how many of that make one."""
 
 
 def title_of(effect: str) -> str:
@@ -132,8 +137,7 @@ def physics_of(effect: str, values: Mapping[str, float]) -> str:
     if effect not in _PHYSICS:
         return ""
     shown = dict(values)
-    for ending, scale in _SCALES.items():
-        si = _SI[ending]
+    for si, ending, scale in _SHOWN_IN:
         shown |= {
             name.removesuffix(si) + ending: scale * value
             for name, value in values.items()

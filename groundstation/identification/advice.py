@@ -10,6 +10,7 @@ import numpy as np
 from groundstation.dynamics.meanings import title_of
 from groundstation.identification.excitation import MOVES
 from groundstation.report.page import Advice
+from groundstation.text import listed
 
 DESIGN, FIRST_DESIGN = 0.1, 0.35
 """Standard errors over the value: up to which a constant bears a design as it is, and up to which
@@ -35,13 +36,13 @@ def good_for(account: Mapping[str, Any]) -> tuple[str, str]:
     found = ", ".join(f"{axis} to {100 * share:.2g} %" for axis, share in known.items())
     parts = []
     if good:
-        parts.append(f"good enough to design {_listed(good)} with")
+        parts.append(f"good enough to design {listed(good)} with")
     if fair:
-        parts.append(f"{_listed(fair)}: enough for a first, cautious design")
+        parts.append(f"{listed(fair)}: enough for a first, cautious design")
     if poor:
-        parts.append(f"{_listed(poor)}: for a rough simulation only")
+        parts.append(f"{listed(poor)}: for a rough simulation only")
     if unknown:
-        parts.append(f"{_listed(unknown)} was not identified (the file has the profile's value)")
+        parts.append(f"{listed(unknown)} was not identified (the file has the profile's value)")
     kind = "good" if not (fair or poor or unknown) else "bad" if not (good or fair) else "neutral"
     words = "; ".join(parts)
     return f"{words[:1].upper()}{words[1:]}. Known, by standard error: {found or 'none'}.", kind
@@ -54,7 +55,7 @@ def next_of(account: Mapping[str, Any]) -> str:
     if account["what"] == "arx":
         return "compare it with the body model on another flight: groundstation compare."
     if left := account.get("left_out"):
-        names = _listed([title_of(name) for name in left])
+        names = listed([title_of(name) for name in left])
         return f"what these flights show besides ({names}) into the file: {_again(account, left)}"
     if weak := _weakest(account):
         return f"{weak[1]}, and fit both recordings together."
@@ -107,7 +108,7 @@ def advice_of(account: Mapping[str, Any], failed: Sequence[str]) -> list[Advice]
     if failed:
         found.append(
             Advice(
-                f"The input still shows in what is left of {_listed(list(failed))}",
+                f"The input still shows in what is left of {listed(list(failed))}",
                 "Something acts there that the model does not have",
                 "Search with groundstation discrepancy",
             )
@@ -135,7 +136,7 @@ def _arx(account: Mapping[str, Any]) -> tuple[str, str]:
         axis for axis, one in account["axes"].items() if not one["cross_correlation"]["passes"]
     ]
     left = (
-        f"; the input still shows in what is left of {_listed(failed)}: good for a first look only"
+        f"; the input still shows in what is left of {listed(failed)}: good for a first look only"
         if failed
         else "; nothing of the input is left: good to predict and to design with"
     )
@@ -164,9 +165,3 @@ def _weakest(account: Mapping[str, Any]) -> tuple[str, str] | None:
         return None
     name = max(shares, key=lambda one: shares[one])
     return MOVES[name] if shares[name] > DESIGN else None
-
-
-def _listed(names: Sequence[str]) -> str:
-    """``a, b and c``."""
-    *first, last = names
-    return f"{', '.join(first)} and {last}" if first else last

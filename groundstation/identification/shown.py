@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from groundstation.identification.advice import good_for
-from groundstation.identification.fit_record import Identified, ResidualTest, Trace
+from groundstation.identification.fit_record import Identified
 from groundstation.identification.replayed import Replayed
-from groundstation.identification.replayed_report import CHANNELS, overlay
-from groundstation.identification.report import certainty, residual, residual_text, steps, trace
+from groundstation.identification.replayed_report import overlay
+from groundstation.identification.report import certainty, residual, steps, trace
 from groundstation.report.result import Shown
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.figure import Figure
 
 SHOWN_S = 5.0
@@ -25,7 +27,7 @@ def identified(one: Identified) -> Shown:
     columns: dict[str, list[object]] = {
         name: [] for name in ("part", "name", "value", "stderr", "low", "high")
     }
-    pictures = {}
+    pictures: dict[str, Callable[[], Figure]] = {}
     for part, estimates in one.evidence.estimates.items():
         interval = estimates.interval()
         for k, name in enumerate(estimates.names):
@@ -33,17 +35,14 @@ def identified(one: Identified) -> Shown:
             for column, cell in zip(columns.values(), row, strict=True):
                 column.append(cell if isinstance(cell, str) else float(cell))
         if len(estimates.names) > 1:
-            words = "Correlation and uncertainty of the estimates"
             several = len(one.evidence.estimates) > 1
-            drawn = partial(_with, words, partial(certainty, estimates, {}))
-            pictures[f"certainty {part}" if several else "certainty"] = drawn
-    pictures |= {each.channel: partial(_traced, each) for each in one.evidence.traces}
-    pictures |= {
-        f"residuals of {each.channel}": partial(_left, each) for each in one.evidence.residuals
-    }
+            name = f"certainty {part}" if several else "certainty"
+            pictures[name] = partial(certainty, estimates, {})
+    pictures |= {each.channel: partial(trace, each) for each in one.evidence.traces}
+    for each in one.evidence.residuals:
+        pictures[f"residuals of {each.channel}"] = partial(residual, each)
     if one.evidence.steps:
-        responses = partial(steps, one.evidence.steps)
-        pictures["step responses"] = partial(_with, "Step responses", responses)
+        pictures["step responses"] = partial(steps, one.evidence.steps)
     return Shown(f"{one}: {good_for(one.account)[0]}", columns, one.warnings, pictures)
 
 
@@ -57,18 +56,4 @@ def replayed(one: Replayed) -> Shown:
     columns["flown"] = one.flown
     first = int(np.argmax(one.flown))
     rows = slice(first, first + round(SHOWN_S / run.period_s))
-    words = f"Measured and simulated, {len(CHANNELS)} channels"
-    drawn = partial(overlay, run, one, rows)
-    return Shown(repr(one), columns, (), {"channels": partial(_with, words, drawn)})
-
-
-def _with(words: str, draw: partial[Figure]) -> tuple[Figure, str]:
-    return draw(), words
-
-
-def _traced(one: Trace) -> tuple[Figure, str]:
-    return trace(one), f"{one.channel}: {one.note}"
-
-
-def _left(one: ResidualTest) -> tuple[Figure, str]:
-    return residual(one), residual_text(one)
+    return Shown(repr(one), columns, (), {"channels": partial(overlay, run, one, rows)})

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 class Shown(NamedTuple):
     """A result for people. line: in short. columns: its table, by name. warnings: in words.
-    pictures: by name, each drawn when it is asked for, with what one sees in it."""
+    pictures: by name, each drawn when it is asked for."""
 
     line: str
     columns: Mapping[str, Sequence[Any]]
     warnings: Sequence[str]
-    pictures: Mapping[str, Callable[[], tuple[Figure, str]]]
+    pictures: Mapping[str, Callable[[], Figure]]
 
 
 class Result(ABC):
@@ -76,7 +76,7 @@ class Result(ABC):
         name = picture or next(iter(known), "")
         if name not in known:
             raise BadInputError(f"no picture {name!r}; there are {', '.join(known) or 'none'}")
-        return known[name]()[0]
+        return known[name]()
 
     def _shown(self) -> Shown:
         module, _, function = self.SHOWN_BY.partition(":")
