@@ -1,6 +1,6 @@
 // Channels over time: a plot for each group, on one time axis, with one cursor.
+// `uPlot` is the library's, which page.html loads before.
 
-import uPlot from "./uplot/uPlot-1.6.32.js";
 import { element, pressable, reconcile, writeIn } from "./dom.js";
 import { firstFrom } from "./store.js";
 
