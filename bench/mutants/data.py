@@ -77,8 +77,8 @@ FAULTS = (
         "chunk-without-checksum",
         "damage in a chunk cannot be told",
         _FILE,
-        'zlib.crc32(content), 4, b"zstd", len(packed))',
-        '0, 4, b"zstd", len(packed))',
+        "enable_data_crcs=True",
+        "enable_data_crcs=True, enable_crcs=False",
         (f"{_TESTS}::test_everything_given_comes_back",),
     ),
     Fault(
