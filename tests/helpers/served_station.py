@@ -1,9 +1,10 @@
-"""A real station with its control API in this process, and a conversation with it in a thread."""
+"""A real station with its control API in a thread, and a conversation with it in the caller's."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,9 +17,10 @@ T = TypeVar("T")
 
 
 def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T:
-    """What ``conversation`` gives, run off the loop of a station that serves at ``path``."""
+    """What ``conversation`` gives, beside the loop of a station that serves at ``path``."""
+    serving: Future[tuple[Station, asyncio.AbstractEventLoop]] = Future()
 
-    async def session() -> T:
+    async def session() -> None:
         station = Station(config)
         control = ControlSocket(path)
         server = ControlServer(station, control)
@@ -26,14 +28,25 @@ def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T
         running = asyncio.create_task(station.run())
         try:
             await station.receiver.tried.wait()
-            return await asyncio.to_thread(conversation, station)
+            serving.set_result((station, asyncio.get_running_loop()))
+            await running
         finally:
             station.stop()
             await running
             await server.stop()
             control.close()
 
-    return asyncio.run(session())
+    with ThreadPoolExecutor(1) as beside:
+        served = beside.submit(asyncio.run, session())
+        served.add_done_callback(
+            lambda one: serving.done() or serving.set_exception(one.exception())
+        )
+        station, loop = serving.result()
+        try:
+            return conversation(station)
+        finally:
+            loop.call_soon_threadsafe(station.stop)
+            served.result()
 
 
 def recorded(config: Config) -> Any:
