@@ -34,13 +34,13 @@ test-long: $(VENV)/.ready-dev $(VENV)/.compiled ## what `make test` leaves out: 
 	$(PYTEST) --part long $(ARGS)
 
 test-durations: $(VENV)/.ready-dev $(VENV)/.compiled ## measures every test, writes that list anew
-	$(PYTEST) -p durations --durations-to $(VENV)/durations.json $(ARGS)
-	$(BIN)/python tests/helpers/durations.py $(VENV)/durations.json
+	$(PYTEST) -p support.durations --durations-to $(VENV)/durations.json $(ARGS)
+	PYTHONPATH=tests $(BIN)/python -m support.durations $(VENV)/durations.json
 
 # Byte code and compiled kernels, for every program that the tests start.
 $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -name '*.py')
 	$(BIN)/python -m compileall -q groundstation firmware_sim
-	$(BIN)/python tests/helpers/compiled.py
+	PYTHONPATH=tests $(BIN)/python -m support.compiled
 	touch $@
 
 # Needs qemu-system-x86, busybox-static, kmod, cpio and usbip.

@@ -88,8 +88,8 @@ def _design(model: Model) -> tuple[dict[str, float], list[Row]]:
 
 def _flights(model: Model, gains: dict[str, float]) -> Iterator[Row]:
     """Faithful stand-ins flown in fast time: how far from the prediction, at worst."""
-    sys.path.insert(0, str(TESTS / "helpers"))
-    from offline_flight import fly_offline
+    sys.path.insert(0, str(TESTS))
+    from support.flights import fly_offline
 
     plant = plant_of_model(model)
     apart, flown_axes = 0, 0

@@ -9,15 +9,14 @@ from pathlib import Path
 
 from bench.table import Row
 
-HELPERS = Path(__file__).parents[1] / "tests" / "helpers"
+TESTS = Path(__file__).parents[1] / "tests"
 BATCH_MS = 8.0
 
 
 def rows() -> Iterator[Row]:
     """Recording 2000 packets/s on a core of 10^9 instructions/s; nothing without qemu."""
-    sys.path.insert(0, str(HELPERS))
-    import usb_guest
-    import virtual_machine
+    sys.path.insert(0, str(TESTS))
+    from support import usb_guest, virtual_machine
 
     if reason := virtual_machine.why_not():
         print(f"usb_link: left out, {reason}", file=sys.stderr)

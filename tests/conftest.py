@@ -12,11 +12,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
-from programs import run_program, start_guard
 
 from groundstation.allocator import keep_freed
+from support.programs import run_program, start_guard
 
-pytest_plugins = ["ci_limits", "parts"]
+pytest_plugins = ["support.ci_limits", "support.parts"]
 # Byte code is kept: without it every worker reads and rewrites all test files anew, for minutes.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

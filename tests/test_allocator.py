@@ -4,7 +4,8 @@ import resource
 import sys
 
 import pytest
-from programs import run_program
+
+from support.programs import run_program
 
 PROGRAM = """
 import resource

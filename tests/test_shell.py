@@ -6,10 +6,10 @@ import subprocess
 from subprocess import Popen
 
 import pytest
-from programs import run_program
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.shell import LOG, SCRIPT, Shell
+from support.programs import run_program
 
 
 def python(text):

@@ -1,11 +1,11 @@
 """The control API under attack by whoever may talk to it."""
 
 import pytest
-from served_station import serve
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
+from support.stations import serve
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -10,7 +10,6 @@ import sys
 import time
 
 import pytest
-from programs import Program
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service import client, control
@@ -20,6 +19,7 @@ from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.control import ControlServer
 from groundstation.service.control_socket import ControlPort, ControlSocket
 from groundstation.service.station import Station
+from support.programs import Program
 
 pytestmark = pytest.mark.timeout(60)
 

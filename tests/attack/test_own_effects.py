@@ -4,7 +4,6 @@ import json
 
 import msgspec
 import pytest
-from installed import groundstation, require_failure
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import THESIS, load_model
@@ -13,6 +12,7 @@ from groundstation.errors import BadInputError
 from groundstation.service.config import Config, TwinConfig
 from groundstation.service.station import Station
 from groundstation.trust import CONSENT, consent
+from support.daemons import groundstation, require_failure
 
 PROGRAM = """
 from pathlib import Path

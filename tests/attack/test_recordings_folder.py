@@ -6,8 +6,6 @@ import random
 
 import numpy as np
 import pytest
-from installed import RECORDINGS, groundstation
-from served_station import serve
 
 from groundstation.cli.run import _require_something
 from groundstation.errors import BadInputError, GroundStationError, RecordingError
@@ -19,6 +17,9 @@ from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.station import Station
 from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import empty_samples
+from support import RECORDINGS
+from support.daemons import groundstation
+from support.stations import serve
 
 pytestmark = pytest.mark.timeout(60)
 

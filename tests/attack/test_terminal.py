@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from installed import RECORDINGS, Daemon, groundstation
 
 import groundstation.cli as commands
 from groundstation.cli.control import events
@@ -15,6 +14,8 @@ from groundstation.report.figure import figure, svg
 from groundstation.telemetry.packet import TICK_S
 from groundstation.telemetry.samples import empty_samples
 from groundstation.text import printable
+from support import RECORDINGS
+from support.daemons import Daemon, groundstation
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\n00:00:00  recorder  all is well\x9b31m\u202eabc"
 

@@ -9,11 +9,12 @@ import sys
 import threading
 
 import pytest
-from eventually import PATIENCE_S, until
-from programs import run_program
 
 from groundstation.viewer import relay
 from groundstation.viewer.relay import Relay
+from support.programs import run_program
+from support.waiting import PATIENCE_S
+from support.waiting import eventually as until
 
 pytestmark = pytest.mark.timeout(60)
 PIECE = b"telemetry " * 10_000

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.attitude.axis_check import (
     AXES,
@@ -12,6 +11,7 @@ from groundstation.attitude.axis_check import (
     check_axes,
 )
 from groundstation.errors import BadInputError
+from support.flights import recorded
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded, truth_of
 
 from groundstation.attitude.filters import KalmanNoise, complementary, kalman, likeliest_noise
 from groundstation.attitude.sensors import (
@@ -12,6 +11,7 @@ from groundstation.attitude.sensors import (
 )
 from groundstation.dynamics.rotations import attitude_of_quaternion
 from groundstation.telemetry.samples import empty_samples
+from support.flights import recorded, truth_of
 
 BIAS_DPS = (1.5, -1.2, 0.8)
 

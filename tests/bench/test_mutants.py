@@ -6,13 +6,13 @@ import sys
 from dataclasses import replace
 
 import pytest
-from ci_limits import named, names
-from pages import ROOT
-from programs import run_program
 
 from bench.mutants.fault import Fault
 from bench.mutants.run import HOOK, Outcome
 from bench.mutants.table import FAULTS
+from support import ROOT
+from support.ci_limits import named, names
+from support.programs import run_program
 
 EVERY = [fault for group in FAULTS.values() for fault in group]
 TICK = next(fault for fault in EVERY if fault.name == "tick")

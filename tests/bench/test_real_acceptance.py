@@ -3,9 +3,9 @@
 import sys
 
 import pytest
-from programs import run_program
 
 from bench.real import acceptance
+from support.programs import run_program
 
 CASE = {
     "constants": {"c0": 1.5e-3, "c1": 1.5e-3, "c2": 1e-4, "thrust_per_mass": 2.2e-5},

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from programs import run_program
 
 from bench import __main__ as bench
 from bench.table import Row, header
+from support.programs import run_program
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,7 +5,6 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -13,6 +12,7 @@ from groundstation.dynamics.model import load_model, save_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
+from support.flights import recorded
 
 CALM = """
 "pid_rate.roll_kp" = 12.0

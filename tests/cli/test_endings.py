@@ -8,10 +8,12 @@ import sys
 import time
 
 import pytest
-from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
-from programs import Program, run_program
 
 from groundstation.recording.open_recording import open_recording
+from support import RECORDINGS
+from support.daemons import COMMAND, Daemon, groundstation, require_failure
+from support.programs import Program, run_program
+from support.waiting import until
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 

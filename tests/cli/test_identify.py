@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from programs import run_program
-from stand_in_flights import recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -20,6 +18,8 @@ from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import RecordingFile
 from groundstation.recording.session import Recording
+from support.flights import recorded
+from support.programs import run_program
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 RECORDED = {

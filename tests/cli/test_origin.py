@@ -5,9 +5,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from installed import PATIENCE_S
-from programs import run_program
-from stand_in_flights import recorded
 from typer.testing import CliRunner
 
 from firmware_sim.craft import StandIn, StandInSettings
@@ -16,6 +13,9 @@ from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
+from support.flights import recorded
+from support.programs import run_program
+from support.waiting import PATIENCE_S
 
 COMMAND = Path(sys.executable).parent / "groundstation"
 NOT_FITTED = r"its body constants are those of the profile 'crazyflie1', not fitted"

@@ -4,11 +4,11 @@ import json
 
 import pytest
 import typer
-from installed import RECORDINGS
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
 from groundstation.errors import BadInputError
+from support import RECORDINGS
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 TORN = RECORDINGS / "thesis_excerpt.mcap"

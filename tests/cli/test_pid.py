@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from installed import RECORDINGS
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -13,6 +12,7 @@ from groundstation.control.programme import Programme
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
+from support import RECORDINGS
 
 DATA = Path(__file__).parents[1] / "control" / "data"
 BODY, GAINS = str(DATA / "body.json"), str(DATA / "gains.toml")

@@ -3,12 +3,12 @@
 import io
 
 import pytest
-from installed import until
 
 from groundstation import compiling
 from groundstation.cli import progress
 from groundstation.cli.progress import line, own_terminal, shown, spoken, watched
 from groundstation.cli.terminal import show
+from support.waiting import until
 
 
 class Screen(io.StringIO):

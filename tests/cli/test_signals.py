@@ -6,7 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from programs import Program
+
+from support.programs import Program
 
 PROGRAM = """
 import asyncio, time

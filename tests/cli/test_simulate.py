@@ -5,9 +5,6 @@ import json
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM, affected
-from installed import Daemon
-from stand_in_flights import CARRYING_GAINS, recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -16,6 +13,8 @@ from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.session import Recording
+from support.daemons import Daemon
+from support.flights import BASE, CARRYING_GAINS, MEDIUM, affected, recorded
 
 OWN = """
 from groundstation.dynamics.effect import Effect, Parameter

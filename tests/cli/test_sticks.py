@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from programs import Program
 
 from groundstation.cli.sticks import (
     CraftHeight,
@@ -17,6 +16,7 @@ from groundstation.cli.sticks import (
     open_sticks,
 )
 from groundstation.errors import BadInputError
+from support.programs import Program
 
 AXIS, BUTTON, INITIAL = 2, 1, 0x80
 

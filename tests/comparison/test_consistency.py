@@ -5,14 +5,14 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
-from compared_flights import flights
 
 from groundstation.comparison.consistency import broken_rotor_sensors, require_consistent
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import without_gaps
+from support.flights import BASE
+from support.flights import compared as flights
 
 
 @pytest.fixture(scope="module")

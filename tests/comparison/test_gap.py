@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE
-from compared_flights import flights, judged
 
 from groundstation.comparison.gap import (
     ATTITUDE,
@@ -13,6 +11,8 @@ from groundstation.comparison.gap import (
     pooled_rms,
 )
 from groundstation.prediction.attitude_rhythm import fresh_rows
+from support.flights import BASE, judged
+from support.flights import compared as flights
 
 
 def test_attitude_that_is_sent_twice_is_judged_in_every_second_row():

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from affected_flights import MEDIUM
-from compared_flights import hidden, judged
 
 from groundstation.comparison.localisation import over_time, spectrum_of, worst_stretch
+from support.flights import MEDIUM, hidden, judged
 
 
 @pytest.mark.parametrize(

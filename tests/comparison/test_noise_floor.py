@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM, affected
-from compared_flights import flights, hidden, judged
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import compare
+from support.flights import BASE, MEDIUM, affected, hidden, judged
+from support.flights import compared as flights
 
 NOISY = {"torque_noise": 6.0, "sensor_noise": 2.0}
 

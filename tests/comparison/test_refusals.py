@@ -2,12 +2,12 @@
 
 import msgspec
 import pytest
-from affected_flights import BASE
-from compared_flights import flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.errors import BadInputError
+from support.flights import BASE
+from support.flights import compared as flights
 
 
 def test_a_model_that_grows_without_end_is_refused():

@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE
-from compared_flights import flights, judged
-from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.comparison.regimes import (
     NEAR_GROUND_S,
@@ -14,6 +11,8 @@ from groundstation.comparison.regimes import (
 )
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.velocity import velocity_of
+from support.flights import BASE, CARRYING_GAINS, judged, recorded, truth_of
+from support.flights import compared as flights
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.comparison import rotor_drive
 from groundstation.comparison.comparison import Judged, compare
@@ -13,6 +12,7 @@ from groundstation.comparison.regimes import motion_of
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.identification.airborne import flights_in
 from groundstation.identification.recordings import without_gaps
+from support.flights import BASE, flown
 
 BEAT_HZ = 3.0
 

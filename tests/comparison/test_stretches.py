@@ -4,9 +4,6 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM
-from compared_flights import flights, hidden, judged
-from made_findings import NAME
 
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.stretches import Marked, by_hand, by_twin, within
@@ -14,6 +11,9 @@ from groundstation.discrepancy.report_json import stretch_report
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.service.twin import BEGAN, ENDED, SOURCE
+from support.findings import NAME
+from support.flights import BASE, MEDIUM, hidden, judged
+from support.flights import compared as flights
 
 
 @pytest.fixture(scope="module")

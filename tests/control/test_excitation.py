@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import pytest
-from offline_flight import fly_offline
 from typer.testing import CliRunner
 
 from firmware_sim.craft import StandInSettings
@@ -14,6 +13,7 @@ from groundstation.control.programme import Programme
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
+from support.flights import fly_offline
 
 GAINS = load_gains(Path(__file__).parent / "data" / "gains.toml")
 

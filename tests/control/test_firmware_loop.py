@@ -6,8 +6,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from loop_margins import loop_margins as stand_in_margins
-from offline_flight import fly_offline
 
 from firmware_sim.craft import StandInSettings
 from groundstation.control.firmware_loop import (
@@ -34,6 +32,8 @@ from groundstation.dynamics.model import (
 )
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
+from support.flights import fly_offline
+from support.loop_margins import loop_margins as stand_in_margins
 
 DATA = Path(__file__).parent / "data"
 TS = 0.002

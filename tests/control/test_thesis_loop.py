@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from thesis_equations import distribute, mix, output_stage
 
 from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import AntiWindup, PidGains
@@ -17,6 +16,7 @@ from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import THESIS, Model
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.errors import BadInputError
+from support.equations import distribute, mix, output_stage
 
 TS = 0.002
 GAINS = [PidGains(2000.0, 400.0, 350.0), PidGains(2000.0, 400.0, 350.0), PidGains(4000.0, 0, 900.0)]

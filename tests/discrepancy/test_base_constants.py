@@ -5,7 +5,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.discrepancy.acceptance import KEEP
 from groundstation.discrepancy.base_constants import (
@@ -22,6 +21,7 @@ from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.recordings import flights_of
 from groundstation.recording.open_recording import open_recording
+from support.flights import BASE, flown
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 KEYS = (*BODY_KEYS, *MOTOR_KEYS)

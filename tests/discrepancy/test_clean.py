@@ -6,12 +6,13 @@ tenth of a millisecond between two channels, each shows here as a finding out of
 
 import numpy as np
 import pytest
-from searched_flights import base_model, flights
 
 from groundstation.discrepancy.screening import screen
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
+from support.flights import base_model
+from support.flights import searched as flights
 
 NOISES = {"nominal": (1.0, 1.0), "rough": (6.0, 2.0)}
 

@@ -8,10 +8,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
-from installed import COMMAND, groundstation, require_failure
-from programs import run_program
-from stand_in_flights import CARRYING_GAINS, recorded
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -22,6 +18,9 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.recording.recording_file import RecordingFile, session_metadata
 from groundstation.telemetry.samples import SampleBatch
+from support.daemons import COMMAND, groundstation, require_failure
+from support.flights import BASE, CARRYING_GAINS, recorded
+from support.programs import run_program
 
 HIDDEN = {"velocity_moment": {"moment": 12.0}}
 

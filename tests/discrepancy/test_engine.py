@@ -6,9 +6,7 @@ import functools
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 from scipy.signal import lfilter
-from searched_flights import base_model, flights, samples
 
 from groundstation.discrepancy.base_constants import unconfirmed
 from groundstation.discrepancy.engine import find_effects
@@ -21,6 +19,9 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.problem import Fit, Problem
 from groundstation.identification.recordings import flights_of
+from support.flights import BASE, base_model, flown
+from support.flights import searched as flights
+from support.flights import searched_samples as samples
 
 HIDDEN = {
     "dead_time": {"delay_s": 0.006},

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.discrepancy.evidence import (
     beyond_unseen,
@@ -18,6 +17,7 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.spectra import Noise, Spectrum
+from support.flights import BASE, flown
 
 DAMPING = next(one for one in VARIANTS if one.effect == "rate_damping")
 DELAY = next(one for one in VARIANTS if one.effect == "dead_time")

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.acceptance import LEAST_T
@@ -20,6 +19,8 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.rotors import spin_rotors
+from support.flights import base_model
+from support.flights import searched as flights
 
 FRAME = Frame(load_vehicle("crazyflie1"))
 POINT = point_of(base_model())

@@ -2,11 +2,12 @@
 
 import msgspec
 import pytest
-from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.judge import Judge, to_follow
 from groundstation.discrepancy.proof import FittedRows
+from support.flights import base_model
+from support.flights import searched as flights
 
 BLOWN = {f"moment_{axis}": 3.0 for axis in "xyz"} | {f"force_{axis}": 0.3 for axis in "xyz"}
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compared_flights import judged
-from made_findings import findings
-from searched_flights import base_model, flights
 
 from groundstation.discrepancy import engine
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.findings import Verdict
 from groundstation.discrepancy.proof import WORSE_T, FittedRows, worse_channels
 from groundstation.discrepancy.slow_disturbance import with_disturbance
+from support.findings import findings
+from support.flights import base_model, judged
+from support.flights import searched as flights
 
 HIDDEN = {"velocity_moment": {"moment": 12.0}}
 MODELS = ("base", "given", "moved", "model")

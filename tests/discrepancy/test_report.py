@@ -5,9 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
-from compared_flights import flights
-from made_findings import NAME, findings, proof, report
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import compare
@@ -19,6 +16,9 @@ from groundstation.discrepancy.report_json import (
     DiscrepancyReport,
     gap_of,
 )
+from support.findings import NAME, findings, proof, report
+from support.flights import BASE
+from support.flights import compared as flights
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from made_findings import NAME, findings, proof, report
 
 from groundstation.discrepancy.findings import NotShown, Verdict
 from groundstation.discrepancy.report_json import EffectFound, Step
@@ -17,6 +16,7 @@ from groundstation.discrepancy.report_words import (
     next_in_words,
 )
 from groundstation.dynamics.model import Estimate
+from support.findings import NAME, findings, proof, report
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from made_findings import findings, proof, report
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.rerun_overlay import PAUSE_S, overlay_of
 from groundstation.errors import BadInputError
 from groundstation.viewer.overlay import write_overlay
+from support.findings import findings, proof, report
 
 
 @pytest.fixture(scope="module")

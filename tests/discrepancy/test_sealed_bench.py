@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from stand_in_bench import plant, slopes
 
 from bench.sealed.bound import significances
 from bench.sealed.cases import GROUPS, PLAIN, POWER_SIGMAS, Case, matrix, named
@@ -38,6 +37,7 @@ from firmware_sim.settings import StandInSettings
 from groundstation.comparison.regimes import motion_of, regimes_of
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, load_model, save_model
 from groundstation.identification.runs import Run
+from support.plant import plant, slopes
 
 RANGES = {
     "dead_time": (1e-3, 12e-3),

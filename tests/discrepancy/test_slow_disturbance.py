@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
-from searched_flights import base_model, flights
 
 from groundstation.comparison.comparison import compare
 from groundstation.discrepancy.acceptance import Stage, lasting_refusal
@@ -15,6 +14,8 @@ from groundstation.discrepancy.slow_disturbance import (
     standard_errors,
     with_disturbance,
 )
+from support.flights import base_model
+from support.flights import searched as flights
 
 PERIOD_S, AHEAD = 0.002, 25
 BLOWN = {

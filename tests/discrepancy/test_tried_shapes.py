@@ -1,13 +1,13 @@
 """A pendulum is looked for at every length: columns at one say nothing of another."""
 
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.screening import screen, started, tried
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
+from support.flights import BASE, flown
 
 (LOAD,) = [one for one in VARIANTS if one.effect == "slung_load"]
 LENGTH = "slung_load.length_m"

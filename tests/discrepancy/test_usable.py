@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.comparison.stretches import Marked
 from groundstation.discrepancy.usable import still_there, usable
 from groundstation.errors import BadInputError
+from support.flights import BASE, flown
 
 
 @pytest.fixture(scope="module")

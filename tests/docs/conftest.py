@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from installed import Daemon
-from larder import Larder
-from pages import ROOT
-from ports import free_port
+
+from support import ROOT
+from support.daemons import Daemon
+from support.pages import Larder
+from support.programs import free_port
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ import re
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
-from pages import ROOT
 
 from groundstation.dynamics.registry import EFFECTS
+from support import ROOT
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text()
 ROWS = re.findall(r"^\| `(\w+)` \| ([^|]*)\| ([^|]*)\|$", TEXT, re.MULTILINE)

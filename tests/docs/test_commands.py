@@ -1,7 +1,7 @@
 """Every command printed in the pages is executed; getting_started and the README's tour in order.
 
 Each one runs in a folder of its own that holds the recordings of a clone and whatever files the
-command names (``tests/helpers/larder.py``). What differs from what is printed:
+command names (``tests/support/pages.py``). What differs from what is printed:
 
 - a command that goes on until Ctrl-C gets its Ctrl-C when it is up (``LIVE``); ``--for`` is 1 s
 - ports are replaced by free ones, and paths under /tmp by ones in the folder
@@ -22,10 +22,6 @@ import sys
 from itertools import pairwise
 
 import pytest
-from installed import COMMAND, PATIENCE_S, Daemon, until
-from pages import PAGES, ROOT, blocks_of
-from ports import free_port
-from programs import Program, run_program
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -34,6 +30,11 @@ from groundstation.cli.app import app
 from groundstation.cli.usb_devices import usb_devices
 from groundstation.errors import GroundStationError
 from groundstation.service.config import UsbConfig
+from support import ROOT
+from support.daemons import COMMAND, Daemon
+from support.pages import PAGES, blocks_of
+from support.programs import Program, free_port, run_program
+from support.waiting import PATIENCE_S, until
 
 USB = "tests/usb_vm/guest/test_usbip.py"
 SEALED = "tests/discrepancy/test_sealed.py"
@@ -78,7 +79,7 @@ ELSEWHERE = {
     "sudo usbip attach": ("root and a kernel of one's own", USB, '"attach"'),
     "sudo usbip detach": ("root and a kernel of one's own", USB, '"detach"'),
     "usbip list": ("a kernel of one's own", USB, '"list"'),
-    "python tests/helpers/usbip.py": ("a kernel of one's own", USB, "helpers/usbip.py"),
+    "python tests/support/usbip.py": ("a kernel of one's own", USB, "support/usbip.py"),
     "sudo udevadm control --reload": ("changes the machine", "tests/links/test_usb_rule.py", ""),
     "ssh ": ("another machine", "tests/viewer/test_viewer.py", "serve"),
 }

@@ -5,7 +5,7 @@ import re
 import sys
 import tomllib
 
-from pages import ROOT
+from support import ROOT
 
 
 def test_every_dependency_is_justified_and_every_row_is_a_dependency():

@@ -4,9 +4,9 @@ import ast
 import json
 
 import pytest
-from pages import ROOT
 
 from groundstation.report.result import Result
+from support import ROOT
 
 NOTEBOOK = ROOT / "docs" / "tour.ipynb"
 

@@ -5,9 +5,10 @@ import shlex
 
 import pytest
 import typer
-from pages import DATA, PAGES, ROOT, anchors_of, blocks_of, inline_code, links_of, prose_of
 
 from groundstation.cli.app import app
+from support import ROOT
+from support.pages import DATA, PAGES, anchors_of, blocks_of, inline_code, links_of, prose_of
 
 COMMANDS = typer.main.get_command(app)
 TARGETS = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))

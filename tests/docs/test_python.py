@@ -5,11 +5,11 @@ import sys
 from contextlib import nullcontext
 
 import pytest
-from larder import FLOWN
-from pages import PAGES, ROOT, blocks_of
-from programs import run_program
 
 import groundstation
+from support import ROOT
+from support.pages import FLOWN, PAGES, blocks_of
+from support.programs import run_program
 
 WITH_PYTHON = [
     page for page in PAGES if any(block.language == "python" for block in blocks_of(page))

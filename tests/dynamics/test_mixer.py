@@ -3,10 +3,10 @@
 import msgspec
 import numpy as np
 import pytest
-from thesis_equations import distribute, mix, output_stage, thrust_and_torque
 
 from groundstation.dynamics.mixer import MIXERS
 from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
+from support.equations import distribute, mix, output_stage, thrust_and_torque
 
 PLUS = BUILT_IN["crazyflie1"]
 X = BUILT_IN["crazyflie21"]

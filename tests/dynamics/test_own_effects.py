@@ -3,8 +3,6 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
-from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
@@ -14,6 +12,7 @@ from groundstation.dynamics.state import craft_state
 from groundstation.errors import BadInputError
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import predict_ahead
+from support.flights import BASE, CARRYING_GAINS, recorded, truth_of
 
 FILE = '''
 from groundstation.dynamics.effect import Effect, Parameter

@@ -3,13 +3,13 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, affected
 
 from groundstation.dynamics.law import Supply
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
+from support.flights import BASE, affected
 
 
 def reported(volts, lag_s, period_s=0.002):

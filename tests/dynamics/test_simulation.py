@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from euler_lagrange import flown
-from thesis_equations import mix
 
 from groundstation.dynamics.craft import craft_of_model, craft_of_vehicle
 from groundstation.dynamics.model import THESIS, vehicle_model
@@ -19,6 +17,8 @@ from groundstation.dynamics.state import (
     craft_state,
 )
 from groundstation.dynamics.vehicle import BUILT_IN
+from support.equations import lagrange_flown as flown
+from support.equations import mix
 
 CRAZYFLIE = BUILT_IN["crazyflie1"]
 HOVER_MV = CRAZYFLIE.motor.armature_mv(np.sqrt(9.80665 / 4 / CRAZYFLIE.thrust_per_mass))

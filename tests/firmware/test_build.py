@@ -5,8 +5,9 @@ import shutil
 import struct
 
 import pytest
-from c_firmware import FIRMWARE
-from programs import run_program
+
+from support.firmware import FIRMWARE
+from support.programs import run_program
 
 RAM, FLASH = 0x20000000, 0x08000000
 

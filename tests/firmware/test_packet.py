@@ -4,7 +4,6 @@ import ctypes
 import math
 
 import numpy as np
-from c_firmware import FIRMWARE, BladeTimer, Bridge, Craft, Sample, firmware, packed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from groundstation.telemetry.c_header import c_header
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.packet import SAMPLE_TICKS, as_packets, decode, encode, motor_counts
 from groundstation.telemetry.samples import RawBatch
+from support.firmware import FIRMWARE, BladeTimer, Bridge, Craft, Sample, firmware, packed
 
 I16 = st.integers(-32768, 32767)
 VECTOR = st.tuples(I16, I16, I16)

@@ -5,10 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from c_firmware import UsbControl, firmware, octets
 from hypothesis import given
 from hypothesis import strategies as st
-from usb_device import UsbBridge
 
 from groundstation.telemetry.bridge_usb import (
     ALTERNATE,
@@ -18,6 +16,8 @@ from groundstation.telemetry.bridge_usb import (
     device_descriptor,
     string_descriptor,
 )
+from support.firmware import UsbControl, firmware, octets
+from support.usb_device import UsbBridge
 
 IDENTITY = bytes(range(0xA0, 0xAC))
 SERIAL = IDENTITY.hex().upper()

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from stand_in_bench import flown, fly, plant
 
 from firmware_sim.settings import Loss
 from groundstation.dynamics.model import THESIS
 from groundstation.dynamics.vehicle import THESIS_MOTOR, load_vehicle
+from support.plant import flown, fly, plant
 
 DT = 0.002
 

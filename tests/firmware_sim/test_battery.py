@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stand_in_bench import callable_piece, plant
 
 from firmware_sim import battery
 from firmware_sim.craft import StandInSettings
 from firmware_sim.layout import STATE
 from firmware_sim.physics import firmware
+from support.plant import callable_piece, plant
 
 TABLE_V = [3.00, 3.78, 3.83, 3.87, 3.89, 3.92, 3.96, 4.00, 4.04, 4.10]
 """The firmware's charge table, 0..90 % in steps of 10 %."""

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from programs import run_program
-from stand_in_bench import flown, rows_of
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.monte_carlo import fly_many
 from firmware_sim.programme import BUILT_IN, Excitation, Programme, Segment
 from firmware_sim.settings import Loss
+from support.plant import flown, rows_of
+from support.programs import run_program
 
 
 @pytest.fixture(scope="module")

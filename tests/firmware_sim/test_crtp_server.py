@@ -16,12 +16,12 @@ import psutil
 import pytest
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
-from installed import until
-from served_craft import ServedCraft, served
 
 from firmware_sim.contents import PARAMETERS, VARIABLES
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.crtp_server import MAX_CLIENTS, CrtpServer
+from support.crafts import ServedCraft, served
+from support.waiting import until
 
 
 @pytest.fixture(scope="module")

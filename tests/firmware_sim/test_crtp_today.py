@@ -14,7 +14,6 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from cflib.crazyflie.syncLogger import SyncLogger
-from served_craft import ServedCraft, served
 
 from firmware_sim.contents import U8, U16
 from firmware_sim.craft import StandIn, StandInSettings
@@ -29,6 +28,7 @@ from firmware_sim.crtp import (
     START_V2,
     Conversation,
 )
+from support.crafts import ServedCraft, served
 
 
 @pytest.fixture(scope="module")

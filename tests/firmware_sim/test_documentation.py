@@ -6,12 +6,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from loop_margins import loop_margins
 
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.physics import parameters
 from firmware_sim.programme import BUILT_IN
 from firmware_sim.settings import Quirks, StandInSettings, load_settings
+from support.loop_margins import loop_margins
 
 TEXT = (Path(__file__).parents[2] / "docs" / "stand_in.md").read_text()
 TABLE = {

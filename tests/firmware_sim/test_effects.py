@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_in_bench import callable_piece, flown, fly, plant, rotation, slopes
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.imu import lever_arm_acceleration
 from firmware_sim.layout import ARM, LOAD, PHASE
 from firmware_sim.settings import Loss
+from support.plant import callable_piece, flown, fly, plant, rotation, slopes
 
 G = 9.80665
 LISTED = {

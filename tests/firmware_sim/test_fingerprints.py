@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import fingerprints
 import numpy as np
 import pytest
-from stand_in_bench import flown, rows_of
 
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.recording.csv_file import read_csv
 from groundstation.telemetry.samples import packet_counts
+from support import fingerprints
+from support.plant import flown, rows_of
 
 EXCERPT = Path(__file__).parents[2] / "recordings" / "thesis_excerpt.csv"
 

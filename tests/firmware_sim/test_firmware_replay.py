@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 import pytest
-from stand_in_bench import rows_of
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.settings import Loss, Quirks, Sensor
+from support.plant import rows_of
 
 FIRST_ROW = 10  # passes before telemetry starts
 END_S = 9.0

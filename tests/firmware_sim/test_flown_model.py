@@ -7,7 +7,6 @@ import math
 
 import msgspec
 import pytest
-from stand_in_flights import recorded
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.hide import HIDEABLE, main
@@ -23,6 +22,7 @@ from groundstation.dynamics.model import (
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.runs import runs_of
+from support.flights import recorded
 
 CRAFTS = ("crazyflie1", "crazyflie21")
 UNLIKE_THE_PLANT = {

@@ -3,7 +3,6 @@
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.present import present_effects
@@ -15,6 +14,7 @@ from groundstation.identification.arx.data import arx_data
 from groundstation.identification.arx.fit import Criterion, search_arx
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import runs_of
+from support.flights import CARRYING_GAINS, recorded
 
 BODY = vehicle_model(load_vehicle("crazyflie1"))
 DELAY, GAIN = 3, 0.7

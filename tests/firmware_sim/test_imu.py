@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from stand_in_bench import callable_piece, flown
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.imu import register
 from firmware_sim.physics import DLPF
 from firmware_sim.settings import Loss, Sensor
+from support.plant import callable_piece, flown
 
 QUIET = {"torque_noise": 0.0, "sensor_noise": 0.0, "loss": Loss(good_loss=0.0), "copies": 1}
 

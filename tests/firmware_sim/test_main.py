@@ -10,11 +10,11 @@ import sys
 
 import numpy as np
 import pytest
-from programs import Program, run_program
 
 from firmware_sim.__main__ import main
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.model import THESIS, save_model
+from support.programs import Program, run_program
 
 
 def test_a_fast_flight_is_written_as_it_was_received(tmp_path):

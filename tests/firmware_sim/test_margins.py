@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loop_margins import HOLD_S, loop_margins
 
 from firmware_sim.craft import StandIn, StandInSettings
+from support.loop_margins import HOLD_S, loop_margins
 
 STOCK_ON_THESIS = {
     "pid_rate.roll_kp": 70.0,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from stand_in_bench import flown
 
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import EFFECTS
@@ -12,6 +11,7 @@ from firmware_sim.physics import realize
 from firmware_sim.settings import Loss, Sensor
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import load_vehicle
+from support.plant import flown
 
 
 @pytest.mark.parametrize("name", ["crazyflie1", "crazyflie21"])

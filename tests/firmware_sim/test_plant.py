@@ -7,11 +7,11 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from stand_in_bench import fly, plant, rotation, slopes
 
 from firmware_sim.layout import ALL_STATES, FREE
 from groundstation.dynamics.model import THESIS, save_model
 from groundstation.dynamics.vehicle import THESIS_MOTOR, MotorConstants, load_vehicle, mean_motor
+from support.plant import fly, plant, rotation, slopes
 
 G = 9.80665
 

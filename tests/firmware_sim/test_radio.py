@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stand_in_bench import rows_of
 
 from firmware_sim.bridge import Bridge
 from firmware_sim.craft import StandIn, StandInSettings
@@ -12,6 +11,7 @@ from firmware_sim.layout import RADIO_STREAM
 from firmware_sim.radio import transmit
 from firmware_sim.random_numbers import seeded
 from firmware_sim.settings import Loss
+from support.plant import rows_of
 
 
 def heard(loss: Loss, packets: int = 20000, copies: int = 4):

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_in_bench import callable_piece, flown, rows_of
 
 from firmware_sim import stabilizer
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.physics import firmware, parameters
 from firmware_sim.settings import Quirks, Sensor
+from support.plant import callable_piece, flown, rows_of
 
 angle_loops = callable_piece(stabilizer.angle_loops)
 rate_loop = callable_piece(stabilizer.rate_loop)

@@ -7,8 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from installed import groundstation, require_failure
-from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError, TakenError
 from groundstation.fleet.facts import COLUMNS as FACTS
@@ -25,6 +23,8 @@ from groundstation.fleet.index import (
 )
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
+from support.daemons import groundstation, require_failure
+from support.programs import run_program
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 COLUMNS = {"name": "text", "value": "number", "words": "texts"}

@@ -8,12 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from dask_programs import scheduler, worker
-from ports import free_port
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.fleet import engine
 from groundstation.fleet.engine import carried_out
+from support.daemons import scheduler, worker
+from support.programs import free_port
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 pytestmark = pytest.mark.timeout(600)

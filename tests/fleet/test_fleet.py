@@ -9,8 +9,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from installed import COMMAND, require_failure
-from programs import run_program
 from typer.testing import CliRunner
 
 from bench.fleet import make
@@ -23,6 +21,8 @@ from groundstation.identification.recordings import bridged
 from groundstation.identification.stretches import stretches_of
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import write_mcap
+from support.daemons import COMMAND, require_failure
+from support.programs import run_program
 
 pytestmark = pytest.mark.timeout(1200)
 PATIENCE_S = 600.0

@@ -4,14 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dask_programs import scheduler, worker
-from installed import RECORDINGS
-from ports import free_port
 
 from groundstation.fleet.fit import fit_all, fits_table
 from groundstation.fleet.index import index, recordings_of
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
+from support import RECORDINGS
+from support.daemons import scheduler, worker
+from support.programs import free_port
 
 pytest.importorskip("distributed", reason="Dask is not installed")
 pytestmark = pytest.mark.timeout(600)

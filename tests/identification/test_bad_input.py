@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -13,6 +12,7 @@ from groundstation.identification.arx.workflow import identify_arx
 from groundstation.identification.body.workflow import identify_body
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.runs import runs_of
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 MODEL = vehicle_model(VEHICLE)

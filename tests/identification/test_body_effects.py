@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
@@ -11,6 +10,7 @@ from groundstation.identification.body.setup import FITTED
 from groundstation.identification.motor.supply import undo_supply
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
+from support.flights import CARRYING_GAINS, recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 CONSTANTS = np.array(VEHICLE.body_constants)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
@@ -19,6 +18,7 @@ from groundstation.identification.motor.fit import fit_motor
 from groundstation.identification.motor.problem import MotorRun
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 

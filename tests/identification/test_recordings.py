@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import flights_of, flights_of_each, without_gaps
 from groundstation.identification.runs import TooShortError, runs_of
+from support.flights import recorded
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import recorded, truth_of
 
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.errors import BadInputError
 from groundstation.identification.replayed import angle_rms, simulate_run
 from groundstation.identification.runs import runs_of
+from support.flights import recorded, truth_of
 
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])
 

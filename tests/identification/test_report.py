@@ -5,7 +5,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.model import vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -15,6 +14,7 @@ from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.report import report
 from groundstation.identification.runs import runs_of
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 MODEL = vehicle_model(VEHICLE)

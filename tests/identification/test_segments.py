@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
@@ -16,6 +15,7 @@ from groundstation.identification.segments import (
 )
 from groundstation.identification.stretches import stretches_of
 from groundstation.spans import spans
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 

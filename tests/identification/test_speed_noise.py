@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded, truth_of
 
 from groundstation.identification.flight import prepare
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.speed_noise import speed_spectrum, tells_up_to_hz
+from support.flights import recorded, truth_of
 
 
 def flight_with(noise_rev_s, rows_apart=1, held_rows=1):

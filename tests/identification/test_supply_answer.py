@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import runs_of
 from groundstation.twin.rows import Rows
+from support.flights import recorded
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,11 @@ import subprocess
 
 import numpy as np
 import pytest
-from installed import COMMAND, groundstation, require_failure, until
-from programs import Program
 
 from groundstation.recording.open_recording import open_recording
+from support.daemons import COMMAND, groundstation, require_failure
+from support.programs import Program
+from support.waiting import until
 
 CRAFT = "software:crazyflie21"
 

@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
-from installed import COMMAND, groundstation, require_failure
-from programs import run_program
+from support.daemons import COMMAND, groundstation, require_failure
+from support.programs import run_program
 
 MODEL = Path(__file__).parents[1] / "control" / "data" / "body.json"
 

@@ -3,16 +3,16 @@
 import asyncio
 from typing import ClassVar
 
-import flights
 import numpy as np
 import pytest
-from link_contract import FiniteLinkContract, LinkContract
-from served_craft import served
 
 from groundstation.links.factory import make_link
 from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import SampleBatch
+from support import packets as flights
+from support.crafts import served
+from support.links import FiniteLinkContract, LinkContract
 
 SOUND_RADIO = {"loss": {"good_loss": 0.0}}
 ROWS = 150

@@ -5,9 +5,6 @@ from __future__ import annotations
 import asyncio
 import itertools
 
-from narrow_radio import narrow
-from served_craft import served
-
 from groundstation.links.cflib_calls import newest_only
 from groundstation.links.craft_console import (
     LINE_CHARACTERS,
@@ -16,6 +13,7 @@ from groundstation.links.craft_console import (
     Console,
 )
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from support.crafts import narrow, served
 
 
 class Clock:

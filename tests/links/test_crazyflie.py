@@ -8,10 +8,6 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from eventually import PATIENCE_S, until
-from flown_link import flown
-from ports import free_port
-from served_craft import ServedCraft, served
 
 from firmware_sim.craft import CraftState
 from firmware_sim.supervisor import LOCKED
@@ -21,6 +17,11 @@ from groundstation.links.command import CommandState
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.factory import make_command_link
 from groundstation.links.supervisor import Supervisor
+from support.crafts import ServedCraft, served
+from support.crafts import flown_link as flown
+from support.programs import free_port
+from support.waiting import PATIENCE_S
+from support.waiting import eventually as until
 
 Scenario = Callable[[CrazyflieLink, list[dict[str, Any]]], Awaitable[None]]
 

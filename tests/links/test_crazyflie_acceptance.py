@@ -7,8 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from eventually import until
-from served_craft import ServedCraft, served
 
 from groundstation.links.base import LinkState
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
@@ -18,6 +16,8 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import SampleBatch
+from support.crafts import ServedCraft, served
+from support.waiting import eventually as until
 
 PATIENCE_S = 90.0
 LOG_DATA = 0x52

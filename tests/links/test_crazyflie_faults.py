@@ -12,14 +12,13 @@ import traceback
 from pathlib import Path
 
 import pytest
-from ports import free_port
-from programs import run_program
-from served_craft import ServedCraft, served
 from usb.core import USBError
 
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.crazyflie_connection import Connection, _explained
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from support.crafts import ServedCraft, served
+from support.programs import free_port, run_program
 
 GYRO = (("gyro.x", "float"),)
 

@@ -9,14 +9,13 @@ import time
 from pathlib import Path
 
 import pytest
-from narrow_radio import LOG_DATA, NarrowRadio, narrow
-from served_craft import served
 
 from groundstation.errors import LinkLostError
 from groundstation.links import crazyflie_log
 from groundstation.links.cflib_calls import CREATE_V2, START_V2
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
+from support.crafts import LOG_DATA, NarrowRadio, narrow, served
 
 LOG_CONTROL, LINK_SOURCE = 0x51, 0xF1
 """Header bytes, the two link bits aside."""

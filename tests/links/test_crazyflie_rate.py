@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 
 import numpy as np
-from held_up import in_real_time
-from narrow_radio import narrow
-from served_craft import served
 
 from groundstation.links.crazyflie_log import CrazyflieTelemetry
 from groundstation.telemetry.samples import SampleBatch
+from support.crafts import narrow, served
+from support.waiting import in_real_time
 
 FAST_HZ = 250
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import assert_same_packets, assert_same_samples, chunks, flight, write_flight
-from link_contract import joined, listen, read_to_end
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.links.replay import FAST, ReplayLink
@@ -17,6 +15,8 @@ from groundstation.recording.recording_file import RecordingFile, write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+from support.links import joined, listen, read_to_end
+from support.packets import assert_same_packets, assert_same_samples, chunks, flight, write_flight
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"

@@ -9,12 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from eventually import until
-from flights import flight
-from link_contract import PATIENCE_S, LinkContract, joined, listen, packets_read, read_span
-from one_flight import BRIDGES, OneFlight, require_same_on_this_machine
-from programs import run_program
-from serial_craft import SerialCraft
 
 from firmware_sim.serial_port import SerialPort
 from firmware_sim.settings import Loss, StandInSettings
@@ -26,6 +20,13 @@ from groundstation.links.factory import make_link
 from groundstation.links.serial import SerialLink
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.framing import BAUD, FRAME_BYTES, frame_packets
+from support.crafts import SerialCraft
+from support.links import LinkContract, joined, listen, packets_read, read_span
+from support.one_flight import BRIDGES, OneFlight, require_same_on_this_machine
+from support.packets import flight
+from support.programs import run_program
+from support.waiting import PATIENCE_S
+from support.waiting import eventually as until
 
 SOUND = Loss(good_loss=0.0)
 

@@ -5,12 +5,12 @@ import time
 
 import numpy as np
 import pytest
-from link_contract import joined, read_span
 
 from groundstation import compiling
 from groundstation.links import stand_in
 from groundstation.links.stand_in import StandInLink
 from groundstation.telemetry.decoder import Decoder, decode_all
+from support.links import joined, read_span
 
 SOUND_RADIO = {"loss": {"good_loss": 0.0}}
 FAST = float("inf")

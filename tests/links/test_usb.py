@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from eventually import until
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +15,7 @@ from groundstation.links.factory import make_link
 from groundstation.links.usb import UsbLink, parse_ids
 from groundstation.links.usb_ring import FRAMES, Block, require_private_names
 from groundstation.telemetry.bridge_usb import FRAME_BYTES, FRAME_NS
+from support.waiting import eventually as until
 
 ABSENT = "1209:0001"
 SEEN_NS = 1_700_000_000_000_000_000

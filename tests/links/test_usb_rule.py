@@ -1,10 +1,10 @@
 """``groundstation install udev``: the rule that lets users read the bridge."""
 
 import pytest
-from installed import groundstation, require_failure
 
 from groundstation.cli import install
 from groundstation.errors import GroundStationError
+from support.daemons import groundstation, require_failure
 
 
 def test_the_rule_names_the_configured_device(tmp_path):

@@ -14,8 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from installed import COMMAND
-from programs import run_program
 
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.dynamics.model import vehicle_model
@@ -25,6 +23,8 @@ from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.recordings import flights_of, without_gaps
 from groundstation.identification.runs import runs_of
 from groundstation.recording.open_recording import open_recording
+from support.daemons import COMMAND
+from support.programs import run_program
 
 DATA = os.environ.get("GROUNDSTATION_LOCAL_DATA")
 pytestmark = pytest.mark.skipif(

@@ -11,11 +11,10 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from installed import RECORDINGS
-from pages import ROOT
-from programs import run_program
 
 import groundstation
+from support import RECORDINGS, ROOT
+from support.programs import run_program
 
 pytestmark = pytest.mark.timeout(900)
 NO_INDEX = "pip could not fetch what the build or the program needs: is the package index in reach?"

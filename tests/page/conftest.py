@@ -5,8 +5,10 @@ import re
 import shutil
 
 import pytest
-from installed import Daemon, until
-from ports import free_port
+
+from support.daemons import Daemon
+from support.programs import free_port
+from support.waiting import until
 
 CHROMIUM = shutil.which("chromium")
 PATIENCE_MS = 120_000

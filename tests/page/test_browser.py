@@ -8,14 +8,16 @@ import time
 
 import psutil
 import pytest
-from installed import RECORDINGS, groundstation, until
-from ports import free_port
-from served_craft import served
 
 from firmware_sim.supervisor import CRASHED
 from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot
+from support import RECORDINGS
+from support.crafts import served
+from support.daemons import groundstation
+from support.programs import free_port
+from support.waiting import until
 
 FLIGHT = "stand_in_flight.mcap"
 NUMBERS = re.compile(r"^\d+ numbers$")

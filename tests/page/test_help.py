@@ -7,13 +7,12 @@ from contextlib import contextmanager
 
 import pytest
 import uvicorn
-from installed import until
-from pages import ROOT
-from ports import free_port
-from programs import run_program
 from starlette.applications import Starlette
 
 from groundstation.page.help import help_route
+from support import ROOT
+from support.programs import free_port, run_program
+from support.waiting import until
 
 
 @pytest.fixture(scope="module")

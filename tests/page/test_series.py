@@ -7,12 +7,12 @@ import struct
 
 import numpy as np
 import pytest
-from installed import RECORDINGS
 
 from groundstation.errors import GroundStationError
 from groundstation.page.opening import add, add_example
 from groundstation.page.series import ROWS_MOST, series, write
 from groundstation.recording.open_recording import open_recording
+from support import RECORDINGS
 
 
 def written(name):

@@ -3,10 +3,9 @@
 import asyncio
 import json
 
-from eventually import until
-
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
+from support.waiting import eventually as until
 
 PORT = 9080
 HOST = f"127.0.0.1:{PORT}"

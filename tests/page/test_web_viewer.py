@@ -3,8 +3,9 @@
 import re
 
 import pytest
-from installed import until
-from ports import free_port
+
+from support.programs import free_port
+from support.waiting import until
 
 
 @pytest.mark.timeout(600)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import BASE, affected, flown
 
 from groundstation.prediction.attitude_walk import NONE
 from groundstation.prediction.prediction import (
@@ -13,6 +12,7 @@ from groundstation.prediction.prediction import (
     own_noise,
     predict_observed,
 )
+from support.flights import BASE, affected, flown
 
 HORIZONS = (10, 25)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.prediction.battery_rhythm import between_readings, held, reading_rhythm
 from groundstation.prediction.drive import drive_run
+from support.flights import BASE, flown
 
 ROWS = 4000
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import BASE, affected, flown
 
 from groundstation.prediction.gyro_vibration import vibration_of
 from groundstation.prediction.observer import Noise
@@ -14,6 +13,7 @@ from groundstation.prediction.prediction import (
     own_noise,
     predict_observed,
 )
+from support.flights import BASE, affected, flown
 
 STRENGTH = 0.02
 PERIOD_S = 0.002

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.prediction.height import heights_of, rise_of
 from groundstation.spans import spans
+from support.flights import recorded
 
 PROGRAMME = """name = "low"
 [[segment]]

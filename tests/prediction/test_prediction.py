@@ -5,7 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM, affected, flown
 
 from groundstation.dynamics.law import FAR_M
 from groundstation.dynamics.model import vehicle_model
@@ -22,6 +21,7 @@ from groundstation.prediction.prediction import (
     observe_run,
     predict_ahead,
 )
+from support.flights import BASE, MEDIUM, affected, flown
 
 HORIZONS = (10, 25)
 SHOWS = {

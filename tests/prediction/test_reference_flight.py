@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM, affected
 
 from groundstation.dynamics.reference import BUILT_IN, load_reference
 from groundstation.dynamics.state import RATE, attitude_of
 from groundstation.errors import BadInputError
 from groundstation.prediction.reference_flight import fly_reference
+from support.flights import BASE, MEDIUM, affected
 
 HEAD = "time_s,roll_deg,pitch_deg,yaw_deg"
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.dynamics.rotations import rotation_matrix
 from groundstation.prediction.prediction import observe_run
 from groundstation.prediction.start_velocity import start_velocity
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from support.flights import BASE, flown
 
 PERIOD, SPEED, RADIUS = 0.002, 1.5, 0.8
 

@@ -3,10 +3,10 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.prediction.prediction import observe_run, predict_observed
+from support.flights import BASE, flown
 
 LOAD = {"percent": 8.0, "length_m": 0.4, "damping_per_s": 0.2, "below_m": 0.01}
 CARRYING = {"slung_load": LOAD, "mass_change": {"percent": 8.0}}

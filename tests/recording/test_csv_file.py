@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fingerprints import mean_timestamp_step
 from hypothesis import given
 from hypothesis import strategies as st
-from packet_recordings import packet_recording, packet_recordings
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording import delimited
@@ -21,6 +19,8 @@ from groundstation.recording.microsd import read_microsd
 from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import TICK_S, decode
 from groundstation.telemetry.samples import COLUMNS, RawBatch, empty_samples, packet_counts
+from support.fingerprints import mean_timestamp_step
+from support.packets import packet_recording, packet_recordings
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"

@@ -4,7 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fingerprints import (
+
+from groundstation.recording.csv_file import read_csv
+from groundstation.telemetry.packet import MOTOR_STEP, SAMPLE_TICKS
+from groundstation.telemetry.samples import packet_counts
+from support.fingerprints import (
     STOCK_SLOPES,
     angle_per_gyro,
     mean_accelerometer_counts,
@@ -12,10 +16,6 @@ from fingerprints import (
     rate_gain,
     rows_between_angle_changes,
 )
-
-from groundstation.recording.csv_file import read_csv
-from groundstation.telemetry.packet import MOTOR_STEP, SAMPLE_TICKS
-from groundstation.telemetry.samples import packet_counts
 
 EXCERPT = Path(__file__).parents[2] / "recordings" / "thesis_excerpt.csv"
 

@@ -2,17 +2,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import (
-    COPIES,
-    assert_same_packets,
-    assert_same_samples,
-    chunks,
-    flight,
-    raw_batches,
-    records,
-    sample_batches,
-    write_flight,
-)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
@@ -26,6 +15,17 @@ from groundstation.recording.mcap_schemas import SAMPLE_FIELDS, SAMPLES_DEFINITI
 from groundstation.recording.recording_file import RecordingFile, write_mcap
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+from support.packets import (
+    COPIES,
+    assert_same_packets,
+    assert_same_samples,
+    chunks,
+    flight,
+    raw_batches,
+    records,
+    sample_batches,
+    write_flight,
+)
 
 ROWS = 120
 """Five chunks of 25 samples, the last one with 20."""

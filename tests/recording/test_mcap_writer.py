@@ -11,18 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import (
-    COPIES,
-    START_NS,
-    assert_same_packets,
-    assert_same_samples,
-    flight,
-    record_flight,
-)
-from installed import until
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
-from programs import Program, run_program
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.mcap_file import McapFile
@@ -34,6 +24,16 @@ from groundstation.recording.recover import recover
 from groundstation.recording.session import Recording
 from groundstation.recording.standard_messages import quaternion
 from groundstation.telemetry.samples import RawBatch, SampleBatch, empty_samples
+from support.packets import (
+    COPIES,
+    START_NS,
+    assert_same_packets,
+    assert_same_samples,
+    flight,
+    record_flight,
+)
+from support.programs import Program, run_program
+from support.waiting import until
 
 METADATA = {
     "session": session_metadata("stand-in"),
@@ -43,7 +43,7 @@ METADATA = {
 ROWS = 1500
 FAULT_S = 10.0
 """In which a recorder that looks a hundred times a second does what it has to."""
-HELPERS = Path(__file__).parents[1] / "helpers"
+TESTS = Path(__file__).parents[1]
 
 
 @pytest.fixture
@@ -323,7 +323,7 @@ def test_a_disk_error_stops_the_recording_and_spares_the_caller(path):
     """The size limit of a process is a write error that needs no special rights."""
     done = run_program(
         [sys.executable, "-c", SIZE_LIMIT, path],
-        env={**os.environ, "PYTHONPATH": str(HELPERS)},
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
     )
     assert done.stderr == ""
     state, *text = done.stdout.splitlines()
@@ -335,7 +335,7 @@ def test_a_disk_error_stops_the_recording_and_spares_the_caller(path):
 SIZE_LIMIT = """
 import resource, sys, threading
 from pathlib import Path
-from flights import record_flight
+from support.packets import record_flight
 from groundstation.recording.mcap_writer import McapRecorder
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 heard = threading.Event()
@@ -557,7 +557,7 @@ def columns(batch):
 CHILD = """
 import os, sys, time
 from pathlib import Path
-from flights import flight
+from support.packets import flight
 from groundstation.recording.mcap_writer import McapRecorder
 recorder = McapRecorder(Path(sys.argv[1]), {"session": {"link": "kill"}})
 due = time.monotonic()
@@ -574,7 +574,7 @@ for start in range(0, 1_000_000, 5):
 def start_child(path):
     return Program(
         [sys.executable, "-c", CHILD, path],
-        env={**os.environ, "PYTHONPATH": str(HELPERS)},
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
         stdout=subprocess.PIPE,
     )
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from microsd_files import FIXED, header_bytes, log_bytes, record_bytes
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.microsd import read_microsd
 from groundstation.recording.microsd_channels import gyro_unit_of
 from groundstation.recording.microsd_scan import longest_in_order
+from support.foreign_logs import FIXED, header_bytes, log_bytes, record_bytes
 
 LOG16 = Path(__file__).parents[2] / "recordings" / "microsd_log16"
 

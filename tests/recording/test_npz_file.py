@@ -7,11 +7,11 @@ import zipfile
 
 import numpy as np
 import pytest
-from flights import assert_same_samples
-from programs import run_program
 
 from groundstation.errors import RecordingError
 from groundstation.recording.open_recording import open_recording
+from support.packets import assert_same_samples
+from support.programs import run_program
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,13 @@
 from pathlib import Path
 
 import pytest
-from flights import assert_same_samples, flight, write_flight
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
+from support.packets import assert_same_samples, flight, write_flight
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 

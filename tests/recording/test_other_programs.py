@@ -6,7 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_logs import (
+
+from groundstation.errors import BadInputError
+from groundstation.recording.open_recording import open_recording
+from groundstation.recording.quality import inspect_recording
+from groundstation.recording.recording_file import write_mcap
+from groundstation.recording.recover import recover
+from support.foreign_logs import (
     write_betaflight,
     write_cfclient,
     write_crazyswarm2,
@@ -15,13 +21,7 @@ from foreign_logs import (
     write_service_events,
     write_ulog,
 )
-from programs import run_program
-
-from groundstation.errors import BadInputError
-from groundstation.recording.open_recording import open_recording
-from groundstation.recording.quality import inspect_recording
-from groundstation.recording.recording_file import write_mcap
-from groundstation.recording.recover import recover
+from support.programs import run_program
 
 GROUNDSTATION = Path(sys.executable).parent / "groundstation"
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"

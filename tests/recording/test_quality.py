@@ -4,10 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flights import flight
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from packet_recordings import packet_recording, packet_recordings
 
 from groundstation.recording.csv_file import read_csv, write_table_csv
 from groundstation.recording.microsd import read_microsd
@@ -16,6 +14,7 @@ from groundstation.recording.session import Recording
 from groundstation.telemetry.packet import SAMPLE_TICKS, TICK_S
 from groundstation.telemetry.row_clock import row_steps
 from groundstation.telemetry.samples import RawBatch, empty_samples
+from support.packets import flight, packet_recording, packet_recordings
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 DESIGN_KEYS = {

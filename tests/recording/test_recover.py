@@ -3,15 +3,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from flights import (
-    COPIES,
-    assert_same_packets,
-    assert_same_samples,
-    chunks,
-    flight,
-    records,
-    write_flight,
-)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
@@ -22,6 +13,15 @@ from groundstation.errors import BadInputError, GroundStationError, RecordingErr
 from groundstation.recording.mcap_file import McapFile
 from groundstation.recording.mcap_reader import read_mcap
 from groundstation.recording.recover import recover
+from support.packets import (
+    COPIES,
+    assert_same_packets,
+    assert_same_samples,
+    chunks,
+    flight,
+    records,
+    write_flight,
+)
 
 ROWS = 120
 METADATA = {"session": {"link": "usb"}, "vehicle": {"name": "crazyflie1"}}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from programs import run_program
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.formats import writer_of
@@ -16,6 +15,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
 from groundstation.recording.session import Recording
 from groundstation.viewer.viewer import rerun_program
+from support.programs import run_program
 
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"
 ROWS = slice(4000, 6000)

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from made_findings import findings, proof
 from matplotlib.figure import Figure
-from stand_in_flights import recorded
 
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.dynamics.model import vehicle_model
@@ -13,6 +11,8 @@ from groundstation.errors import BadInputError
 from groundstation.identification.motor.workflow import identify_motor
 from groundstation.identification.replayed import simulate_run
 from groundstation.identification.runs import runs_of
+from support.findings import findings, proof
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 MODEL = vehicle_model(VEHICLE)

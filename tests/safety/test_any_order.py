@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import os
 
-from craft_in_hand import World
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
@@ -21,6 +20,7 @@ from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import DeadManConfig
 from groundstation.service.freshness import STOOD_S
 from groundstation.service.motor_stop import STOPPED
+from support.worlds import World
 
 STEPS = int(os.environ.get("SAFETY_STEPS", "1000"))
 STEPS_EACH = 25

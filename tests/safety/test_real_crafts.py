@@ -2,14 +2,13 @@
 
 import asyncio
 
-from eventually import until
-from served_craft import served
-
 from groundstation.links.command import CommandState
 from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.motor_stop import STOPPED
 from groundstation.service.station import Station
+from support.crafts import served
+from support.waiting import eventually as until
 
 
 def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):

@@ -9,12 +9,13 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from installed import Daemon, until
-from served_craft import served
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.motor_stop import STOPPED
+from support.crafts import served
+from support.daemons import Daemon
+from support.waiting import until
 
 CRAFT = {"craft": "crazyflie21", "plant": "reduced"}
 THRUST = 20000

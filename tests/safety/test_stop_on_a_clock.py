@@ -4,7 +4,6 @@ import asyncio
 import math
 
 import pytest
-from craft_in_hand import World
 
 from groundstation.errors import BadInputError, LinkError, NotAuthorisedError, TakenError
 from groundstation.links.base import LinkState
@@ -13,6 +12,7 @@ from groundstation.service.arming import CHECKS_S, STATE_S
 from groundstation.service.commander import WATCH_S, Commander
 from groundstation.service.config import DeadManConfig
 from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
+from support.worlds import World
 
 HOVER = 40000
 ROUNDING_S = 1e-6

@@ -3,14 +3,14 @@
 import asyncio
 
 import pytest
-from eventually import until
-from served_craft import served
 
 from firmware_sim.supervisor import CRASHED, FLYING
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.service.arming import ask_to_arm, ask_to_recover
 from groundstation.service.motor_stop import send_level
+from support.crafts import served
+from support.waiting import eventually as until
 
 ON_ITS_BACK, UPRIGHT = (0.0, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 

@@ -3,8 +3,6 @@
 import asyncio
 
 import numpy as np
-from installed import until
-from served_station import serve
 
 from groundstation.page.alarms import alarms
 from groundstation.service.batteries import FILE, Batteries
@@ -13,6 +11,8 @@ from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.packet import encode
 from groundstation.telemetry.samples import RawBatch
+from support.stations import serve
+from support.waiting import until
 
 ROWS = 30_000
 

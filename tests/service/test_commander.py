@@ -10,9 +10,6 @@ import time
 
 import numpy as np
 import pytest
-from installed import RECORDINGS, until
-from ports import free_port
-from served_station import recorded, serve
 
 from groundstation.errors import BadInputError, GroundStationError, NotAuthorisedError
 from groundstation.links.command import CommandState
@@ -24,6 +21,11 @@ from groundstation.service.config import (
     LinkConfig,
     RecordingConfig,
 )
+from support import RECORDINGS
+from support.programs import free_port
+from support.stations import only_recording as recorded
+from support.stations import serve
+from support.waiting import until
 
 HOVER = 40000
 PATIENT = {"level_s": 1.0, "stop_s": 4.0}

@@ -4,13 +4,14 @@ import json
 import socket
 
 import pytest
-from installed import groundstation, until
-from ports import free_port
-from served_station import serve
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.config import Config, RecordingConfig
+from support.daemons import groundstation
+from support.programs import free_port
+from support.stations import serve
+from support.waiting import until
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ import threading
 from http.client import HTTPResponse
 
 import pytest
-import served_station
 
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import Client, ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.control_socket import ControlSocket
+from support import stations as served_station
 
 
 @pytest.fixture

@@ -10,9 +10,6 @@ import time
 
 import psutil
 import pytest
-from installed import until
-from ports import free_port
-from programs import run_program
 
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.service import connections, control
@@ -22,6 +19,8 @@ from groundstation.service.control import BODY_MOST, ControlServer
 from groundstation.service.control_socket import ControlPort, ControlSocket
 from groundstation.service.station import Station
 from groundstation.service.stream import CLIENTS_MOST, ROWS_MOST
+from support.programs import free_port, run_program
+from support.waiting import until
 
 
 @pytest.fixture
@@ -32,7 +31,7 @@ def path(tmp_path):
 @pytest.fixture
 def serve(tmp_path, path):
     """Runs a conversation against the API of a flying station."""
-    from served_station import serve as serving
+    from support.stations import serve as serving
 
     config = Config(recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False))
     return lambda conversation: serving(config, path, conversation)

@@ -8,8 +8,6 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 import pytest
-from eventually import until
-from served_craft import ServedCraft, served
 
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
@@ -21,6 +19,8 @@ from groundstation.recording.quality import inspect_recording
 from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
+from support.crafts import ServedCraft, served
+from support.waiting import eventually as until
 
 PATIENCE_S = 20.0
 

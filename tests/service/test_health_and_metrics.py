@@ -5,9 +5,7 @@ import http.client
 import json
 import socket
 
-from installed import until
 from prometheus_client.parser import text_string_to_metric_families
-from served_station import serve
 
 from groundstation.links.base import Link, LinkState
 from groundstation.service.client import ask
@@ -15,6 +13,8 @@ from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.control import ControlServer
 from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
+from support.stations import serve
+from support.waiting import until
 
 
 def get(path, route):

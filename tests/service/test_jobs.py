@@ -6,14 +6,14 @@ import shutil
 
 import psutil
 import pytest
-from eventually import PATIENCE_S
-from installed import RECORDINGS, until
-from served_station import serve
 
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.jobs import Jobs
+from support import RECORDINGS
+from support.stations import serve
+from support.waiting import PATIENCE_S, until
 
 FLIGHT = "stand_in_flight.mcap"
 ENDED = ("done", "failed", "cancelled")

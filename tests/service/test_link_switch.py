@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from installed import RECORDINGS
 
 from groundstation.errors import BadInputError, GroundStationError, LinkError, TakenError
 from groundstation.links import serial as serial_module
@@ -24,6 +23,7 @@ from groundstation.service import receiver as receiver_module
 from groundstation.service.api import permitted_link
 from groundstation.service.config import Config, LinkConfig, RecordingConfig, ViewerConfig
 from groundstation.service.station import Station
+from support import RECORDINGS
 
 FLIGHT = RECORDINGS / "stand_in_flight.mcap"
 
@@ -177,7 +177,7 @@ def test_while_a_client_commands_the_link_stays(tmp_path, monkeypatch):
 
 
 def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tmp_path):
-    from ports import free_port
+    from support.programs import free_port
 
     async def conversation(station):
         async with asyncio.timeout(60):

@@ -5,9 +5,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from installed import until
-from ports import free_port
-from served_station import serve
 
 from groundstation.dynamics.model import THESIS, EffectTerm, Estimate, save_model
 from groundstation.errors import GroundStationError
@@ -15,6 +12,9 @@ from groundstation.identification.estimate import Estimates
 from groundstation.service.client import ask
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.jobs import Job
+from support.programs import free_port
+from support.stations import serve
+from support.waiting import until
 
 FIT = "2026-11-22T20-00-00-000Z_fit"
 BROKEN = "2026-11-22T20-00-01-000Z_fit"

@@ -7,7 +7,6 @@ import time
 
 import numpy as np
 import pytest
-from eventually import until
 
 from groundstation.errors import BadInputError
 from groundstation.recording.catalogue import catalogue
@@ -17,6 +16,7 @@ from groundstation.service import overview, recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.recording_manager import delete_oldest
 from groundstation.service.station import Station
+from support.waiting import eventually as until
 
 
 @pytest.fixture

@@ -9,13 +9,13 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from served_station import serve
 
 from groundstation.links.event import LinkEvent
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service.answers import HealthStatus, Status
 from groundstation.service.client import Client
 from groundstation.service.config import Config, RecordingConfig
+from support.stations import serve
 
 EXPECTED = {200, 400, 403, 404, 405, 409, 413, 429, 503}
 NUMBERS = st.one_of(

@@ -2,12 +2,12 @@ import asyncio
 import threading
 
 import pytest
-from flights import COPIES, assert_same_samples, flight
 
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.sessions import Sessions
+from support.packets import COPIES, assert_same_samples, flight
 
 METADATA = {"vehicle": {"profile": "crazyflie1"}, "configuration": {"speed": "1.0"}}
 

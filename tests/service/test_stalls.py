@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable
 
 import pytest
-from programs import Program
 
 from groundstation.service.health import Health
 from groundstation.service.stalls import Figures, explained
+from support.programs import Program
 
 HELD_S = 0.8
 

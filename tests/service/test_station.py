@@ -4,7 +4,6 @@ import asyncio
 
 import numpy as np
 import pytest
-from flights import COPIES, flight
 
 from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkLostError
 from groundstation.links.base import Link
@@ -15,6 +14,7 @@ from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.journal import EVENTS_KEPT
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import RawBatch
+from support.packets import COPIES, flight
 
 
 class ScriptedLink(Link):

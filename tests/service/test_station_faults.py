@@ -7,8 +7,6 @@ import time
 
 import numpy as np
 import pytest
-from eventually import until
-from flights import COPIES, flight
 
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError, LinkLostError
 from groundstation.links.base import Link, LinkState
@@ -23,6 +21,8 @@ from groundstation.service.control_socket import ControlSocket
 from groundstation.service.station import Station
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
+from support.packets import COPIES, flight
+from support.waiting import eventually as until
 
 
 class FedLink(Link):

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from installed import until
-from served_station import serve
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask, live
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.stream import thinned
 from groundstation.telemetry.samples import TICK_S, empty_samples
+from support.stations import serve
+from support.waiting import until
 
 
 def rows_of(count, period_s=0.002):

@@ -3,13 +3,13 @@
 import asyncio
 
 import pytest
-from eventually import until
 
 from groundstation.service import supervisor as supervisor_module
 from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.limits import RateLimit
 from groundstation.service.station import Station
 from groundstation.service.supervisor import Supervisor
+from support.waiting import eventually as until
 
 
 @pytest.fixture(autouse=True)

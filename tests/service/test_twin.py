@@ -3,12 +3,12 @@
 import asyncio
 
 import pytest
-from flights import flight
 
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.service.twin import FAULTS_MOST, TwinService
 from groundstation.twin import twin as twin_module
+from support.packets import flight
 
 
 @pytest.fixture

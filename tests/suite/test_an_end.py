@@ -7,9 +7,10 @@ from subprocess import TimeoutExpired
 
 import psutil
 import pytest
-from installed import until
-from pages import ROOT
-from programs import Program, run_program
+
+from support import ROOT
+from support.programs import Program, run_program
+from support.waiting import until
 
 DEAF = 'trap "" INT TERM HUP; '
 STARTS = f"{DEAF} setsid sleep 600 & (setsid sleep 600 & echo $! $$); wait"
@@ -56,12 +57,12 @@ def test_a_command_that_takes_too_long_ends_with_what_it_started():
 def test_what_tests_started_ends_when_they_are_killed():
     code = (
         "import os, signal, sys\n"
-        "from programs import Program\n"
+        "from support.programs import Program\n"
         f"Program(['sh', '-c', {STARTS!r}])\n"
         "sys.stdin.readline()\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "helpers")}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests")}
     with Program([sys.executable, "-c", code], stdin=-1, stdout=-1, env=environment) as tests:
         processes = started(tests.stdout.readline())
         tests.communicate(b"\n")
@@ -72,7 +73,7 @@ def test_a_suite_in_the_background_of_a_script_ends_though_a_test_waits_for_ever
     (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text())
     (tmp_path / "test_hangs.py").write_text(
         "import signal\n"
-        "from programs import Program\n"
+        "from support.programs import Program\n"
         "def test_programs_hear_ctrl_c():\n"
         "    with Program(['sleep', '600']) as program:\n"
         "        program.send_signal(signal.SIGINT)\n"
@@ -81,9 +82,7 @@ def test_a_suite_in_the_background_of_a_script_ends_though_a_test_waits_for_ever
         f"    with Program(['sh', '-c', {DEAF + 'while :; do sleep 600; done'!r}]) as program:\n"
         "        program.wait()\n"
     )
-    (tmp_path / "pytest.ini").write_text(
-        f"[pytest]\ntimeout = 2\npythonpath = {ROOT / 'tests' / 'helpers'}\n"
-    )
+    (tmp_path / "pytest.ini").write_text(f"[pytest]\ntimeout = 2\npythonpath = {ROOT / 'tests'}\n")
     deaf = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-m", "pytest", "-q"]
     done = run_program([*deaf, "-p", "no:cacheprovider", tmp_path], cwd=tmp_path, timeout=60)
     assert "1 failed, 1 passed" in done.stdout
@@ -115,4 +114,4 @@ def test_only_one_helper_starts_processes():
                      path.read_text())
     ]  # fmt: skip
     inside = [name for name in found if not name.startswith("tests/usb_vm/guest/")]
-    assert inside == ["tests/helpers/programs.py"]
+    assert inside == ["tests/support/programs.py"]

@@ -6,12 +6,13 @@ import sys
 import time
 
 import pytest
-from ci_limits import named, names, processor_s
-from pages import ROOT
-from programs import Program, run_program
+
+from support import ROOT
+from support.ci_limits import named, names, processor_s
+from support.programs import Program, run_program
 
 LIMIT_S = 0.3
-CONFTEST = f"import ci_limits\nci_limits.LIMIT_S = ci_limits.FAILS_S = {LIMIT_S}\n"
+CONFTEST = f"from support import ci_limits\nci_limits.LIMIT_S = ci_limits.FAILS_S = {LIMIT_S}\n"
 TESTS = """
 import sys, time
 from subprocess import run
@@ -56,10 +57,10 @@ def suite(tmp_path):
         environment = {
             **os.environ,
             "CI": ci,
-            "PYTHONPATH": str(ROOT / "tests" / "helpers"),
+            "PYTHONPATH": str(ROOT / "tests"),
             "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # they take longer than the tests
         }
-        plugins = ["-p", "ci_limits", "-p", "xdist.plugin", "-p", "no:cacheprovider"]
+        plugins = ["-p", "support.ci_limits", "-p", "xdist.plugin", "-p", "no:cacheprovider"]
         return run_program(
             [sys.executable, "-m", "pytest", *plugins, *options], cwd=tmp_path, env=environment
         )

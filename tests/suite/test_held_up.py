@@ -8,8 +8,9 @@ import sys
 import time
 
 import pytest
-from held_up import children, in_real_time, waited_s
-from programs import Program
+
+from support.programs import Program
+from support.waiting import children, in_real_time, waited_s
 
 COMPUTE = "while True: pass"
 SLEEP = "import time; print(flush=True); time.sleep(100)"

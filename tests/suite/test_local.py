@@ -3,8 +3,8 @@
 import os
 import sys
 
-from pages import ROOT
-from programs import run_program
+from support import ROOT
+from support.programs import run_program
 
 
 def test_the_tests_that_need_other_flights_still_import_what_they_test():

@@ -4,10 +4,11 @@ import json
 import sys
 
 import pytest
-from ci_limits import names
-from durations import LONG_PROCESSOR_S, LONG_WALL_S, SHARED_PROCESSOR_S, long_tests
-from pages import ROOT
-from programs import run_program
+
+from support import ROOT
+from support.ci_limits import names
+from support.durations import LONG_PROCESSOR_S, LONG_WALL_S, SHARED_PROCESSOR_S, long_tests
+from support.programs import run_program
 
 LISTED = names(ROOT / "tests" / "long_tests.txt", reasons=False)
 HEAVY = names(ROOT / "tests" / "heavy_tests.txt")
@@ -31,13 +32,13 @@ def collected(tmp_path):
     listed = ("tests/test_all_long.py", "tests/test_one.py::test_of_many_sizes[2]  # waits")
     (tests / "long_tests.txt").write_text("# why\n" + "\n".join(listed))
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "-p", "no:cacheprovider",
-               "-p", "parts", "--rootdir", tmp_path, "-c", "/dev/null", tests]  # fmt: skip
+               "-p", "support.parts", "--rootdir", tmp_path, "-c", "/dev/null", tests]  # fmt: skip
 
     def part(*options):
         said = run_program(
             [*command, *options],
             cwd=tmp_path,
-            env={"PYTHONPATH": str(ROOT / "tests" / "helpers"), "PATH": "/usr/bin:/bin"},
+            env={"PYTHONPATH": str(ROOT / "tests"), "PATH": "/usr/bin:/bin"},
             timeout=60,
         ).stdout
         return {line for line in said.splitlines() if "::" in line}

@@ -6,14 +6,14 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from installed import COMMAND, Daemon, require_failure, until
-from ports import free_port
-from programs import Program, run_program
 
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import ask
+from support.daemons import COMMAND, Daemon, require_failure
+from support.programs import Program, free_port, run_program
+from support.waiting import until
 
 
 @pytest.fixture(scope="module")

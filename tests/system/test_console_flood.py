@@ -3,11 +3,11 @@
 import time
 
 import psutil
-from installed import Daemon, until
-from narrow_radio import narrow
-from served_craft import served
 
 from groundstation.service.client import Pilot
+from support.crafts import narrow, served
+from support.daemons import Daemon
+from support.waiting import until
 
 RATE_HZ, PIECES = 100, 60
 PIECE = b"\0" + b"x" * 30

@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from installed import Daemon, groundstation, inspected, require_failure
+
+from support.daemons import Daemon, groundstation, inspected, require_failure
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from flights import chunks, flight, write_flight
-from installed import RECORDINGS, Daemon, groundstation, require_failure
 from mcap.writer import Writer
 
 from groundstation.recording.csv_file import read_csv
 from groundstation.recording.open_recording import open_recording
+from support import RECORDINGS
+from support.daemons import Daemon, groundstation, require_failure
+from support.packets import chunks, flight, write_flight
 
 ROWS, CHUNK_ROWS = 500, 100
 

@@ -9,13 +9,13 @@ import sys
 import pytest
 import usb.core
 import usb.util
-from installed import COMMAND, groundstation, require_failure
-from programs import Program, run_program
 from serial.tools.list_ports import comports
 
 from groundstation.cli.devices import port_row
 from groundstation.cli.usb_devices import usb_devices
 from groundstation.telemetry.c_header import c_header
+from support.daemons import COMMAND, groundstation, require_failure
+from support.programs import Program, run_program
 
 
 @pytest.fixture

@@ -11,14 +11,14 @@ import sys
 from contextlib import closing
 
 import pytest
-from installed import Daemon
-from programs import Program
 
 from groundstation.cli.devices import craft_in_reach
 from groundstation.errors import GroundStationError, TakenError
 from groundstation.links.craft_address import LOOKED_THROUGH, ways_of
 from groundstation.service.client import ask
 from groundstation.service.dongles import Dongles
+from support.daemons import Daemon
+from support.programs import Program
 
 DONGLE = os.getpid()
 """The names are the machine's: every process that runs tests has numbers of its own."""

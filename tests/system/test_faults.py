@@ -10,16 +10,15 @@ import time
 import numpy as np
 import psutil
 import pytest
-import shim
-from held_up import in_real_time
-from installed import Daemon, groundstation, require_failure, until
-from ports import free_port
-from programs import Program, run_program
 
 from groundstation.errors import GroundStationError
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
+from support import shim
+from support.daemons import Daemon, groundstation, require_failure
+from support.programs import Program, free_port, run_program
+from support.waiting import in_real_time, until
 
 STOPPED_S = 5.0
 HOUR_S = 3600

@@ -6,11 +6,12 @@ import json
 import numpy as np
 import pytest
 import typer
-from installed import RECORDINGS, groundstation, inspected, require_failure
 
 from groundstation import __version__
 from groundstation.cli.app import app
 from groundstation.recording.open_recording import open_recording
+from support import RECORDINGS
+from support.daemons import groundstation, inspected, require_failure
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 INSPECT_KEYS = {

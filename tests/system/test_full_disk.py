@@ -1,10 +1,9 @@
 """A disk that fills up while the daemon records."""
 
-from installed import Daemon, groundstation
-
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recover import recover
+from support.daemons import Daemon, groundstation
 
 
 def run_on(disk, folder, low_space_mb):

@@ -7,13 +7,14 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from flights import assert_same_packets, assert_same_samples
-from installed import RECORDINGS, Daemon
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recover import recover
 from groundstation.telemetry.samples import COLUMNS
+from support import RECORDINGS
+from support.daemons import Daemon
+from support.packets import assert_same_packets, assert_same_samples
 
 KILLS, GROUPS = 20, 4
 TOGETHER = 2

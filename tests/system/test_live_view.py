@@ -4,11 +4,13 @@ import signal
 
 import psutil
 import pytest
-from installed import PATIENCE_S, RECORDINGS, Daemon
-from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
+from support import RECORDINGS
+from support.daemons import Daemon
+from support.programs import free_port
+from support.waiting import PATIENCE_S
 
 FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
 MEMORY_MOST = 30e6

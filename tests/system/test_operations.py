@@ -12,11 +12,13 @@ import subprocess
 import time
 
 import pytest
-from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
-from programs import Program, run_program
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, load_config, settings
+from support import RECORDINGS
+from support.daemons import COMMAND, Daemon, groundstation, require_failure
+from support.programs import Program, run_program
+from support.waiting import until
 
 FLIGHT = "stand_in_flight.mcap"
 
@@ -186,7 +188,8 @@ def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
 
 def test_nothing_listens_beyond_loopback(tmp_path):
     import psutil
-    from ports import free_port
+
+    from support.programs import free_port
 
     ports = ("--viewer-port", free_port(), "--web-port", free_port())
     arguments = ("--viewer", "serve", *ports, "--set", f"control.tcp_port={free_port()}")

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from held_up import in_real_time
-from installed import COMMAND, RECORDINGS, Daemon, groundstation, require_failure, until
-from ports import free_port
-from programs import Program, run_program
 
 from groundstation.cli.commanding import kept
 from groundstation.cli.left_changed import also_written, changes_left, note_changes
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import Pilot, ask
+from support import RECORDINGS
+from support.daemons import COMMAND, Daemon, groundstation, require_failure
+from support.programs import Program, free_port, run_program
+from support.waiting import in_real_time, until
 
 DATA = Path(__file__).parents[1] / "control" / "data"
 BODY, GAINS = DATA / "body.json", DATA / "gains.toml"

@@ -12,15 +12,14 @@ import sys
 import time
 
 import pytest
-from held_up import in_real_time
-from installed import COMMAND, Daemon, require_failure, until
-from narrow_radio import narrow
-from ports import free_port
-from programs import Program, run_program
 
 from groundstation.dynamics.model import save_model, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.service.client import Pilot, ask, live
+from support.crafts import narrow
+from support.daemons import COMMAND, Daemon, require_failure
+from support.programs import Program, free_port, run_program
+from support.waiting import in_real_time, until
 
 ONCE = ("--axis", "roll", "--repeat", "1", "--hold", "0.5", "--rest", "0.2")
 LONG = ("--axis", "roll", "--repeat", "8", "--hold", "1.0", "--rest", "0.5")

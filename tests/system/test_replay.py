@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from flights import write_flight
-from installed import RECORDINGS, Daemon
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.telemetry.samples import COLUMNS
+from support import RECORDINGS
+from support.daemons import Daemon
+from support.packets import write_flight
 
 FLIGHT = RECORDINGS / "stand_in_flight.mcap"
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"

@@ -7,12 +7,13 @@ import stat
 
 import numpy as np
 import pytest
-from installed import RECORDINGS, Daemon, groundstation, require_failure
-from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recover import recover
+from support import RECORDINGS
+from support.daemons import Daemon, groundstation, require_failure
+from support.programs import free_port
 
 
 def require_complete(path):

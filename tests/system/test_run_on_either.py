@@ -6,11 +6,11 @@ Over USB as well where there is a kernel for it: ``tests/usb_vm``.
 import asyncio
 
 import pytest
-from one_flight import flight_and_bench, record, results
 
 from firmware_sim.serial_port import SerialPort
 from groundstation.links.replay import FAST
 from groundstation.recording.open_recording import open_recording
+from support.one_flight import flight_and_bench, record, results
 
 LINKS = ("stand-in", "replay", "serial")
 

@@ -5,11 +5,12 @@ import sys
 
 import numpy as np
 import pytest
-from installed import Daemon, until
-from programs import Program
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
+from support.daemons import Daemon
+from support.programs import Program
+from support.waiting import until
 
 
 class Bridge:

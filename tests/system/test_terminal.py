@@ -5,11 +5,13 @@ import pty
 import signal
 
 import pytest
-from installed import COMMAND, RECORDINGS, until
-from ports import free_port
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
+from support import RECORDINGS
+from support.daemons import COMMAND
+from support.programs import free_port
+from support.waiting import until
 
 
 class Terminal:

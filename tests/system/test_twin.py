@@ -3,12 +3,14 @@
 import json
 
 import pytest
-from installed import RECORDINGS, Daemon, groundstation
-from twin_flights import BASE, flight
 
 from groundstation.dynamics.model import save_model
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recording_file import RecordingFile, session_metadata
+from support import RECORDINGS
+from support.daemons import Daemon, groundstation
+from support.flights import BASE
+from support.flights import twin_flight as flight
 
 CONFIG = """
 [stand_in]

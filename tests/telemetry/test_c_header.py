@@ -4,12 +4,12 @@ import shutil
 
 import numpy as np
 import pytest
-from programs import run_program
 
 from groundstation.telemetry import bridge_usb
 from groundstation.telemetry.c_header import c_header
 from groundstation.telemetry.framing import frame_packets
 from groundstation.telemetry.packet import encode
+from support.programs import run_program
 
 GOLDEN = bytes.fromhex(
     "06 24 aa 0c 30 8d c3 98 8b c7 43 fe b5 02 b5 ffb7 fe 4a 0c 1b 1e f3 fe d1 fd c0 f3 80 4f 50 49"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from radio_adversary import EPOCH_NS, PERIOD_NS, Flight, Reception, fly, receive
 
 from groundstation.telemetry.decoder import COMPILE_FROM, Decoder, decode_all
 from groundstation.telemetry.packet import Packets, encode
 from groundstation.telemetry.samples import RawBatch, SampleBatch, packet_counts
+from support.radio_adversary import EPOCH_NS, PERIOD_NS, Flight, Reception, fly, receive
 
 seeds = st.integers(0, 2**32 - 1)
 

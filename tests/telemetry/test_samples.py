@@ -1,9 +1,9 @@
 """Samples as people meet them: a line in a notebook, a table for other programs."""
 
 import numpy as np
-from flights import flight
 
 from groundstation.telemetry.samples import COLUMNS, empty_samples
+from support.packets import flight
 
 
 def test_a_batch_says_in_a_line_how_much_there_is_of_what():

@@ -4,7 +4,6 @@ import json
 import re
 
 import pytest
-from pages import ROOT
 from typer.testing import CliRunner
 
 from groundstation.cli.app import app
@@ -12,6 +11,7 @@ from groundstation.errors import BadInputError
 from groundstation.thesis.catalogue import ENTRIES, chosen
 from groundstation.thesis.printed import WITHOUT
 from groundstation.thesis.workshop import RECIPES, chain, inputs
+from support import ROOT
 
 FIGURES = {1: 14, 2: 2, 3: 8, 4: 15, 5: 7, 6: 5, 7: 56, 8: 18}
 TABLES = {5: 1, 6: 1, 7: 5, 8: 7}

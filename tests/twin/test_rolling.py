@@ -5,7 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from twin_flights import BASE, flight
 
 from groundstation.dynamics.model import EffectTerm, Estimate
 from groundstation.errors import BadInputError
@@ -14,6 +13,8 @@ from groundstation.prediction.prediction import fly_ahead, observe_run
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.rolling import Rolling
 from groundstation.twin.signals import KINDS
+from support.flights import BASE
+from support.flights import twin_flight as flight
 
 SAMPLES = flight(24.0, 1)
 

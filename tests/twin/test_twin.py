@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from twin_flights import BASE, flight, told
 
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.twin.alarm import LIMIT
 from groundstation.twin.twin import Twin, episodes_of, in_words
+from support.flights import BASE, told
+from support.flights import twin_flight as flight
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.02])

@@ -4,8 +4,13 @@ import re
 
 import numpy as np
 import pytest
-import virtual_machine
-from one_flight import (
+
+from firmware_sim.serial_port import SerialPort
+from groundstation.links.replay import FAST
+from groundstation.telemetry.decoder import decode_all
+from groundstation.telemetry.samples import RawBatch
+from support import virtual_machine
+from support.one_flight import (
     BRIDGES,
     OneFlight,
     flight_and_bench,
@@ -14,12 +19,7 @@ from one_flight import (
     require_same_on_this_machine,
     results,
 )
-from usb_guest import PATIENCE_S, run_guest, table
-
-from firmware_sim.serial_port import SerialPort
-from groundstation.links.replay import FAST
-from groundstation.telemetry.decoder import decode_all
-from groundstation.telemetry.samples import RawBatch
+from support.usb_guest import PATIENCE_S, run_guest, table
 
 LEAST_TESTS = 45
 TOLD = r"^(?:unplug seen|descriptors,|CPU while|\| .* \| \d+ \| \d+ \|$).*"

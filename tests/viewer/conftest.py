@@ -2,9 +2,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import ports
 import pytest
-from wobbling_flights import flight, wobble
+
+from support import programs as ports
+from support.packets import wobble
+from support.packets import wobbling_flight as flight
 
 __all__ = ["flight", "wobble"]
 

@@ -7,9 +7,9 @@ import time
 
 import psutil
 import pytest
-from programs import Program
 
 from groundstation.viewer.child import Child
+from support.programs import Program
 
 
 def finished(child):

@@ -3,9 +3,8 @@
 import asyncio
 import socket
 
-from eventually import until
-
 from groundstation.viewer.relay import Relay, _Progress
+from support.waiting import eventually as until
 
 PIECE = bytes(20_000)
 

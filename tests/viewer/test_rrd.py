@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from programs import run_program
 from rerun.chunk import RrdReader
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.rrd import read_rrd, write_rrd
 from groundstation.recording.session import Recording, Table
 from groundstation.telemetry.samples import COLUMNS, empty_samples
+from support.programs import run_program
 
 
 def assert_same_samples(left, right):

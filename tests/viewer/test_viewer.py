@@ -15,8 +15,6 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import psutil
 import pytest
-from eventually import until
-from programs import Program, run_program
 
 from groundstation.errors import BadInputError, GroundStationError, TakenError
 from groundstation.links.event import LinkEvent
@@ -26,6 +24,8 @@ from groundstation.rerun_log.channels import SCALARS
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
+from support.programs import Program, run_program
+from support.waiting import eventually as until
 
 PATIENCE_S = 60
 FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"

@@ -3,8 +3,10 @@
 import sys
 
 import pytest
-from installed import RECORDINGS, require_failure
-from programs import run_program
+
+from support import RECORDINGS
+from support.daemons import require_failure
+from support.programs import run_program
 
 FLIGHT = RECORDINGS / "stand_in_flight.mcap"
 WITHOUT = (

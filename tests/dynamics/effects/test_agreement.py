@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from affected_flights import MEDIUM, affected, flown
 
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
 from groundstation.prediction.prediction import fly_ahead, observe_run
+from support.flights import MEDIUM, affected, flown
 
 ROWS = 100
 STARTS = {"ground_effect": np.arange(2150, 2500, 50)}

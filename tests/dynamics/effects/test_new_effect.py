@@ -6,14 +6,14 @@ import sys
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
-from programs import run_program
 
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
 from groundstation.dynamics.own_effects import load_effects
 from groundstation.dynamics.simulation import accelerations, simulate
 from groundstation.dynamics.state import RATE, craft_state
+from support.flights import BASE
+from support.programs import run_program
 
 FILE = '''"""Yaw turns towards where the air comes from, a little late: T v' = v_left - v."""
 

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE
 
 from groundstation.control.firmware_loop import run_cascade
 from groundstation.control.plant import plant_of_model
@@ -18,6 +17,7 @@ from groundstation.dynamics.simulation import accelerations, simulate
 from groundstation.dynamics.state import POSITION, QUATERNION, RATE, ROTOR, VELOCITY
 from groundstation.prediction.drive import drive_run
 from groundstation.prediction.prediction import fly_ahead, observe_run
+from support.flights import BASE
 
 CRAFT = [name for name, one in EFFECTS.items() if one.stage in ("supply", "motor", "rotor", "body")]
 SHORT_S, SUPPLY_MV = 1e-5, 3700.0

@@ -3,7 +3,6 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, affected, flown
 
 from groundstation.dynamics.law import FAR_M, Body, Reading
 from groundstation.dynamics.registry import EFFECTS
@@ -13,6 +12,7 @@ from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.prediction.prediction import predict_ahead
 from groundstation.telemetry.packet import STANDARD_GRAVITY
+from support.flights import BASE, affected, flown
 
 EFFECT = EFFECTS["position_aided_lean"]
 HIDDEN = {

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from affected_flights import affected
-from stand_in_bench import plant, slopes
 
 from firmware_sim.layout import PHASE
 from groundstation.dynamics.law import FAR_M, Body
@@ -13,6 +11,8 @@ from groundstation.dynamics.reference import load_reference
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import load_vehicle, rotor_positions_m
 from groundstation.prediction.reference_flight import fly_reference
+from support.flights import affected
+from support.plant import plant, slopes
 
 VALUES = {"rotor": 2.0, "imbalance_g_mm": 0.05, "couple_g_mm2": 0.4}
 VEHICLE = load_vehicle("crazyflie1")

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from stand_in_bench import plant, rotation, slopes
 
 from firmware_sim.layout import LOAD
 from groundstation.dynamics.law import FAR_M, Body
 from groundstation.dynamics.registry import EFFECTS
+from support.plant import plant, rotation, slopes
 
 LOAD_VALUES = {"percent": 11.0, "length_m": 0.4, "damping_per_s": 0.3, "below_m": 0.012}
 LAW = EFFECTS["slung_load"].law

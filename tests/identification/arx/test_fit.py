@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import THESIS, ArxAxis, vehicle_model
@@ -25,6 +24,7 @@ from groundstation.identification.arx.residual_tests import cross_correlation_te
 from groundstation.identification.arx.workflow import identify_arx
 from groundstation.identification.division import hold_out
 from groundstation.identification.runs import runs_of
+from support.flights import recorded
 
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])
 TRUE = ArxAxis(2, 1, 3, (-1.95, 0.9503), (2e-7,), 0.002)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter1d
-from stand_in_flights import recorded, truth_of
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.identification.body.certainty import blurred
@@ -11,6 +10,7 @@ from groundstation.identification.body.fit import fit_body
 from groundstation.identification.body.setup import set_up
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
+from support.flights import recorded, truth_of
 
 VEHICLE = BUILT_IN["crazyflie1"]
 TRUE = dict(zip(("c0", "c1"), VEHICLE.body_constants[:2], strict=True))

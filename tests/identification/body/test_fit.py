@@ -5,7 +5,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
@@ -19,6 +18,7 @@ from groundstation.identification.body.validation import (
 from groundstation.identification.division import divided
 from groundstation.identification.runs import runs_of
 from groundstation.identification.stretches import stretches_of
+from support.flights import recorded
 
 VEHICLE = BUILT_IN["crazyflie1"]
 TRUE = np.array([*VEHICLE.body_constants, VEHICLE.thrust_per_mass])

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.identification.body.certainty import settings_a_row, unseen_delay_s
 from groundstation.identification.body.fit import fit_body
 from groundstation.identification.runs import CHANNELS, runs_of
 from groundstation.identification.stretches import quicker, stretches_of
+from support.flights import recorded
 
 WITH = ("dead_time", "rotor_acceleration_torque")
 VEHICLE = BUILT_IN["crazyflie21"]

@@ -6,7 +6,6 @@ from functools import cache
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.discrepancy.screening import screen
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
@@ -17,6 +16,7 @@ from groundstation.identification.likelihood.linearisation import linearise
 from groundstation.identification.likelihood.parameters import TIMING, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.recordings import flights_of
+from support.flights import recorded
 
 SLOW_HZ = 2.0
 LATE = 4000

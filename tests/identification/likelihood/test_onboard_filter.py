@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 from scipy.signal import butter, freqz
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.screening import screen
@@ -22,6 +21,7 @@ from groundstation.identification.likelihood.sensing import FORCES, Moving, Sens
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import runs_of
 from groundstation.prediction.prediction import predict_ahead
+from support.flights import CARRYING_GAINS, recorded
 
 VEHICLE = BUILT_IN["crazyflie21"]
 MODEL = vehicle_model(VEHICLE)

@@ -6,10 +6,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from affected_flights import BASE
-from installed import COMMAND, groundstation
-from programs import run_program
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.dynamics.model import EffectTerm, Estimate, load_model, save_model
 from groundstation.errors import BadInputError
@@ -22,6 +18,9 @@ from groundstation.identification.likelihood.parameters import (
     point_of,
 )
 from groundstation.recording.recording_file import RecordingFile, session_metadata
+from support.daemons import COMMAND, groundstation
+from support.flights import BASE, CARRYING_GAINS, recorded
+from support.programs import run_program
 
 VANE = Path(__file__).parent / "data" / "yaw_weather_vane.py"
 MOMENT, LAG_S = 3.0, 0.3

@@ -3,12 +3,12 @@
 import msgspec
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import BODY_KEYS, point_of
 from groundstation.identification.likelihood.prior import BODY_DOUBT, Prior, body_prior
 from groundstation.identification.likelihood.problem import Problem
+from support.flights import BASE, flown
 
 START = point_of(BASE)
 

@@ -1,7 +1,6 @@
 """A number of the craft that two effects have in common has one value."""
 
 import pytest
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.discrepancy.screening import settle, started
 from groundstation.dynamics.model import vehicle_model
@@ -10,6 +9,7 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.recordings import flights_of
+from support.flights import CARRYING_GAINS, recorded
 
 INERTIA = 6e-8
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])

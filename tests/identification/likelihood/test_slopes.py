@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE, MEDIUM, flown
 
 from groundstation.dynamics.model import model_vehicle
 from groundstation.identification.flight import prepare
@@ -10,6 +9,7 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import BODY_KEYS, KEYS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.likelihood.residuals import evaluate
+from support.flights import BASE, MEDIUM, flown
 
 HIDDEN = {name: MEDIUM[name] for name in ("rotor_drag", "velocity_moment", "dead_time")}
 AT = {

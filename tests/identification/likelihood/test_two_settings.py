@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from stand_in_flights import CARRYING_GAINS, recorded, truth_of
 
 from groundstation.dynamics.model import EffectTerm, Estimate, vehicle_model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -17,6 +16,7 @@ from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.residuals import evaluate
 from groundstation.identification.likelihood.rotors import spin_rotors
 from groundstation.identification.recordings import flights_of
+from support.flights import CARRYING_GAINS, recorded, truth_of
 
 PROGRAMME = Path(__file__).parents[3] / "bench" / "sealed" / "programme.toml"
 VEHICLE = BUILT_IN["crazyflie21"]

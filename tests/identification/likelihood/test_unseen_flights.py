@@ -3,7 +3,6 @@
 from functools import cache
 
 import pytest
-from stand_in_flights import CARRYING_GAINS, recorded
 
 from groundstation.discrepancy.screening import settle, started
 from groundstation.dynamics.model import vehicle_model
@@ -12,6 +11,7 @@ from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import Problem
 from groundstation.identification.recordings import flights_of
+from support.flights import CARRYING_GAINS, recorded
 
 MODEL = vehicle_model(BUILT_IN["crazyflie1"])
 SPIN_UP = next(one for one in VARIANTS if one.effect == "rotor_acceleration_torque")

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from affected_flights import BASE, flown
 
 from groundstation.dynamics.model import model_vehicle
 from groundstation.dynamics.rotations import attitude_of_quaternion, rotation_matrix
@@ -11,6 +10,7 @@ from groundstation.identification.likelihood.frame import Frame
 from groundstation.identification.likelihood.parameters import point_of
 from groundstation.identification.likelihood.residuals import generic_signals
 from groundstation.identification.velocity import velocity_of
+from support.flights import BASE, flown
 
 AXES = ("forward", "leftward", "upward")
 

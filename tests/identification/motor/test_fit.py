@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from stand_in_flights import recorded, truth_of
 
 from groundstation.dynamics.motor import simulate_motor
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
@@ -21,6 +20,7 @@ from groundstation.identification.motor.problem import MotorRun
 from groundstation.identification.motor.rotor_speed import speed_from_gate
 from groundstation.identification.motor.supply import fit_motor_and_supply
 from groundstation.identification.runs import runs_of
+from support.flights import recorded, truth_of
 
 TRUE = np.array([THESIS_MOTOR.a0, THESIS_MOTOR.a1, THESIS_MOTOR.a2])
 START_S = 5.0

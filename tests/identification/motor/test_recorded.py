@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in_flights import recorded
 
 from groundstation.identification.motor.recorded import motor_runs
+from support.flights import recorded
 
 
 @pytest.fixture(scope="module")

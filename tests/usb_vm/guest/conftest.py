@@ -9,7 +9,7 @@ import pytest
 IN_VM = "GROUNDSTATION_USB_VM" in os.environ
 collect_ignore_glob = [] if IN_VM else ["test_*.py"]
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[2] / "helpers"))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 
 @pytest.fixture(scope="session")

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from usb_device import UsbBridge
-from usbip import attach, serve
 
 from groundstation.errors import LinkError, LinkLostError
 from groundstation.telemetry.bridge_usb import FRAME_S
+from support.usb_device import UsbBridge
+from support.usbip import attach, serve
 
 OUT = Path("/mnt")
 """The folder that the host sees too."""

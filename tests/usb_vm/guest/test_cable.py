@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 from emulated_bridge import EmulatedBridge, open_when_there, read_until_lost
-from link_contract import joined, listen, read_span
 
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.usb import UsbLink
+from support.links import joined, listen, read_span
 
 REPLUG_STREAMS_S = 2.0
 

@@ -5,10 +5,10 @@ import asyncio
 import numpy as np
 import pytest
 from emulated_bridge import OUT, EmulatedBridge, RecordedFlight, open_when_there, unpacked
-from link_contract import LinkContract, packets_read
 
 from groundstation.links.factory import make_link
 from groundstation.links.usb import UsbLink
+from support.links import LinkContract, packets_read
 
 
 class TestUsb(LinkContract):

@@ -7,12 +7,12 @@ import time
 import numpy as np
 import pytest
 from emulated_bridge import EmulatedBridge, RecordedFlight, open_when_there
-from link_contract import joined
-from usb_device import Fault, FaultKind
 
 from groundstation.errors import LinkLostError
 from groundstation.links.usb import UsbLink
 from groundstation.links.usb_ring import FRAMES
+from support.links import joined
+from support.usb_device import Fault, FaultKind
 
 SPAN_S = 1.0
 PIECES = 20

@@ -6,10 +6,11 @@ import time
 
 import numpy as np
 import psutil
-from installed import COMMAND, Daemon, until
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.packet import SAMPLE_TICKS
+from support.daemons import COMMAND, Daemon
+from support.waiting import until
 
 CYCLES, EARLY = 100, 20
 ABSENT_S = 20.0

@@ -1,4 +1,4 @@
-"""The software craft's bridge as docs/hardware.md has users try it: ``tests/helpers/usbip.py``,
+"""The software craft's bridge as docs/hardware.md has users try it: ``tests/support/usbip.py``,
 plugged into this machine's kernel, or attached to it by the real ``usbip`` tool."""
 
 import asyncio
@@ -8,12 +8,12 @@ import signal
 import subprocess
 import sys
 
-import usbip as program
 from emulated_bridge import OUT, open_when_there, read_until_lost
-from link_contract import joined, read_span
 
 from groundstation.links.usb import UsbLink
 from groundstation.telemetry.decoder import decode_all
+from support import usbip as program
+from support.links import joined, read_span
 
 PORT = 3240
 SPAN_NS = 1_000_000_000

@@ -11,7 +11,8 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from programs import run_program
+
+from support.programs import run_program
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 U8, U16, U32, I16 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_int16

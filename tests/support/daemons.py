@@ -1,4 +1,4 @@
-"""The installed ``groundstation`` command, as a user runs it."""
+"""The installed ``groundstation`` command, as a user runs it, and Dask's programs."""
 
 import contextlib
 import json
@@ -6,18 +6,17 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
-from programs import Program, run_program
 
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
+from support.programs import Program, run_program
+from support.waiting import PATIENCE_S, until
 
 COMMAND = Path(sys.executable).with_name("groundstation")
-RECORDINGS = Path(__file__).parents[2] / "recordings"
-PATIENCE_S = 60.0
 
 
 def groundstation(*arguments, socket_path=None, cwd=None):
@@ -37,15 +36,6 @@ def require_failure(result, status=1):
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("groundstation: ")
     return lines[0]
-
-
-def until(condition, what, timeout_s=PATIENCE_S, every_s=0.01):
-    """Wait for ``condition`` to give something true; that."""
-    deadline = time.monotonic() + timeout_s
-    while not (value := condition()):
-        assert time.monotonic() < deadline, f"never happened: {what}"
-        time.sleep(every_s)
-    return value
 
 
 class Daemon:
@@ -163,3 +153,25 @@ def _environment(socket_path):
     if socket_path is not None:
         environment["GROUNDSTATION_SOCKET"] = str(socket_path)
     return environment
+
+
+@contextmanager
+def dask(log, *words, cwd=None):
+    """``dask scheduler`` or ``dask worker`` as a process."""
+    command = [Path(sys.executable).with_name("dask"), *map(str, words)]
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # for what a test sends
+    with log.open("ab") as file:
+        options = {"stdout": file, "stderr": file, "env": places, "cwd": cwd}
+        with Program(command, **options) as program:
+            yield program
+
+
+def scheduler(log, port):
+    return dask(log, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+
+
+def worker(log, port, folder):
+    """One thread, at home in ``folder``."""
+    folder.mkdir(exist_ok=True)
+    command = ("worker", f"tcp://127.0.0.1:{port}", "--nthreads", 1, "--no-dashboard")
+    return dask(log, *command, "--local-directory", folder, cwd=folder)

@@ -3,7 +3,7 @@
 A file that is listed whole is not even imported for the short part.
 """
 
-from ci_limits import named, names
+from support.ci_limits import named, names
 
 
 def pytest_addoption(parser):

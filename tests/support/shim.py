@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from programs import run_program
+
+from support.programs import run_program
 
 SOURCE = r"""
 #define _GNU_SOURCE

@@ -14,8 +14,8 @@ from groundstation.errors import BadInputError, LinkEndedError, LinkError
 from groundstation.links.base import LinkState
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import COLUMNS, RawBatch, SampleBatch, empty_samples
+from support.waiting import PATIENCE_S
 
-PATIENCE_S = 90.0
 SPAN_NS = 200_000_000
 """Telemetry that a test reads before it judges."""
 

@@ -1,10 +1,6 @@
-"""Tells what the machine's load ended from what a fault ended, for programs that fly in real time.
+"""Waiting for what programs do in their own time, and what a busy machine ended of it."""
 
-Late telemetry looks the same either way. The kernel counts, for each thread, how long it was ready
-to run and another had the processor; a program that waits, sleeps, is locked up or has lost a
-packet is not ready, so nothing that a fault of ours does is counted.
-"""
-
+import asyncio
 import contextlib
 import os
 import subprocess
@@ -15,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+PATIENCE_S = 90.0
+"""A machine that is busy with other tests holds programs up for many seconds."""
 EVERY_S, SPAN_S = 0.1, 1.0
 HELD_UP_S = 0.25
 """In ``SPAN_S``. Telemetry is taken for lost after 0.5 s (``LinkState.SILENT``), in which craft,
@@ -22,6 +20,25 @@ relay and daemon have to run one after the other."""
 LAST_S = 10.0
 """What was that long ago did not end a flight: motors are watched for 3 s after it, parameters
 are put back."""
+
+
+def until(condition, what, timeout_s=PATIENCE_S, every_s=0.01):
+    """Wait for ``condition`` to give something true; that."""
+    deadline = time.monotonic() + timeout_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline, f"never happened: {what}"
+        time.sleep(every_s)
+    return value
+
+
+async def eventually(condition, what="what is waited for"):
+    """Return once ``condition()`` holds; what: says what never happened where it does not."""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while not condition():
+                await asyncio.sleep(0.005)
+    except TimeoutError:
+        raise AssertionError(f"never happened in {PATIENCE_S:g} s: {what}") from None
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@ import json
 import time
 
 import numpy as np
-from link_contract import joined, packets_read, read_to_end
 from typer.testing import CliRunner
 
 from firmware_sim.craft import StandIn
@@ -21,6 +20,7 @@ from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import COLUMNS, RawBatch
+from support.links import joined, packets_read, read_to_end
 
 BRIDGES = {"copies": False, "no copies": True}
 """What the bridge does with copies: whether it removes them."""

@@ -15,7 +15,6 @@ RECORDINGS = Path(__file__).parents[2] / "recordings"
 def craft():
     """The software craft, the decoder and what reads its motor bench and its attitude."""
     import numpy as np
-    from stand_in_bench import fly, plant, slopes
 
     from firmware_sim.craft import StandIn, StandInSettings
     from groundstation import (
@@ -28,6 +27,7 @@ def craft():
         runs_of,
         vehicle_model,
     )
+    from support.plant import fly, plant, slopes
 
     flights = [StandInSettings(plant="reduced", program="motor_bench"), StandInSettings()]
     for settings in flights:

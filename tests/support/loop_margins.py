@@ -2,7 +2,7 @@
 
 Broken at the motors' input, with everything in the loop: rate and angle gains, the 2 ms hold of
 the PWM, the motor's lag ``a1 + 2 a2 n`` and the sensor's age.
-``python tests/helpers/loop_margins.py`` prints the table of docs/stand_in.md.
+``python tests/support/loop_margins.py`` prints the table of docs/stand_in.md.
 """
 
 from __future__ import annotations

@@ -11,14 +11,17 @@ import functools
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-PATIENCE_S = 240.0
+LONGEST_S = 240.0
 """Less than a test is given (pyproject.toml)."""
 MARK = "STARTED_BY_TESTS"
+PORTS = range(20_000, 32_000)
+_PORTS = itertools.islice(itertools.cycle(PORTS), 131 * os.getpid() % len(PORTS), None)
 _numbers = itertools.count()
 
 
@@ -44,7 +47,7 @@ class Program(subprocess.Popen):
         end_all(self._token)
 
 
-def run_program(command, *, input=None, timeout=PATIENCE_S, check=False, **options):
+def run_program(command, *, input=None, timeout=LONGEST_S, check=False, **options):
     """``subprocess.run`` with words for output, and an end: nothing outlives it."""
     piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     if input is not None:
@@ -109,6 +112,19 @@ def main():
     os.dup2(nowhere, 2)
     os.read(0, 1)
     end_all(sys.argv[1])
+
+
+def free_port() -> int:
+    """One that nobody has, for TCP or UDP: another one each time, and below those that the system
+    gives to whoever asks for any, for it would give this one away before it is used."""
+    for _ in PORTS:
+        port = next(_PORTS)
+        with contextlib.suppress(OSError), contextlib.ExitStack() as probes:
+            for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+                probe = probes.enter_context(socket.socket(socket.AF_INET, kind))
+                probe.bind(("127.0.0.1", port))
+            return port
+    raise RuntimeError(f"no port from {PORTS.start} to {PORTS.stop - 1} is free")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """A virtual machine with a stock Debian kernel, in which the host's own files run.
 
-    python tests/helpers/virtual_machine.py [--icount] -- COMMAND...
+    python tests/support/virtual_machine.py [--icount] -- COMMAND...
 
 The host's root is mounted read-only, so that the project's virtual environment is the one under
 test; ``/mnt`` in the guest is a folder of the host for what comes out. The kernel is fetched once
@@ -26,7 +26,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from programs import run_program
+from support.programs import run_program
 
 PROGRAMS = (
     *("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get", "setpriv"),

@@ -1,6 +1,6 @@
 """The bridge on a USB bus over USB/IP: attached to this machine's kernel, or served on TCP.
 
-    python tests/helpers/usbip.py vhci|HOST:PORT [--settings FILE]
+    python tests/support/usbip.py vhci|HOST:PORT [--settings FILE]
 
 flies the software craft behind it until Ctrl-C.
 
@@ -21,11 +21,10 @@ import sys
 import time
 from pathlib import Path
 
-from usb_device import Completion, UsbBridge
-
 from firmware_sim.craft import StandIn
 from firmware_sim.settings import StandInSettings, load_settings
 from groundstation.telemetry.bridge_usb import PRODUCT_ID, VENDOR_ID
+from support.usb_device import Completion, UsbBridge
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 FULL_SPEED = 2
@@ -43,7 +42,7 @@ _PORT_FREE = "004"
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns 0, or 1 after one line on stderr."""
-    parser = argparse.ArgumentParser(prog="python tests/helpers/usbip.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/support/usbip.py", description=__doc__)
     parser.add_argument("where", metavar="vhci|HOST:PORT")
     parser.add_argument("--settings", type=Path, help="of the craft (docs/stand_in.md)")
     options = parser.parse_args(arguments)

@@ -77,7 +77,7 @@ class _Writer:
 
 def long_tests(took, heavy):
     """What the list names, of {node: times}: whole files where all of their tests are long."""
-    from ci_limits import named  # here: a plugin may not be imported before it is one
+    from support.ci_limits import named
 
     shared, by_file = defaultdict(float), defaultdict(dict)
     for node, times in took.items():
@@ -101,7 +101,7 @@ def _processor_s():
 
 
 if __name__ == "__main__":
-    from ci_limits import names
+    from support.ci_limits import names
 
     measured = json.loads(Path(sys.argv[1]).read_text())
     lines = long_tests(measured, names(TESTS / "heavy_tests.txt"))

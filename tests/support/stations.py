@@ -49,7 +49,7 @@ def serve(config: Config, path: Path, conversation: Callable[[Station], T]) -> T
             served.result()
 
 
-def recorded(config: Config) -> Any:
+def only_recording(config: Config) -> Any:
     """The only recording that was made."""
     from groundstation.recording.open_recording import open_recording
 

@@ -1,6 +1,7 @@
 """A flight written as other programs write it: in their axes, units, orders and containers."""
 
 import struct
+import zlib
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
@@ -15,6 +16,7 @@ BETAFLIGHT_MOTOR = (1, 0, 2, 3)
 """Rear right, front right, rear left, front left."""
 UNIX_NS = 1_790_000_000_000_000_000
 LOG_TYPE = "crazyflie_interfaces/msg/LogDataGeneric"
+FIXED = 0xFFFF
 
 
 def quaternion_of(roll, pitch, yaw):
@@ -248,3 +250,28 @@ def write_crazyswarm2(folder, samples, robots=("cf231",)):
 def _header(named, stamp_ns):
     stamp = named["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
     return named["std_msgs/msg/Header"](stamp, "body")
+
+
+def header_bytes(events, version=2):
+    """``events``: id -> (name, {variable: struct letter})."""
+    parts = [struct.pack("<BHH", 0xBC, version, len(events))]
+    for number, (name, variables) in events.items():
+        parts.append(struct.pack("<H", number) + name.encode() + b"\0")
+        parts.append(struct.pack("<H", len(variables)))
+        parts += [
+            f"{variable}({letter})".encode() + b"\0" for variable, letter in variables.items()
+        ]
+    return b"".join(parts)
+
+
+def record_bytes(events, number, time, values, version=2):
+    """One record; ``time`` in the version's own unit (ms or us)."""
+    letters = "".join(events[number][1].values())
+    return struct.pack("<H" + ("I" if version == 1 else "Q") + letters, number, time, *values)
+
+
+def log_bytes(events, records, version=2):
+    """A whole file; ``records``: (id, time, values)."""
+    body = header_bytes(events, version)
+    body += b"".join(record_bytes(events, *record, version) for record in records)
+    return body + struct.pack("<I", zlib.crc32(body))

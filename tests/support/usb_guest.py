@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import virtual_machine
-from programs import run_program
+
+from support import virtual_machine
+from support.programs import run_program
 
 PROJECT = Path(__file__).parents[2]
-HELPERS = Path(__file__).parent
-GUEST = PROJECT / "tests" / "usb_vm" / "guest"
+TESTS = PROJECT / "tests"
+GUEST = TESTS / "usb_vm" / "guest"
 PATIENCE_S = 3600
 COMPILING_S = 900
 FLIGHT_S = 200
@@ -35,7 +36,7 @@ def run_guest(out, chosen=".", flights=None):
     command = [
         # plugins that nothing here uses take longer to load than some tests to run
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
-        f"PYTHONPATH={GUEST}:{HELPERS}:{PROJECT}",
+        f"PYTHONPATH={GUEST}:{TESTS}:{PROJECT}",
         sys.executable, "-m", "pytest", "-q", "-rA", "--durations=15", "-p", "pytest_timeout",
         # the guest's time runs on while it waits for files of a busy host: no limits by it
         "--timeout=0", "-o", "faulthandler_timeout=0", "-p", "no:cacheprovider",
@@ -62,7 +63,8 @@ def _compile_for_the_guest(out):
 def _leave_byte_code():
     """The guest may not write it: each of its programs would compile all that it imports."""
     run_program(
-        [sys.executable, "-m", "compileall", "-q", "groundstation", "firmware_sim", HELPERS, GUEST],
+        [sys.executable, "-m", "compileall", "-q", "groundstation", "firmware_sim",
+         TESTS / "support", GUEST],
         timeout=COMPILING_S, check=True, cwd=PROJECT,
     )  # fmt: skip
 

@@ -1,15 +1,27 @@
 """Made flights for the tests of recordings: every value follows from the sample's number."""
 
+from __future__ import annotations
+
 import struct
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from groundstation.recording.recording_file import RecordingFile
-from groundstation.telemetry.packet import SAMPLE_TICKS, encode
+from groundstation.recording.session import Recording
+from groundstation.telemetry.packet import (
+    ACCELEROMETER_M_S2,
+    ANGLE_RAD,
+    GYRO_RAD_S,
+    SAMPLE_TICKS,
+    encode,
+)
 from groundstation.telemetry.samples import (
     COLUMNS,
     RawBatch,
@@ -20,6 +32,15 @@ from groundstation.telemetry.samples import (
 
 START_NS = 1_700_000_000_000_000_000
 COPIES = 4
+STEADY = {
+    "battery": 3700,
+    "motors": [2400, 2408, 2416, 2424],
+    "gyro": [16, -8, 4],
+    "accelerometer": [20, -30, 4096],
+    "angles": [100, -200, 300],
+    "debug": 0,
+}
+WOBBLING_NS = 1_760_000_000_000_000_000
 
 
 def flight(first, rows):
@@ -128,3 +149,93 @@ def chunks(data):
     """Start and end of every chunk of an MCAP file that is whole up to its end."""
     whole = data if data.endswith(MCAP0_MAGIC) else data + MCAP0_MAGIC
     return [(start, end) for start, opcode, end in records(whole) if opcode == Opcode.CHUNK]
+
+
+def packet_recording(ticks, *, host_time_ns=None, segment=None, kind="csv", **counts) -> Recording:
+    """One packet per tick; ``counts`` replace fields of ``STEADY``, broadcast over the rows."""
+    ticks = np.asarray(ticks, np.int64)
+    fields = {}
+    for name, value in {**STEADY, **counts}.items():
+        value = np.asarray(value)
+        width = () if name in ("battery", "debug") else value.shape[-1:]
+        fields[name] = np.broadcast_to(value, (len(ticks), *width))
+    packets = encode(timestamp=ticks, **fields)
+    host = np.zeros(len(ticks), np.int64) if host_time_ns is None else host_time_ns
+    samples = samples_from_packets(
+        packets,
+        ticks,
+        host,
+        np.zeros(len(ticks), np.int32) if segment is None else np.asarray(segment, np.int32),
+        np.ones(len(ticks), np.uint8),
+    )
+    return Recording(Path("made.csv"), kind, samples, RawBatch(packets, host))
+
+
+@st.composite
+def packet_recordings(draw, max_rows=30):
+    """Any packets with unwrapped timestamps that may run backwards."""
+    rows = draw(st.integers(1, max_rows))
+    raw = draw(hnp.arrays(np.uint8, (rows, 32)))
+    wraps = draw(hnp.arrays(np.int64, rows, elements=st.integers(0, 2**30)))
+    ticks = raw[:, :2].copy().view("<u2")[:, 0].astype(np.int64) + wraps * 65536
+    host = np.zeros(rows, np.int64)
+    samples = samples_from_packets(
+        raw, ticks, host, np.zeros(rows, np.int32), np.ones(rows, np.uint8)
+    )
+    return Recording(Path("any.csv"), "csv", samples, RawBatch(raw, host))
+
+
+def _wobble(rows: int, first: int = 0) -> SampleBatch:
+    """A craft that rolls, pitches and yaws, in whole counts of the packet, four copies each."""
+    number = np.arange(first, first + rows)
+    time_s = number * 0.002
+    samples = empty_samples(rows)
+    samples.ticks[:] = np.rint(number * 1972.603) + 700
+    samples.host_time_ns[:] = WOBBLING_NS + number * 2_000_000
+    samples.copies[:] = 4
+    samples.debug[:] = number * 7919
+    angles = np.stack([20 * np.sin(2 * time_s), 12 * np.cos(1.3 * time_s), 60 * np.sin(time_s)], 1)
+    samples.attitude[:] = np.rint(angles * 100) * np.float32(ANGLE_RAD)
+    rates = np.gradient(angles, 0.002, axis=0) if rows > 1 else np.zeros((rows, 3))
+    samples.gyro[:] = np.rint(rates * 16.384) * np.float32(GYRO_RAD_S)
+    pulls = np.stack([0.1 * np.sin(time_s), 0.1 * np.cos(time_s), 1 + 0.1 * np.sin(3 * time_s)], 1)
+    samples.accelerometer[:] = np.rint(pulls * 4096) * np.float32(ACCELEROMETER_M_S2)
+    samples.duty[:] = np.rint(512 * (0.6 + 0.1 * np.sin(time_s[:, None] + np.arange(4)))) / 512
+    samples.battery_v[:] = np.float32(3.9) - np.rint(10 * time_s).astype(np.float32) / 1000
+    return samples
+
+
+@pytest.fixture
+def wobble() -> Callable[..., SampleBatch]:
+    """wobble(rows, first=0): that part of an endless flight at 500 Hz."""
+    return _wobble
+
+
+@pytest.fixture(name="flight")
+def wobbling_flight() -> Recording:
+    """Eight seconds with two segments, events, statistics, a command and a table."""
+    samples = _wobble(4000)
+    samples.segment[2500:] = 1
+    samples.ticks[2500:] -= samples.ticks[2500] - 40  # the craft restarted: its clock did too
+    samples.host_time_ns[2500:] += 1_500_000_000
+    return Recording(
+        path=Path("flight.mcap"),
+        kind="mcap",
+        samples=samples,
+        events=[
+            {"time_ns": WOBBLING_NS - 10**8, "link": "usb", "kind": "opening", "text": "opening"},
+            {"time_ns": WOBBLING_NS + 10**9, "link": "usb", "kind": "lost", "text": "unplugged"},
+        ],
+        statistics=[
+            {
+                "time_ns": WOBBLING_NS + second * 10**9,
+                "loss_pct": 0.5 * second,
+                "latency_ms": 8.25 - second,
+                "rate_hz": 500.0 - second % 3,
+            }
+            for second in range(9)
+        ]
+        + [{"time_ns": WOBBLING_NS + 9 * 10**9, "loss_pct": 0.0, "bursts": [1, 4]}],
+        commands=[{"time_ns": WOBBLING_NS + 10**9, "roll_deg": 2.5, "direction": "out"}],
+        metadata={"session": {"link": "usb"}, "vehicle": {"name": "crazyflie1"}},
+    )

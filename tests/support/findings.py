@@ -1,8 +1,5 @@
 """Findings of a search that never ran, beside real comparisons: for tests of reports."""
 
-from affected_flights import BASE, MEDIUM, affected
-from compared_flights import hidden, judged
-
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import (
     Alternative,
@@ -18,6 +15,7 @@ from groundstation.discrepancy.findings import (
 from groundstation.discrepancy.proof import Explained, Proof
 from groundstation.discrepancy.report_json import discrepancy_report
 from groundstation.dynamics.model import Estimate
+from support.flights import BASE, MEDIUM, affected, hidden, judged
 
 NAME = "velocity_moment"
 IMPLAUSIBLE = Refusal(Reason.IMPLAUSIBLE, "not plausible")
