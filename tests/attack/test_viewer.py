@@ -13,8 +13,7 @@ import pytest
 from groundstation.viewer import relay
 from groundstation.viewer.relay import Relay
 from support.programs import run_program
-from support.waiting import PATIENCE_S
-from support.waiting import eventually as until
+from support.waiting import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.timeout(60)
 PIECE = b"telemetry " * 10_000
@@ -53,7 +52,7 @@ async def relayed():
     try:
         yield port, flood
     finally:
-        await until(lambda: not (one._clients or flood.readers), "the last client's end")
+        await eventually(lambda: not (one._clients or flood.readers), "the last client's end")
         watching.cancel()
         server.close()
         beyond.close()
@@ -184,7 +183,7 @@ def test_the_real_view_is_served_through_the_relay_alone(tmp_path):
         viewer = Viewer(ViewerMode.SERVE, port=port, web_port=web_port)
         await viewer.start()
         try:
-            await until(lambda: viewer.status()["state"] == "serving", "the viewer")
+            await eventually(lambda: viewer.status()["state"] == "serving", "the viewer")
             return await asyncio.to_thread(look, port, web_port)
         finally:
             await viewer.stop()
@@ -262,10 +261,12 @@ def test_a_native_viewer_that_has_stopped_is_dropped_and_one_that_lives_is_not()
         )  # fmt: skip
         await viewer.start()
         try:
-            await until(lambda: viewer.status()["state"] == "serving", "the viewer")
+            await eventually(lambda: viewer.status()["state"] == "serving", "the viewer")
             with native(port) as stopped, native(port) as living:
                 reading = asyncio.create_task(asyncio.to_thread(answered, living, ended))
-                await until(lambda: any("dropped" in text for text in told), "a dropped viewer")
+                await eventually(
+                    lambda: any("dropped" in text for text in told), "a dropped viewer"
+                )
                 ended.set()
                 kinds = await reading
                 with pytest.raises(ConnectionResetError):

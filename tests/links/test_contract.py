@@ -10,7 +10,7 @@ from groundstation.links.factory import make_link
 from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import SampleBatch
-from support import packets as flights
+from support import packets
 from support.crafts import served
 from support.links import FiniteLinkContract, LinkContract
 
@@ -96,7 +96,7 @@ class TestReplay(MadeByTheFactory, FiniteLinkContract):
     )
 
     def make(self, tmp_path):
-        flights.write_flight(tmp_path / "flight.mcap", ROWS)
+        packets.write_flight(tmp_path / "flight.mcap", ROWS)
         return super().make(tmp_path)
 
 
@@ -108,7 +108,7 @@ class TestReplayOfSamples(MadeByTheFactory, FiniteLinkContract):
     bad = (("replay:{tmp_path}/nowhere", {}, "nowhere"),)
 
     def make(self, tmp_path):
-        _, samples = flights.flight(0, ROWS)
+        _, samples = packets.flight(0, ROWS)
         samples.ticks[:] = np.arange(ROWS) * 2000
         recording = Recording(tmp_path, "microsd", samples)
         write_mcap(recording, tmp_path / "samples.mcap")

@@ -20,8 +20,7 @@ from groundstation.links.supervisor import Supervisor
 from support.crafts import ServedCraft, served
 from support.crafts import flown_link as flown
 from support.programs import free_port
-from support.waiting import PATIENCE_S
-from support.waiting import eventually as until
+from support.waiting import PATIENCE_S, eventually
 
 Scenario = Callable[[CrazyflieLink, list[dict[str, Any]]], Awaitable[None]]
 
@@ -212,8 +211,8 @@ def test_an_emergency_stop_locks_the_craft_of_either_supervisor(protocol: int) -
         link.on_entry = lambda entry: kinds.append(entry["kind"])
         await link.open()
         assert link.emergency_stop()
-        await until(lambda: craft.craft.state().supervisor == LOCKED, "the lock")
-        await until(lambda: "has locked itself" in link.supervisor.trouble, "its word")
+        await eventually(lambda: craft.craft.state().supervisor == LOCKED, "the lock")
+        await eventually(lambda: "has locked itself" in link.supervisor.trouble, "its word")
         assert kinds == ["emergency stop"]
         await link.close()
         assert not link.emergency_stop()

@@ -17,7 +17,7 @@ from groundstation.service.config import Config, LinkConfig, RadioConfig, Record
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import SampleBatch
 from support.crafts import ServedCraft, served
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 PATIENCE_S = 90.0
 LOG_DATA = 0x52
@@ -139,8 +139,8 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
 
     async def heard() -> None:
         before = station.statistics
-        await until(lambda: station.receiver.state is LinkState.STREAMING)
-        await until(lambda: station.statistics not in (None, before))
+        await eventually(lambda: station.receiver.state is LinkState.STREAMING)
+        await eventually(lambda: station.statistics not in (None, before))
 
     async def session() -> None:
         running = asyncio.create_task(station.run())
@@ -151,12 +151,12 @@ def test_a_silence_of_the_radio_is_survived(craft, tmp_path, monkeypatch, silent
                 from_s = craft.craft.time_s
                 if segments > 1:
                     monkeypatch.setattr(patience, 0.1)
-                    await until(lambda: station.receiver.state is LinkState.LOST)
+                    await eventually(lambda: station.receiver.state is LinkState.LOST)
                     monkeypatch.setattr(patience, PATIENCE_S)
                 craft.skip_s = max(silent_s - (craft.craft.time_s - from_s), 0.0)
-                await until(lambda: craft.craft.time_s - from_s >= silent_s)
+                await eventually(lambda: craft.craft.time_s - from_s >= silent_s)
                 if segments == 1:  # what was due in it is not sent behind it
-                    await until(lambda: air.dropped > 90)
+                    await eventually(lambda: air.dropped > 90)
                 air.silent = False
                 await heard()
                 await heard()

@@ -25,8 +25,7 @@ from support.links import LinkContract, joined, listen, packets_read, read_span
 from support.one_flight import BRIDGES, OneFlight, require_same_on_this_machine
 from support.packets import flight
 from support.programs import run_program
-from support.waiting import PATIENCE_S
-from support.waiting import eventually as until
+from support.waiting import PATIENCE_S, eventually
 
 SOUND = Loss(good_loss=0.0)
 
@@ -188,7 +187,7 @@ def test_damage_in_the_last_moment_before_silence_is_told_too(line, monkeypatch)
             for part in (frames[:half], frames[half:]):
                 os.write(line._fd, bytes(part))
                 await packets_read(link, 99)
-            await until(lambda: len(faults()) >= 2)  # nothing more comes, nobody reads
+            await eventually(lambda: len(faults()) >= 2)  # nothing more comes, nobody reads
             return link.damaged
 
     def faults():
@@ -246,7 +245,7 @@ def test_a_port_that_hangs_up_delivers_what_it_had_and_is_lost(line):
     async def session():
         async with link:
             line.send(packets_of(5))
-            await until(lambda: link._waiting)
+            await eventually(lambda: link._waiting)
             line.close()
             got = await packets_read(link, 20)
             for _ in range(2):

@@ -15,7 +15,7 @@ from groundstation.links.factory import make_link
 from groundstation.links.usb import UsbLink, parse_ids
 from groundstation.links.usb_ring import FRAMES, Block, require_private_names
 from groundstation.telemetry.bridge_usb import FRAME_BYTES, FRAME_NS
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 ABSENT = "1209:0001"
 SEEN_NS = 1_700_000_000_000_000_000
@@ -40,7 +40,7 @@ def test_an_absent_device_is_told_at_once_and_then_waited_for():
             await link.open()
         assert link.state is LinkState.CLOSED
         waiting = asyncio.create_task(link.open())
-        await until(lambda: link.state is LinkState.OPENING)
+        await eventually(lambda: link.state is LinkState.OPENING)
         waiting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await waiting

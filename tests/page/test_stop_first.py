@@ -5,7 +5,7 @@ import json
 
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 PORT = 9080
 HOST = f"127.0.0.1:{PORT}"
@@ -67,7 +67,7 @@ def test_a_stop_is_answered_while_all_else_that_was_asked_for_waits(tmp_path):
                 ("POST", "/do/link", headers, {"name": "stand-in"}),
             )
         ]
-        await until(lambda: len(waiting) >= 6, "the daemon is asked")
+        await eventually(lambda: len(waiting) >= 6, "the daemon is asked")
         answers = [
             await asyncio.wait_for(asked(app, "POST", f"/do/command/{what}", headers, body), 60)
             for what, body in AT_ONCE

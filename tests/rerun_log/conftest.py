@@ -1,4 +1,3 @@
-from support.packets import wobble
-from support.packets import wobbling_flight as flight
+from support.packets import wobble, wobbling_flight
 
-__all__ = ["flight", "wobble"]
+__all__ = ["wobble", "wobbling_flight"]

@@ -8,7 +8,7 @@ from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.motor_stop import STOPPED
 from groundstation.service.station import Station
 from support.crafts import served
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 
 def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
@@ -24,10 +24,12 @@ def test_the_commands_follow_the_telemetry_to_another_craft(tmp_path):
         commander = station.commander
         running = asyncio.create_task(station.run())
         try:
-            await until(lambda: commander.link.state is CommandState.CONNECTED, "connected")
+            await eventually(lambda: commander.link.state is CommandState.CONNECTED, "connected")
             await station.switch_link(other.uri)
             assert commander.link.uri == other.uri
-            await until(lambda: commander.link.state is CommandState.CONNECTED, "connected again")
+            await eventually(
+                lambda: commander.link.state is CommandState.CONNECTED, "connected again"
+            )
             assert await commander.stop() == STOPPED
             assert overview.status(station)["command"]["out_of_reach"] == ""
             await station.craft.connect_command(one.uri)

@@ -10,7 +10,7 @@ from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.service.arming import ask_to_arm, ask_to_recover
 from groundstation.service.motor_stop import send_level
 from support.crafts import served
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 ON_ITS_BACK, UPRIGHT = (0.0, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
@@ -34,15 +34,15 @@ async def crash(craft, link):
         link.setpoint(0.0, 0.0, 0.0, 40000)
         return state() == FLYING
 
-    await until(climbs)
+    await eventually(climbs)
     lying(craft, ON_ITS_BACK)
 
     def steered():
         link.setpoint(0.0, 0.0, 0.0, 40000)
         return state() == CRASHED
 
-    await until(steered)
-    await until(lambda: link.supervisor.crashed)
+    await eventually(steered)
+    await eventually(lambda: link.supervisor.crashed)
 
 
 @pytest.mark.parametrize(
@@ -63,10 +63,10 @@ def test_a_crashed_craft_recovers_when_it_stands_upright_again(kind, protocol, a
             await ask_to_recover(link)
         assert "recover" not in kinds
         lying(craft, UPRIGHT)
-        await until(lambda: not link.supervisor.tumbled)
+        await eventually(lambda: not link.supervisor.tumbled)
         await ask_to_recover(link)
-        await until(lambda: "has crashed" not in link.supervisor.hindrance)
-        await until(lambda: afterwards in link.supervisor.hindrance)
+        await eventually(lambda: "has crashed" not in link.supervisor.hindrance)
+        await eventually(lambda: afterwards in link.supervisor.hindrance)
         assert bool(link.supervisor.hindrance) == bool(afterwards)
         assert kinds.count("recover") == 1
         await link.close()
@@ -82,7 +82,7 @@ def test_a_craft_that_says_what_is_wrong_with_it_is_not_even_asked_to_arm():
         link.on_entry = lambda entry: kinds.append(entry["kind"])
         await link.open()
         lying(craft, ON_ITS_BACK)
-        await until(lambda: link.supervisor.tumbled)
+        await eventually(lambda: link.supervisor.tumbled)
         with pytest.raises(LinkError, match="refuses to arm its motors: the craft lies on its"):
             await ask_to_arm(link, True)
         assert kinds == []

@@ -12,7 +12,7 @@ from groundstation.errors import GroundStationError, TakenError
 from groundstation.service.client import Client, ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.control_socket import ControlSocket
-from support import stations as served_station
+from support import stations
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def serve(tmp_path, path):
         link=LinkConfig(name="stand-in"),
         recording=RecordingConfig(folder=str(tmp_path / "sessions"), enabled=False),
     )
-    return lambda conversation: served_station.serve(config, path, lambda _: conversation())
+    return lambda conversation: stations.serve(config, path, lambda _: conversation())
 
 
 def test_the_socket_and_its_folder_are_its_owners_alone(path):

@@ -20,7 +20,7 @@ from groundstation.service import overview
 from groundstation.service.config import Config, LinkConfig, RadioConfig, RecordingConfig
 from groundstation.service.station import Station
 from support.crafts import ServedCraft, served
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 PATIENCE_S = 20.0
 
@@ -63,7 +63,9 @@ def test_a_flight_is_recorded_without_loss_and_says_whose_it_was(craft, tmp_path
     station = station_for(craft, tmp_path, rate_hz=250)
 
     async def scenario() -> None:
-        await until(lambda: station.statistics is not None and station.statistics.samples > 300)
+        await eventually(
+            lambda: station.statistics is not None and station.statistics.samples > 300
+        )
 
     run(station, scenario)
     recording = recorded(tmp_path)
@@ -89,7 +91,9 @@ def test_what_else_is_logged_is_a_table_of_the_recording_on_the_telemetrys_own_t
     station = station_for(craft, tmp_path, log="supervisor.info, stateEstimateZ.quat,pm.vbat")
 
     async def scenario() -> None:
-        await until(lambda: station.statistics is not None and station.statistics.samples > 200)
+        await eventually(
+            lambda: station.statistics is not None and station.statistics.samples > 200
+        )
 
     run(station, scenario)
     recording = recorded(tmp_path)
@@ -112,16 +116,16 @@ def test_the_same_connection_carries_commands(craft, tmp_path):
 
     async def scenario() -> None:
         commander = station.commander
-        await until(lambda: commander.link.state is CommandState.CONNECTED)
+        await eventually(lambda: commander.link.state is CommandState.CONNECTED)
         lease = commander.acquire("test")
         before = commander.parameters()["pid_rate.roll_kp"]
         assert await commander.write_parameters(lease.token, {"pid_rate.roll_kp": 61.0}) == {
             "pid_rate.roll_kp": 61.0
         }
         commander.setpoint(lease.token, 0.0, 0.0, 0.0, 20000)
-        await until(lambda: craft.craft.state().thrust == 20000)
+        await eventually(lambda: craft.craft.state().thrust == 20000)
         commander.release(lease.token)
-        await until(lambda: craft.craft.state().thrust == 0)
+        await eventually(lambda: craft.craft.state().thrust == 0)
         craft.craft.set_parameter("pid_rate.roll_kp", before)
 
     run(station, scenario)
@@ -138,13 +142,13 @@ def test_a_silent_craft_is_connected_to_again_and_the_recording_goes_on(
     send = server._send
 
     async def scenario() -> None:
-        await until(lambda: station.receiver.state is LinkState.STREAMING)
+        await eventually(lambda: station.receiver.state is LinkState.STREAMING)
         server._send = lambda packet, addr: None
-        await until(lambda: station.receiver.state is LinkState.LOST)
+        await eventually(lambda: station.receiver.state is LinkState.LOST)
         server._send = send
-        await until(lambda: station.receiver.state is LinkState.STREAMING)
+        await eventually(lambda: station.receiver.state is LinkState.STREAMING)
         before = station.statistics
-        await until(lambda: station.statistics is not before)
+        await eventually(lambda: station.statistics is not before)
 
     try:
         run(station, scenario)
@@ -159,7 +163,7 @@ def test_what_a_craft_says_it_is_does_not_override_the_configuration(craft, tmp_
     station = Station(msgspec.structs.replace(config, vehicle="brushless"))
 
     async def scenario() -> None:
-        await until(lambda: station.receiver.state is LinkState.STREAMING)
+        await eventually(lambda: station.receiver.state is LinkState.STREAMING)
 
     run(station, scenario)
     assert recorded(tmp_path).metadata["vehicle"] == {"profile": "brushless"}
@@ -172,10 +176,10 @@ def test_a_craft_answers_whether_it_is_armed_and_what_it_refuses_is_told(craft, 
 
     async def scenario() -> None:
         link = station.commander.link
-        await until(lambda: link.state is CommandState.CONNECTED)
+        await eventually(lambda: link.state is CommandState.CONNECTED)
         await station.commander.arm(True)
         assert overview.status(station)["command"]["armed"] is True
-        await until(lambda: link.supervisor.arms_itself)
+        await eventually(lambda: link.supervisor.arms_itself)
         with pytest.raises(LinkError, match="has armed itself again, as a brushed one does"):
             await station.commander.arm(False)
 
@@ -193,17 +197,17 @@ def test_nothing_is_claimed_of_arming_that_the_craft_does_not_say(tmp_path, monk
             return overview.status(station)["command"]["armed"]
 
         async def scenario() -> None:
-            await until(lambda: link.supervisor.bits is not None)
+            await eventually(lambda: link.supervisor.bits is not None)
             assert armed() is False
             await station.commander.arm(True)
-            await until(lambda: link.supervisor.armed)
+            await eventually(lambda: link.supervisor.armed)
             assert armed() is True
             await asyncio.sleep(STATE_S)
             craft.craft.arm(False)  # as it does where it is not flown soon
-            await until(lambda: armed() is False)
+            await eventually(lambda: armed() is False)
             await station.commander.arm(True)
             craft.server._send = lambda packet, addr: None
-            await until(lambda: link.state is not CommandState.CONNECTED)
+            await eventually(lambda: link.state is not CommandState.CONNECTED)
             assert armed() is None
 
         run(station, scenario)
@@ -218,12 +222,12 @@ def test_firmware_in_software_that_repeats_a_request_to_arm_is_not_called_armed(
         link = station.commander.link
 
         async def scenario() -> None:
-            await until(lambda: link.supervisor.bits is not None)
+            await eventually(lambda: link.supervisor.bits is not None)
             with pytest.raises(LinkError, match="refuses to arm its motors"):
                 await station.commander.arm(True)
             assert overview.status(station)["command"]["armed"] is False
             craft.craft.emergency_stop()
-            await until(lambda: link.supervisor.trouble)
+            await eventually(lambda: link.supervisor.trouble)
             with pytest.raises(LinkError, match="refuses to arm its motors: the craft has locked"):
                 await station.commander.arm(True)
 
@@ -239,10 +243,10 @@ def test_parameters_of_a_craft_that_is_away_are_refused_as_such_and_not_as_unkno
         link = station.commander.link
 
         async def scenario() -> None:
-            await until(lambda: link.state is CommandState.CONNECTED)
+            await eventually(lambda: link.state is CommandState.CONNECTED)
             lease = station.commander.acquire("test")
             craft.server._send = lambda packet, addr: None
-            await until(lambda: link.state is not CommandState.CONNECTED)
+            await eventually(lambda: link.state is not CommandState.CONNECTED)
             with pytest.raises(LinkError, match="is not connected"):
                 await station.commander.write_parameters(lease.token, {"pid_rate.roll_kp": 61.0})
 
@@ -256,7 +260,7 @@ def test_a_craft_that_arms_itself_again_after_a_landing_is_no_event(tmp_path):
         link = station.commander.link
 
         async def scenario() -> None:
-            await until(lambda: link.supervisor.arms_itself and link.armed)
+            await eventually(lambda: link.supervisor.arms_itself and link.armed)
             for said in (0b100, 0b110):  # as between two of its steps
                 link._take_state(Supervisor(said))
             assert link.armed

@@ -16,7 +16,7 @@ from groundstation.service import overview, recording_manager
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.recording_manager import delete_oldest
 from groundstation.service.station import Station
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def run(tmp_path, monkeypatch):
             )
             task = asyncio.create_task(station.run())
             try:
-                await until(lambda: recorded(station) > 100)
+                await eventually(lambda: recorded(station) > 100)
                 await conversation(station)
             finally:
                 station.stop()
@@ -71,7 +71,7 @@ def test_a_file_that_is_long_enough_is_followed_by_another_and_nothing_is_lost(
     run, tmp_path, limit
 ):
     async def conversation(station):
-        await until(lambda: station.recordings.rotations >= 3)
+        await eventually(lambda: station.recordings.rotations >= 3)
 
     station = run(conversation, **limit)
     assert len(files(tmp_path)) == 1 + station.recordings.rotations
@@ -83,7 +83,7 @@ def test_a_file_that_is_long_enough_is_followed_by_another_and_nothing_is_lost(
 
 def test_as_fast_as_possible_rotation_loses_nothing_either(run, tmp_path):
     async def conversation(station):
-        await until(lambda: station.recordings.rotations >= 3)
+        await eventually(lambda: station.recordings.rotations >= 3)
 
     station = run(conversation, speed="max", rotate_mb=2)
     assert sum(entry.samples for entry in catalogue(tmp_path / "sessions")) == (
@@ -99,9 +99,9 @@ def test_a_file_removed_under_the_recorder_is_followed_by_another_at_once(run, t
     async def conversation(station):
         files(tmp_path)[0].unlink()
         gone_s = asyncio.get_running_loop().time()
-        await until(lambda: station.recordings.resumed == 1)
+        await eventually(lambda: station.recordings.resumed == 1)
         print(f"recording again after {asyncio.get_running_loop().time() - gone_s:.2f} s")
-        await until(lambda: overview.status(station)["recording"]["samples"] > 100)
+        await eventually(lambda: overview.status(station)["recording"]["samples"] > 100)
         assert overview.status(station)["recording"]["state"] == "recording"
         assert overview.status(station)["recording"]["wanted"]
 
@@ -133,7 +133,7 @@ def test_the_oldest_recordings_give_way_and_nothing_else_does(run, tmp_path):
     (folder / "2000-01-01T00-00-00-000Z_usb.mcap").write_bytes(b"x" * 10**6)
 
     async def conversation(station):
-        await until(lambda: station.recordings.deleted >= 3)
+        await eventually(lambda: station.recordings.deleted >= 3)
 
     station = run(conversation, rotate_mb=0.05, keep_mb=0.2)
     names = {path.name for path in folder.iterdir()}
@@ -197,7 +197,7 @@ def test_a_recording_that_cannot_be_deleted_is_told_once_and_the_next_ones_go(
     monkeypatch.setattr(type(held), "unlink", refusing)
 
     async def conversation(station):
-        await until(lambda: station.recordings.deleted >= 2)
+        await eventually(lambda: station.recordings.deleted >= 2)
         assert station.supervisor.restarts == 0
 
     station = run(conversation, rotate_mb=0.05, keep_mb=0.2)
@@ -245,7 +245,7 @@ def test_a_file_being_made_when_the_daemon_ends_leaves_nothing_behind(run, tmp_p
     monkeypatch.setattr(Sessions, "create", slow)
 
     async def conversation(station):
-        await until(making.is_set)
+        await eventually(making.is_set)
         station.stop()
         asyncio.get_running_loop().call_later(0.3, go_on.set)
 

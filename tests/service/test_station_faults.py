@@ -22,7 +22,7 @@ from groundstation.service.station import Station
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 from support.packets import COPIES, flight
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 
 class FedLink(Link):
@@ -69,7 +69,7 @@ def live(tmp_path, monkeypatch):
             link.on_event, link.clock = station.journal.take, station.clock
             station.receiver.link = link
             running = asyncio.create_task(station.run())
-            await until(lambda: link.state is LinkState.OPENING)
+            await eventually(lambda: link.state is LinkState.OPENING)
             try:
                 await conversation(station, link)
             finally:
@@ -94,7 +94,7 @@ def test_a_recording_begun_before_the_craft_is_there_goes_on_when_it_appears(tmp
         link.present.clear()
         station.receiver.link = link
         running = asyncio.create_task(station.run())
-        await until(lambda: link.state is LinkState.OPENING)
+        await eventually(lambda: link.state is LinkState.OPENING)
         path = await station.recordings.start()
         link.present.set()
         link.queue.put_nowait(flight(0, 100)[1])
@@ -120,7 +120,7 @@ def files(tmp_path):
 
 def test_stopping_and_starting_at_the_same_time_loses_no_recording(live, tmp_path):
     async def conversation(station, link):
-        await until(lambda: station.sessions.status()["state"] == "recording")
+        await eventually(lambda: station.sessions.status()["state"] == "recording")
         for _ in range(5):
             async with asyncio.TaskGroup() as both:
                 both.create_task(station.recordings.stop())
@@ -134,7 +134,7 @@ def test_stopping_and_starting_at_the_same_time_loses_no_recording(live, tmp_pat
 
 def test_two_who_stop_at_once_finish_one_recording(live, tmp_path):
     async def conversation(station, link):
-        await until(lambda: station.sessions.status()["state"] == "recording")
+        await eventually(lambda: station.sessions.status()["state"] == "recording")
         done = await asyncio.gather(
             station.recordings.stop(), station.recordings.stop(), return_exceptions=True
         )
@@ -153,7 +153,7 @@ def test_the_samples_of_a_files_packets_are_in_that_file(live, tmp_path):
     async def conversation(station, link):
         for part in pieces(RawBatch(raw.packets[:middle], raw.host_time_ns[:middle])):
             link.queue.put_nowait(part)
-        await until(lambda: station.receiver.decoder.counts().packets == middle)
+        await eventually(lambda: station.receiver.decoder.counts().packets == middle)
         await station.recordings.stop()
         await station.recordings.start()
         for part in pieces(RawBatch(raw.packets[middle:], raw.host_time_ns[middle:])):
@@ -174,19 +174,21 @@ def test_while_the_device_is_away_windows_close_and_the_status_says_lost(
 
     async def conversation(station, link):
         link.queue.put_nowait(flight(0, 200)[0])
-        await until(lambda: station.statistics and station.statistics.samples)
+        await eventually(lambda: station.statistics and station.statistics.samples)
         link.present.clear()
         link.queue.put_nowait(LinkLostError("unplugged"))
-        await until(lambda: overview.status(station)["link"]["state"] == "lost")
+        await eventually(lambda: overview.status(station)["link"]["state"] == "lost")
         before = station.statistics
-        await until(lambda: station.statistics is not before and station.statistics.rate_hz == 0)
+        await eventually(
+            lambda: station.statistics is not before and station.statistics.rate_hz == 0
+        )
         silent = station.statistics
-        await until(lambda: station.statistics is not silent)
+        await eventually(lambda: station.statistics is not silent)
         status = overview.status(station)["link"]
         assert (status["state"], status["rate_hz"], status["latency_ms"]) == ("lost", 0.0, None)
         link.present.set()
         link.queue.put_nowait(flight(1000, 50)[0])
-        await until(lambda: overview.status(station)["link"]["state"] == "streaming")
+        await eventually(lambda: overview.status(station)["link"]["state"] == "streaming")
 
     live(conversation)
     recorded = open_recording(files(tmp_path)[0]).statistics
@@ -205,7 +207,7 @@ def test_the_recording_is_finished_whatever_else_fails_at_the_end(
             raise RuntimeError("broken on purpose")
 
         link.queue.put_nowait(flight(0, 50)[0])
-        await until(lambda: station.receiver.decoder.counts().packets)
+        await eventually(lambda: station.receiver.decoder.counts().packets)
         if broken == "link":
             monkeypatch.setattr(link, "_close", fail)
         else:
@@ -227,7 +229,7 @@ def test_statistics_are_on_the_time_base_of_the_packets(live, tmp_path):
         ahead = station.clock() + 3_600_000_000_000
         shifted = RawBatch(raw.packets, raw.host_time_ns - raw.host_time_ns[0] + ahead)
         link.queue.put_nowait(shifted)
-        await until(lambda: station.receiver.decoder.counts().packets)
+        await eventually(lambda: station.receiver.decoder.counts().packets)
 
     live(conversation)
     recording = open_recording(files(tmp_path)[0])
@@ -346,13 +348,13 @@ def test_a_link_that_is_lost_and_returns_a_hundred_times_costs_nothing_each_time
         reached = LinkState.OPENING, LinkState.STREAMING
         for cycle in range(cycles):
             with SerialPort(f"pty:{name}") as port:
-                await until(lambda: station.receiver.link.state in reached)
+                await eventually(lambda: station.receiver.link.state in reached)
                 wanted = station.receiver.decoder.counts().samples + 20
                 while station.receiver.decoder.counts().samples < wanted:
                     port.send(craft.advance(time.monotonic() - began_s)[0])
                     assert not running.done(), running
                     await asyncio.sleep(0.002)
-            await until(lambda: station.receiver.state in (LinkState.LOST, LinkState.OPENING))
+            await eventually(lambda: station.receiver.state in (LinkState.LOST, LinkState.OPENING))
             if cycle in (cycles // 5, cycles - 1):
                 memory = process.memory_info().rss / 1e6
                 used.append((process.num_fds(), process.num_threads(), memory))

@@ -9,7 +9,7 @@ from groundstation.service.config import Config, RecordingConfig
 from groundstation.service.limits import RateLimit
 from groundstation.service.station import Station
 from groundstation.service.supervisor import Supervisor
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +72,7 @@ def test_an_adopted_task_that_fails_is_told_and_counts_as_dead():
 
     async def conversation(supervisor):
         supervisor.adopt("control", asyncio.create_task(broken()))
-        await until(supervisor.dead)
+        await eventually(supervisor.dead)
         assert supervisor.dead() == ["control"]
 
     ((name, text),) = run(conversation)

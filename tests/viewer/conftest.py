@@ -4,13 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from support import programs as ports
-from support.packets import wobble
-from support.packets import wobbling_flight as flight
+from support import programs
+from support.packets import wobble, wobbling_flight
 
-__all__ = ["flight", "wobble"]
+__all__ = ["wobble", "wobbling_flight"]
 
 
 @pytest.fixture
 def free_port() -> Callable[[], int]:
-    return ports.free_port
+    return programs.free_port

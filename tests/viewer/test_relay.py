@@ -4,7 +4,7 @@ import asyncio
 import socket
 
 from groundstation.viewer.relay import Relay, _Progress
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 PIECE = bytes(20_000)
 
@@ -45,10 +45,10 @@ def test_a_viewer_that_reads_nothing_is_behind_and_one_that_catches_up_is_live()
         with socket.create_connection(("127.0.0.1", port)) as viewer:
             viewer.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
             viewer.setblocking(False)
-            await until(lambda: relay.viewers == 1)
+            await eventually(lambda: relay.viewers == 1)
             began_s = loop.time()
             # what it has not read waits in the kernel: nothing of it in the relay
-            await until(lambda: relay.behind_s >= 2.0)
+            await eventually(lambda: relay.behind_s >= 2.0)
             assert relay.behind_s <= loop.time() - began_s + 1.5
 
             async def read():
@@ -56,9 +56,9 @@ def test_a_viewer_that_reads_nothing_is_behind_and_one_that_catches_up_is_live()
                     await loop.sock_recv(viewer, 1 << 20)
 
             reading = asyncio.create_task(read())
-            await until(lambda: relay.behind_s <= 0.5)
+            await eventually(lambda: relay.behind_s <= 0.5)
             reading.cancel()
-        await until(lambda: relay.viewers == 0)
+        await eventually(lambda: relay.viewers == 0)
         ended.set()
         await gone.wait()
         watching.cancel()

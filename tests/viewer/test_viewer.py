@@ -25,7 +25,7 @@ from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch
 from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
 from support.programs import Program, run_program
-from support.waiting import eventually as until
+from support.waiting import eventually
 
 PATIENCE_S = 60
 FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
@@ -71,14 +71,14 @@ class Session:
         self.shown += rows
 
     async def serving(self):
-        await until(lambda: self.viewer.status()["state"] == "serving", "serving")
+        await eventually(lambda: self.viewer.status()["state"] == "serving", "serving")
 
     async def flow_until(self, condition, what):
         def step():
             self.show(5)
             return condition()
 
-        await until(step, what)
+        await eventually(step, what)
 
     def balance(self):
         status = self.viewer.status()
@@ -115,8 +115,8 @@ def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_pat
             other = programs.enter_context(
                 Program(command, stderr=subprocess.DEVNULL, env={**os.environ, "CI": "1"})
             )
-            await until(lambda: s.viewer.status()["sent"] == 1003, "everything sent")
-            await until(lambda: complete(saved), "everything saved")
+            await eventually(lambda: s.viewer.status()["sent"] == 1003, "everything sent")
+            await eventually(lambda: complete(saved), "everything saved")
             assert s.viewer.status()["dropped"] == 0
         # the other viewer finishes its file when the server is gone; a signal would tear it
         other.wait(PATIENCE_S)
@@ -212,7 +212,7 @@ def test_a_stalled_feeder_costs_samples_but_neither_time_nor_memory(session, wob
                 for _ in range(2):
                     s.viewer.show_samples(batch)
                 await asyncio.sleep(0)
-            await until(lambda: s.viewer.status()["restarts"] == 1, "noticed")
+            await eventually(lambda: s.viewer.status()["restarts"] == 1, "noticed")
             assert psutil.Process().memory_info().rss - memory < 20e6
             status = s.viewer.status()
             assert status["dropped"] >= 2_000_000 - 4000
@@ -250,7 +250,7 @@ def test_a_stopped_viewer_on_the_stream_hurts_nobody(session, free_port, tmp_pat
                 s.show(1000)
                 return s.viewer.status()["sent"] > 150_000
 
-            await until(push, "the samples of five minutes sent past the stopped viewer")
+            await eventually(push, "the samples of five minutes sent past the stopped viewer")
             assert s.viewer.status()["restarts"] == 0
             assert server.memory_info().rss < 400e6
 
@@ -318,7 +318,7 @@ def test_stopping_before_it_serves_leaves_nothing(session):
 
     async def stream():
         async with session():
-            await until(lambda: child("groundstation.viewer.feeder"), "the feeder starts")
+            await eventually(lambda: child("groundstation.viewer.feeder"), "the feeder starts")
         assert psutil.Process().children(recursive=True) == before
 
     asyncio.run(stream())
@@ -379,7 +379,7 @@ def test_a_window_that_cannot_open_is_reported_and_serving_goes_on(session, monk
 
     async def stream():
         async with session(ViewerMode.SPAWN) as s:
-            await until(lambda: len(s.said) == 2, "the window ends")
+            await eventually(lambda: len(s.said) == 2, "the window ends")
             assert s.viewer.status()["state"] == "serving"
         (_, serving), (kind, text) = s.said
         assert serving.startswith("serving at http://127.0.0.1:")
