@@ -130,11 +130,11 @@ def _read_thesis(table: TextTable, places: list[int]) -> Recording:
     stamps: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     channels: list[NDArray[np.int32]] = [np.empty((0, 14), np.int32)]
     debugs: list[NDArray[np.uint32]] = [np.empty(0, np.uint32)]
-    for block in table.blocks(places, integers=True):
+    for block in table.blocks(places, whole=True):
         _require_range(block, slice(0, 1), -_MAX_TICKS, _MAX_TICKS)
         _require_range(block, slice(1, 15), -(2**31), 2**31 - 1)
         _require_range(block, slice(15, 16), 0, 2**32 - 1)
-        stamps.append(block.values[:, 0].copy())
+        stamps.append(block.values[:, 0].astype(np.int64))
         channels.append(block.values[:, 1:15].astype(np.int32))
         debugs.append(block.values[:, 15].astype(np.uint32))
     ticks, counts, debug = np.concatenate(stamps), np.concatenate(channels), np.concatenate(debugs)

@@ -10,14 +10,10 @@ without its end that does not read is taken for a torn write: it is left out and
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,21 +28,18 @@ from groundstation.recording.table_header import (
 
 BLOCK_BYTES = 8 << 20
 _HEAD_BYTES = 1 << 16
-_EXPONENT = re.compile(rb",(\d),(\d+[eE]\+\d+)$", re.MULTILINE)
-"""A last number whose decimal comma was taken for a separator."""
-_EXPONENT = re.compile(rb"\d\.\d+[eE]\+\d+")
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
     """Consecutive rows of a table.
 
-    values: (rows, columns asked for), int64 if the caller takes integers, else float64.
+    values: (rows, columns asked for), NaN in an empty cell.
     """
 
     table: TextTable
     columns: Sequence[int]
-    values: NDArray[Any]
+    values: NDArray[np.float64]
     _text: bytes
     _first_line: int
 
@@ -77,24 +70,28 @@ class TextTable:
     units: list[str] = field(default_factory=list)
     said: dict[str, str] = field(default_factory=dict)
 
-    def blocks(self, columns: Sequence[int], *, integers: bool = False) -> Iterator[Block]:
+    def blocks(self, columns: Sequence[int], *, whole: bool = False) -> Iterator[Block]:
         """The numbers in ``columns`` (positions in a row), in blocks of many rows.
 
-        With ``integers`` a cell must be a whole number below 2**53 in magnitude (int64);
-        otherwise an empty cell reads as NaN (float64).
+        With ``whole`` every cell must be a whole number below 2**53 in magnitude.
 
         Raises BadInputError naming line and column of a cell that does not read.
         """
         for first_line, text, torn in self._texts():
+            if not text.strip():
+                continue
             try:
-                block = self._parse(text, first_line, columns, integers)
+                block = Block(
+                    self, columns, self._numbers(text, first_line, columns, whole), text, first_line
+                )
+                if whole:
+                    _require_whole(block)
             except BadInputError as error:
                 if not torn:
                     raise
                 self.damage.append(f"the last line is torn and was left out ({error})")
             else:
-                if block is not None:
-                    yield block
+                yield block
 
     def cell_error(self, line: int, column: int, why: str) -> BadInputError:
         """An error that names the place in the file."""
@@ -127,71 +124,50 @@ class TextTable:
                 text = SPLIT_EXPONENT.sub(rb",\1.\2", text)
         return text
 
-    def _parse(
-        self, text: bytes, first_line: int, columns: Sequence[int], integers: bool
-    ) -> Block | None:
-        if not text.strip():
-            return None
-        self._require_width(text, first_line)
-        if integers and (b"E+" in text or b"e+" in text):
-            text = _EXPONENT.sub(_expand, text)
+    def _numbers(
+        self, text: bytes, first_line: int, columns: Sequence[int], whole: bool
+    ) -> NDArray[np.float64]:
+        from pyarrow import ArrowInvalid, BufferReader, csv, float64
+
+        wanted = [str(column) for column in columns]
         try:
-            values = self._numbers(text, columns, integers)
-        except ValueError as error:
-            self._diagnose(text, first_line, columns, integers)
-            raise BadInputError(f"{self.path}, after line {first_line}: {error}") from error
-        block = Block(self, columns, values, text, first_line)
-        return _as_integers(block) if integers else block
+            table = csv.read_csv(
+                BufferReader(text),
+                csv.ReadOptions(column_names=list(map(str, range(self.width))), use_threads=False),
+                csv.ParseOptions(delimiter=self.separator.decode(), quote_char=False),
+                csv.ConvertOptions(
+                    include_columns=wanted,
+                    column_types=dict.fromkeys(wanted, float64()),
+                    null_values=[] if whole else [""],
+                ),
+            )
+        except ArrowInvalid:
+            return self._one_by_one(text, first_line, columns, whole)
+        return np.column_stack([table.column(name).to_numpy() for name in wanted])
 
-    def _numbers(self, text: bytes, columns: Sequence[int], integers: bool) -> NDArray[Any]:
-        if not integers:
-            return self._load(_fill_empty(text, self.separator), np.float64, columns)
-        if not any(mark in text for mark in (b".", b"e", b"E", b"n")):
-            with contextlib.suppress(ValueError):  # beyond 64 bits, or no number at all
-                return self._load(text, np.int64, columns)
-        return self._load(text, np.float64, columns)
-
-    def _load(self, text: bytes, kind: type[Any], columns: Sequence[int]) -> NDArray[Any]:
-        return np.loadtxt(
-            io.StringIO(text.decode("latin-1")),
-            dtype=kind,
-            comments=None,
-            delimiter=self.separator.decode(),
-            usecols=columns,
-            ndmin=2,
-        )
-
-    def _require_width(self, text: bytes, first_line: int) -> None:
-        """Every row has as many fields as the first: a shifted row never passes for data."""
-        codes = np.frombuffer(text if text.endswith(b"\n") else text + b"\n", np.uint8)
-        ends = np.flatnonzero(codes == ord("\n"))
-        separators = np.flatnonzero(codes == ord(self.separator))
-        counts = np.diff(np.searchsorted(separators, ends), prepend=0)
-        wrong = np.flatnonzero(counts != self.width - 1)
-        if len(wrong) == 0:
-            return
-        lines = text.split(b"\n")
-        for line in wrong:
-            if lines[line].strip():
-                raise BadInputError(
-                    f"{self.path}, line {first_line + int(line)}: {counts[line] + 1} fields, "
-                    f"but the lines before have {self.width}"
-                )
-
-    def _diagnose(
-        self, text: bytes, first_line: int, columns: Sequence[int], integers: bool
-    ) -> None:
-        """Name the cell that the fast parser could not read."""
-        for number, line in enumerate(text.split(b"\n")):
+    def _one_by_one(
+        self, text: bytes, first_line: int, columns: Sequence[int], whole: bool
+    ) -> NDArray[np.float64]:
+        """Cell by cell: names the one that is no number, and reads what only Python takes for one
+        (blanks in an empty cell, on an empty line)."""
+        rows = []
+        for number, line in enumerate(text.split(b"\n"), first_line):
             if not line.strip():
                 continue
             cells = line.split(self.separator)
-            for column in columns:
-                cell = cells[column].strip()
-                if (cell or integers) and not is_number(cell):
+            if len(cells) != self.width:
+                raise BadInputError(
+                    f"{self.path}, line {number}: {len(cells)} fields, "
+                    f"but the lines before have {self.width}"
+                )
+            chosen = [cells[column].strip() for column in columns]
+            for column, cell in zip(columns, chosen, strict=True):
+                if (cell or whole) and not is_number(cell):
                     shown = cell[:40].decode("latin-1")
                     why = f"{shown!r} is not a number" if cell else "the cell is empty"
-                    raise self.cell_error(first_line + number, column, why)
+                    raise self.cell_error(number, column, why)
+            rows.append([float(cell) if cell else np.nan for cell in chosen])
+        return np.array(rows)
 
 
 def open_table(path: Path, skip: int = 0) -> TextTable:
@@ -270,42 +246,10 @@ def _align(names: list[str], first_row: bytes, separator: bytes) -> list[str]:
     return names
 
 
-def _expand(number: re.Match[bytes]) -> bytes:
-    """Whole numbers written out, which the integer parser reads five times as fast."""
-    return _expanded(number.group())
-
-
-@functools.lru_cache(4096)
-def _expanded(number: bytes) -> bytes:
-    value = float(number)
-    return b"%d" % value if value.is_integer() else number
-
-
-def _fill_empty(text: bytes, separator: bytes) -> bytes:
-    """NaN in each empty cell."""
-    if separator + b" " in text:
-        text = re.sub(rb"(?<=%s) +(?=%s|\n|$)" % (separator, separator), b"", text)
-    edged = b"\n" + text + (b"" if text.endswith(b"\n") else b"\n")
-    for empty in (separator + separator, b"\n" + separator, separator + b"\n"):
-        if empty in edged:
-            filled = empty[:1] + b"nan" + empty[1:]
-            edged = edged.replace(empty, filled).replace(empty, filled)
-    return edged[1:]
-
-
-def _as_integers(block: Block) -> Block:
-    if block.values.dtype == np.int64:
-        return block
+def _require_whole(block: Block) -> None:
     wrong = ~(np.abs(block.values) < 2**53) | (block.values != np.rint(block.values))
     if wrong.any():
         row, column = (int(place) for place in np.argwhere(wrong)[0])
         raise block.error(
             row, column, f"{block.values[row, column]:g} is not a whole number below 2^53"
         )
-    return Block(
-        block.table,
-        block.columns,
-        block.values.astype(np.int64),
-        block._text,
-        block._first_line,
-    )

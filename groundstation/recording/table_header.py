@@ -164,7 +164,7 @@ def is_number(cell: bytes) -> bool:
         float(cell)
     except ValueError:
         return False
-    return True
+    return b"_" not in cell
 
 
 def _text(cell: bytes) -> str:
