@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import resources
 from pathlib import Path
 
 import typer
@@ -35,9 +36,7 @@ def header(
 
     Example: [bold]groundstation export header -o groundstation_telemetry.h[/bold]
     """
-    from groundstation.telemetry.c_header import c_header
-
-    text = c_header()
+    text = (resources.files("groundstation.telemetry") / "groundstation_telemetry.h").read_text()
     if output is None:
         for line in text.splitlines():
             show(line)

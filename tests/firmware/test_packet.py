@@ -7,11 +7,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from groundstation.telemetry.c_header import c_header
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.packet import SAMPLE_TICKS, as_packets, decode, encode, motor_counts
 from groundstation.telemetry.samples import RawBatch
-from support.firmware import FIRMWARE, BladeTimer, Bridge, Craft, Sample, firmware, packed
+from support.firmware import BladeTimer, Bridge, Craft, Sample, firmware, packed
 
 I16 = st.integers(-32768, 32767)
 VECTOR = st.tuples(I16, I16, I16)
@@ -28,12 +27,6 @@ def sample_of(ticks, *, counter=0, ratios=(0, 0, 0, 0)):
         ticks=int(ticks) % 65536, battery_v=3.7, motor_ratio=ratios,
         accelerometer=(0, 0, 4096), debug=counter,
     )  # fmt: skip
-
-
-def test_the_header_in_the_firmware_is_the_one_that_is_exported():
-    assert (FIRMWARE / "common" / "groundstation_telemetry.h").read_text() == c_header(), (
-        "groundstation export header -o firmware/common/groundstation_telemetry.h"
-    )
 
 
 def test_the_golden_packet_is_what_the_craft_packs():

@@ -5,17 +5,20 @@ import os
 import pty
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import usb.core
 import usb.util
 from serial.tools.list_ports import comports
 
+from groundstation import cli
 from groundstation.cli.devices import port_row
 from groundstation.cli.usb_devices import usb_devices
-from groundstation.telemetry.c_header import c_header
 from support.daemons import COMMAND, groundstation, require_failure
 from support.programs import Program, run_program
+
+HEADER = Path(cli.__file__).parents[1] / "telemetry" / "groundstation_telemetry.h"
 
 
 @pytest.fixture
@@ -176,10 +179,10 @@ def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
 
 
 def test_the_header_goes_to_stdout_or_to_a_file(tmp_path):
-    assert groundstation("export", "header").stdout == c_header()
+    assert groundstation("export", "header").stdout == HEADER.read_text()
     path = tmp_path / "groundstation_telemetry.h"
     assert groundstation("export", "header", "-o", path).returncode == 0
-    assert path.read_text() == c_header()
+    assert path.read_text() == HEADER.read_text()
 
 
 def test_a_header_that_cannot_be_written_is_one_line(tmp_path):

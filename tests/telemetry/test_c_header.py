@@ -1,16 +1,17 @@
 """The C header, compiled by a C compiler and compared with the Python codec."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from groundstation.telemetry import bridge_usb
-from groundstation.telemetry.c_header import c_header
 from groundstation.telemetry.framing import frame_packets
 from groundstation.telemetry.packet import encode
 from support.programs import run_program
 
+HEADER = Path(bridge_usb.__file__).with_name("groundstation_telemetry.h").read_text()
 GOLDEN = bytes.fromhex(
     "06 24 aa 0c 30 8d c3 98 8b c7 43 fe b5 02 b5 ffb7 fe 4a 0c 1b 1e f3 fe d1 fd c0 f3 80 4f 50 49"
 )
@@ -85,7 +86,7 @@ STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused"]
 @pytest.fixture
 def compiled(tmp_path):
     """Compiles a program against the header; gives what it answers to bytes."""
-    (tmp_path / "groundstation_telemetry.h").write_text(c_header())
+    (tmp_path / "groundstation_telemetry.h").write_text(HEADER)
 
     def build(program, compiler="cc", standard="c99"):
         if shutil.which(compiler) is None:
@@ -162,7 +163,7 @@ def test_the_descriptors_say_what_a_host_expects():
 def test_a_layout_that_differs_does_not_compile(tmp_path):
     if shutil.which("cc") is None:
         pytest.skip("no cc on this machine")
-    text = c_header().replace("uint16_t battery;", "uint32_t battery;")
+    text = HEADER.replace("uint16_t battery;", "uint32_t battery;")
     (tmp_path / "groundstation_telemetry.h").write_text(text)
     result = run_program(
         ["cc", "-fsyntax-only", "-x", "c", "-"],
