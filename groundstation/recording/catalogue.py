@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -13,19 +12,19 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
+from mcap.records import Footer, Metadata, MetadataIndex, Statistics, SummaryOffset
 from mcap.writer import MCAP0_MAGIC
 
 from groundstation.documents import open_regular
 from groundstation.errors import RecordingError
 from groundstation.recording.mcap_file import CHECKSUM_KEY
-from groundstation.recording.mcap_records import Fields
+from groundstation.recording.mcap_records import RECORD, parsed
 from groundstation.recording.mcap_scan import looks_like_mcap
 from groundstation.recording.mcap_schemas import metadata_checksum
 
 TOTALS = "totals"
 """Metadata record that a finished recording ends with."""
 
-_FOOTER = struct.Struct("<BQQQI")
 _SUMMARY_MOST = 1 << 26
 _LAST_NS = 1 << 62
 """Unix time of the year 2116."""
@@ -122,31 +121,36 @@ def is_held(path: Path) -> bool:
 def _end_of(file: BinaryIO) -> tuple[tuple[int, int], dict[str, dict[str, str]]]:
     """First and last time and the metadata, by way of the footer. Raises ValueError where that is
     damaged."""
-    tail = _FOOTER.size + len(MCAP0_MAGIC)
+    tail = RECORD.size + 20 + len(MCAP0_MAGIC)
     end = file.seek(0, os.SEEK_END) - tail
-    opcode, length, summary, offsets, crc = _FOOTER.unpack(_read(file, end, _FOOTER.size))
-    if (opcode, length) != (Opcode.FOOTER, 20) or not 0 < summary <= offsets <= end:
+    ((opcode, body),) = _records(_read(file, end, RECORD.size + 20))
+    footer = parsed(Footer, body)
+    summary, offsets = footer.summary_start, footer.summary_offset_start
+    if opcode != Opcode.FOOTER or not 0 < summary <= offsets <= end:
         raise ValueError("no index")
-    content = _read(file, summary, end - summary + _FOOTER.size)
-    if crc and zlib.crc32(content[:-4]) != crc:
+    content = _read(file, summary, end - summary + RECORD.size + 20)
+    if footer.summary_crc and zlib.crc32(content[:-4]) != footer.summary_crc:
         raise ValueError("the index is damaged")
     times, places = None, []
-    for _, group in _records(content[offsets - summary : end - summary]):
-        kind, start, size = group.rest(1)[0], group.u64() - summary, group.u64()
-        if kind not in (Opcode.STATISTICS, Opcode.METADATA_INDEX) or start < 0:
+    for _, offset in _records(content[offsets - summary : end - summary]):
+        group = parsed(SummaryOffset, offset)
+        start = group.group_start - summary
+        if group.group_opcode not in (Opcode.STATISTICS, Opcode.METADATA_INDEX) or start < 0:
             continue  # of chunks there are thousands
-        for _, fields in _records(content[start : start + size]):
+        for kind, record in _records(content[start : start + group.group_length]):
             if kind == Opcode.STATISTICS:
-                fields.rest(8 + 2 + 4 * 4)  # counts
-                times = (fields.u64(), fields.u64())
+                statistics = parsed(Statistics, record)
+                times = (statistics.message_start_time, statistics.message_end_time)
             else:
-                places.append((fields.u64(), fields.u64()))
+                index = parsed(MetadataIndex, record)
+                places.append((index.offset, index.length))
     if times is None or not times[0] <= times[1] < _LAST_NS:
         raise ValueError("no statistics")
     metadata = {}
     for offset, size in places:
-        for _, fields in _records(_read(file, offset, size)):
-            name, items = fields.text(), fields.table()
+        for _, record in _records(_read(file, offset, size)):
+            metadatum = parsed(Metadata, record)
+            name, items = metadatum.name, metadatum.metadata
             if items.pop(CHECKSUM_KEY, None) not in (None, metadata_checksum(name, items.items())):
                 raise ValueError("a metadata record is damaged")
             metadata[name] = items
@@ -163,12 +167,16 @@ def _read(file: BinaryIO, offset: int, length: int) -> bytes:
     return content
 
 
-def _records(content: bytes) -> Iterator[tuple[int, Fields]]:
-    """Kind and fields of each record. Raises ValueError."""
-    fields = Fields(memoryview(content))
-    while not fields.at_end:
-        kind = fields.rest(1)[0]
-        yield kind, Fields(fields.rest(fields.u64()))
+def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Kind and body of each record. Raises ValueError."""
+    at = 0
+    while at < len(content):
+        if at + RECORD.size > len(content):
+            raise ValueError("ends inside a record")
+        kind, length = RECORD.unpack_from(content, at)
+        at += RECORD.size
+        yield kind, content[at : at + length]
+        at += length
 
 
 def _number(items: dict[str, str], key: str) -> int | None:

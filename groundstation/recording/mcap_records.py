@@ -7,9 +7,13 @@ import zlib
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
+from typing import TypeVar
 
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment, Channel, McapRecord, Schema
 
 RECORD = struct.Struct("<BQ")
 """Opcode and length before every record's body."""
@@ -17,6 +21,29 @@ _MESSAGE = struct.Struct("<HIQQ")
 
 Message = tuple[int, int, int, memoryview]
 """Channel id, log time (ns), publish time (ns), payload."""
+
+
+Kind = TypeVar("Kind", bound=McapRecord)
+
+
+def parsed(kind: type[Kind], body: bytes | memoryview) -> Kind:
+    """The record of that kind whose body this is. Raises ValueError."""
+    stream = _Strict(BytesIO(body))
+    try:
+        record: Kind = kind.read(stream)
+    except (EndOfFile, struct.error, UnicodeDecodeError) as error:
+        raise ValueError("a record's parts are longer than the record") from error
+    if stream.count != len(body):
+        raise ValueError("a record is longer than its parts")
+    return record
+
+
+class _Strict(ReadDataStream):
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
 
 
 @dataclass(slots=True)
@@ -57,31 +84,12 @@ def parse_contents(content: bytes) -> Contents:
             if length < _MESSAGE.size:
                 raise ValueError("a message is shorter than its header")
             log_ns = _MESSAGE.unpack_from(view, at)[2]
-            if log_ns < first_ns:
-                first_ns = log_ns
-            if log_ns > last_ns:
-                last_ns = log_ns
+            first_ns, last_ns = min(first_ns, log_ns), max(last_ns, log_ns)
             found.places.extend((at, length))
         elif opcode == Opcode.SCHEMA:
-            fields = Fields(view[at : at + length])
-            schema_id, name, encoding = fields.u16(), fields.text(), fields.text()
-            data = bytes(fields.rest(fields.u32()))
-            fields.end()
-            found.schemas.append(Schema(id=schema_id, name=name, encoding=encoding, data=data))
+            found.schemas.append(parsed(Schema, view[at : at + length]))
         elif opcode == Opcode.CHANNEL:
-            fields = Fields(view[at : at + length])
-            channel_id, schema_id = fields.u16(), fields.u16()
-            topic, encoding, metadata = fields.text(), fields.text(), fields.table()
-            fields.end()
-            found.channels.append(
-                Channel(
-                    id=channel_id,
-                    topic=topic,
-                    message_encoding=encoding,
-                    metadata=metadata,
-                    schema_id=schema_id,
-                )
-            )
+            found.channels.append(parsed(Channel, view[at : at + length]))
         at += length
     if found.places:
         found.first_ns, found.last_ns = first_ns, last_ns
@@ -90,21 +98,11 @@ def parse_contents(content: bytes) -> Contents:
 
 def parse_attachment(body: memoryview) -> Attachment:
     """Raises ValueError, DamagedContentError where its checksum does not match."""
-    fields = Fields(body)
-    log_time, create_time = fields.u64(), fields.u64()
-    name, media_type = fields.text(), fields.text()
-    data = bytes(fields.rest(fields.u64()))
-    crc = fields.u32()
-    fields.end()
+    attachment = parsed(Attachment, body)
+    crc = int.from_bytes(body[-4:], "little")
     if crc and zlib.crc32(body[:-4]) != crc:
         raise DamagedContentError("an attachment is damaged", RECORD.size + len(body))
-    return Attachment(
-        create_time=create_time,
-        log_time=log_time,
-        name=name,
-        media_type=media_type,
-        data=data,
-    )
+    return attachment
 
 
 class DamagedContentError(ValueError):
@@ -114,49 +112,3 @@ class DamagedContentError(ValueError):
         super().__init__(reason)
         self.length = length
         self.chunks = chunks
-
-
-class Fields:
-    """The fields of one record, none beyond its end. Raises ValueError."""
-
-    def __init__(self, body: memoryview) -> None:
-        self._body = body
-        self._at = 0
-
-    def rest(self, length: int) -> memoryview:
-        part = self._body[self._at : self._at + length]
-        if len(part) != length:
-            raise ValueError("a record's parts are longer than the record")
-        self._at += length
-        return part
-
-    def u16(self) -> int:
-        return int.from_bytes(self.rest(2), "little")
-
-    def u32(self) -> int:
-        return int.from_bytes(self.rest(4), "little")
-
-    def u64(self) -> int:
-        return int.from_bytes(self.rest(8), "little")
-
-    def text(self) -> str:
-        try:
-            return str(self.rest(self.u32()), "utf-8")
-        except UnicodeDecodeError as error:
-            raise ValueError("a record's text is damaged") from error
-
-    def table(self) -> dict[str, str]:
-        inner = Fields(self.rest(self.u32()))
-        items = {}
-        while not inner.at_end:
-            key = inner.text()
-            items[key] = inner.text()
-        return items
-
-    @property
-    def at_end(self) -> bool:
-        return self._at == len(self._body)
-
-    def end(self) -> None:
-        if not self.at_end:
-            raise ValueError("a record is longer than its parts")

@@ -17,7 +17,16 @@ from typing import Self
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    Schema,
+)
 from mcap.writer import MCAP0_MAGIC
 
 from groundstation.errors import RecordingError
@@ -27,10 +36,10 @@ from groundstation.recording.mcap_records import (
     RECORD,
     Contents,
     DamagedContentError,
-    Fields,
     Message,
     parse_attachment,
     parse_contents,
+    parsed,
 )
 from groundstation.recording.mcap_schemas import TOPICS, metadata_checksum, usual_topic
 from groundstation.recording.recording_file import CHANNELS_METADATA
@@ -209,10 +218,8 @@ class McapScan:
         elif opcode == Opcode.ATTACHMENT:
             self.on_attachment(parse_attachment(body))
         elif opcode == Opcode.HEADER and offset == self._start:
-            fields = Fields(body)
-            self.profile = fields.text()
-            self.library = fields.text()
-            fields.end()
+            header = parsed(Header, body)
+            self.profile, self.library = header.profile, header.library
         else:
             raise ValueError(f"a record of unknown kind {opcode}")
         if self._data_crc is not None:
@@ -226,19 +233,20 @@ class McapScan:
         Raises ValueError where its parts do not add up, DamagedContentError where they do
         and the content is bad.
         """
-        fields = Fields(body)
-        fields.u64(), fields.u64()
-        size, crc = fields.u64(), fields.u32()
-        compression = fields.text()
-        packed = fields.rest(fields.u64())
-        fields.end()
+        chunk = parsed(Chunk, body)
+        crc = chunk.uncompressed_crc
         try:
-            return self._content(compression, packed, size, crc if crc or self.is_ours else None)
+            return self._content(
+                chunk.compression,
+                chunk.data,
+                chunk.uncompressed_size,
+                crc if crc or self.is_ours else None,
+            )
         except ValueError as error:
             raise DamagedContentError(str(error), RECORD.size + len(body), chunks=1) from error
 
     def _content(
-        self, compression: str, packed: memoryview, size: int, crc: int | None
+        self, compression: str, packed: bytes | memoryview, size: int, crc: int | None
     ) -> Contents:
         if size > _LARGEST_CHUNK:
             raise ValueError("a chunk is too large to be true")
@@ -331,10 +339,8 @@ class McapScan:
         return True
 
     def _add_metadata(self, body: memoryview) -> None:
-        fields = Fields(body)
-        name = fields.text()
-        items = fields.table()
-        fields.end()
+        record = parsed(Metadata, body)
+        name, items = record.name, record.metadata
         checksum = items.pop(CHECKSUM_KEY, None)
         if checksum is None and not self.is_ours:
             pass
@@ -344,9 +350,7 @@ class McapScan:
 
     def _check_end(self, offset: int, body: memoryview) -> None:
         """The checksum over all before, and the index behind."""
-        if len(body) != 4:
-            raise ValueError("the end of the data is damaged")
-        crc = int.from_bytes(body, "little")
+        crc = parsed(DataEnd, body).data_section_crc
         if self._data_crc not in (None, crc) and (crc or self.is_ours):
             reason = (
                 "checksum of the whole does not match; the messages have their own and are good"
@@ -367,7 +371,8 @@ class McapScan:
             20,
         ):
             return fault
-        start, _, crc = struct.unpack_from("<QQI", tail, RECORD.size)
+        footer = parsed(Footer, tail[RECORD.size : -len(MCAP0_MAGIC)])
+        start, crc = footer.summary_start, footer.summary_crc
         if not start:
             return ""
         if not self._start <= start <= at or at - start > _LARGEST_CHUNK:
