@@ -22,7 +22,6 @@ from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
     from groundstation.service.config import Config, ConfigSource
-    from groundstation.service.control_socket import ControlPort
     from groundstation.service.station import Station
 
 DISPLAY_S = 0.5
@@ -108,7 +107,7 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     from groundstation.allocator import limit_arenas
     from groundstation.service.config import socket_path
     from groundstation.service.control import ControlServer
-    from groundstation.service.control_socket import ControlPort, ControlSocket
+    from groundstation.service.control_socket import ControlSocket
     from groundstation.service.station import Station
     from groundstation.service.systemd import notify, pat_watchdog
 
@@ -117,18 +116,11 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     _configure_log(live, as_json=config.log.format == "json")
     station = Station(config, source)
     control = ControlSocket(socket_path(config.control.socket))
-    port = None
-    if config.control.tcp_port:
-        try:
-            port = ControlPort(config.control.tcp_port, control.path.with_suffix(".token"))
-        except GroundStationError:
-            control.close()
-            raise
-    server = ControlServer(station, control, port)
+    server = ControlServer(station, control)
     tasks: list[asyncio.Task[None]] = []
 
     def ready() -> None:
-        _introduce(station, control.path, port)
+        _introduce(station, control.path)
         notify("READY=1")
 
     def last_resort() -> None:
@@ -160,8 +152,6 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
             if live:
                 say("", end="", clear=True)
             await server.stop()
-            if port is not None:
-                port.close()
             control.close()
     _conclude(station)
     if not interrupted:
@@ -184,7 +174,7 @@ async def _open_page(station: Station) -> None:
     await asyncio.to_thread(webbrowser.open, station.page.address())
 
 
-def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None:
+def _introduce(station: Station, socket: Path) -> None:
     config = station.config
     lines = [("link", station.receiver.link.name)]
     folder = config.recording.folder if config.recording.enabled else "off"
@@ -195,8 +185,6 @@ def _introduce(station: Station, socket: Path, port: ControlPort | None) -> None
     if config.twin.model:
         lines.append(("twin", config.twin.model))
     lines.append(("control", str(socket)))
-    if port is not None:
-        lines.append(("", f"http://127.0.0.1:{port.port}, token in {port.token_path}"))
     for name, text in lines:
         say(f"  {name:<11}{text}")
     say("  Ctrl-C stops and finishes the recording.")

@@ -120,9 +120,6 @@ class ControlConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     socket: Annotated[
         str, _key("path of the control socket; empty: in the user's runtime folder")
     ] = ""
-    tcp_port: Annotated[
-        int, _key("also serve on this port of 127.0.0.1, with a token; 0: no", ge=0, le=65535)
-    ] = 0
 
 
 class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -180,6 +177,13 @@ RELOADABLE = (
 """Keys (or tables) that a running daemon takes over; a new folder from the next file on."""
 
 
+FORMER = {
+    "control.tcp_port": "the control API is on its Unix socket alone; from another machine, or by a"
+    " port, 'ssh -N -L PORT:SOCKET HOST' leads to it",
+}
+"""Keys of earlier versions, and what does their work now."""
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """One key: ``table.key``, or ``key`` at the top."""
@@ -211,6 +215,9 @@ class ConfigSource:
         return config
 
     def _from_environment(self) -> Iterator[tuple[str, str]]:
+        for name in FORMER:
+            if ENVIRONMENT + _variable(name) in self.environment:
+                raise BadInputError(f"{ENVIRONMENT}{_variable(name)}: {former(name)}")
         for setting in settings(Config()):
             value = self.environment.get(ENVIRONMENT + _variable(setting.name))
             if value is not None and setting.name != "stand_in":
@@ -226,7 +233,13 @@ def load_config(path: Path | None) -> Config:
     except OSError as error:
         raise BadInputError(f"configuration {path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise BadInputError(f"configuration {path}: {error}") from error
+        said = next((former(name) for name in FORMER if _is_about(error, name)), error)
+        raise BadInputError(f"configuration {path}: {said}") from error
+
+
+def former(name: str) -> str:
+    """What a user of a former key is told."""
+    return f"{name} is no key any more: {FORMER[name]}"
 
 
 def settings(config: Config) -> list[Setting]:
@@ -304,6 +317,12 @@ def _changed(config: Config, changes: Mapping[str, Any], where: str, *, strict: 
         return msgspec.convert(tables, Config, strict=strict)
     except msgspec.ValidationError as error:
         raise BadInputError(f"{where}: {explained(error, Config)}") from error
+
+
+def _is_about(error: ValueError, name: str) -> bool:
+    """Whether a document was refused for this unknown key."""
+    table, _, key = name.rpartition(".")
+    return f"unknown field `{key}` - at `$.{table}`" in str(error)
 
 
 def _variable(name: str) -> str:

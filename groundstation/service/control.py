@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import json
 import logging
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -19,7 +18,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from groundstation.documents import decode_json
 from groundstation.errors import (
@@ -30,8 +28,8 @@ from groundstation.errors import (
 )
 from groundstation.service import overview
 from groundstation.service.api import Operation, operations
-from groundstation.service.connections import Headers, protocol
-from groundstation.service.control_socket import ControlPort, ControlSocket
+from groundstation.service.connections import protocol
+from groundstation.service.control_socket import ControlSocket
 from groundstation.service.limits import RateLimit
 from groundstation.service.metrics import CONTENT_TYPE, metrics
 from groundstation.service.openapi import openapi
@@ -44,40 +42,27 @@ CONNECTIONS_MOST = 64
 REQUESTS_HZ, REQUESTS_BURST = 200.0, 400.0
 """Of all clients together; setpoints have a limit of their own, so that nobody's curiosity can
 keep them from the craft."""
-FAILURES_HZ, FAILURES_BURST = 5.0, 20.0
-FAILURE_S = 1.0
-"""A request without the right token waits for so long, once there are more of them than that."""
 ROWS_HZ_LEAST = 1.0
 """Of a stream: one that is silent for longer would be taken for dead."""
 
 
 class ControlServer:
-    """Serves a station's control API on a Unix socket and, where there is one, a port."""
+    """Serves a station's control API on a Unix socket."""
 
-    def __init__(
-        self, station: Station, control: ControlSocket, port: ControlPort | None = None
-    ) -> None:
-        app = control_app(station)
-        self._station = station
-        self._servers = [(_server(app, station), control.socket)]
-        if port is not None:
-            expected = b"Bearer " + port.token.encode()
-            guarded = _Guarded(app, expected, station)
-            self._servers.append((_server(guarded, station, expected), port.socket))
-        self._tasks: list[asyncio.Task[None]] = []
+    def __init__(self, station: Station, control: ControlSocket) -> None:
+        self._station, self._socket = station, control.socket
+        self._server = _server(station)
+        self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        self._tasks = [
-            asyncio.create_task(server.serve(sockets=[listening]), name="control")
-            for server, listening in self._servers
-        ]
-        for number, task in enumerate(self._tasks, start=1):
-            self._station.supervisor.adopt(f"control {number}", task)
+        serving = self._server.serve(sockets=[self._socket])
+        self._task = asyncio.create_task(serving, name="control")
+        self._station.supervisor.adopt("control", self._task)
 
     async def stop(self) -> None:
-        for server, _ in self._servers:
-            server.should_exit = True
-        await asyncio.gather(*self._tasks)
+        self._server.should_exit = True
+        if self._task is not None:
+            await self._task
 
 
 class _Server(uvicorn.Server):
@@ -89,29 +74,6 @@ class _Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         self.should_exit = True
-
-
-def _shows(headers: Iterable[tuple[bytes, bytes]], expected: bytes) -> bool:
-    return hmac.compare_digest(dict(headers).get(b"authorization", b""), expected)
-
-
-class _Guarded:
-    """Lets in who shows the token. Who guesses waits, once there were many wrong ones."""
-
-    def __init__(self, app: ASGIApp, expected: bytes, station: Station) -> None:
-        self._app, self._expected, self._station = app, expected, station
-        self._failures = RateLimit(FAILURES_HZ, FAILURES_BURST)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if _shows(scope.get("headers", ()), self._expected):
-            await self._app(scope, receive, send)
-            return
-        self._station.turned_away += 1
-        if not self._failures.allows():
-            await asyncio.sleep(FAILURE_S)
-        refusal = _refusal(401, "this port needs the header 'Authorization: Bearer TOKEN'")
-        refusal.headers["connection"] = "close"
-        await refusal(scope, receive, send)
 
 
 def control_app(station: Station) -> Starlette:
@@ -213,10 +175,7 @@ class _TooLargeError(GroundStationError):
     pass
 
 
-def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _Server:
-    def knows(headers: Headers) -> bool:
-        return expected is None or _shows(headers, expected)
-
+def _server(station: Station) -> _Server:
     def turned_away() -> None:
         station.turned_away += 1
 
@@ -224,14 +183,12 @@ def _server(app: ASGIApp, station: Station, expected: bytes | None = None) -> _S
     logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
     return _Server(
         uvicorn.Config(
-            app,
+            control_app(station),
             log_config=None,
             access_log=False,
             lifespan="off",
-            http=protocol(CONNECTIONS_MOST, knows, turned_away),
+            http=protocol(CONNECTIONS_MOST, lambda headers: True, turned_away),
             ws="none",
-            # on the port so many are accepted at a time: fewer than there are places
-            backlog=2048 if expected is None else CONNECTIONS_MOST // 2,
             h11_max_incomplete_event_size=HEAD_MOST,
             timeout_graceful_shutdown=1,
         )

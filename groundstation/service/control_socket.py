@@ -1,11 +1,9 @@
-"""The control API's listening sockets: a Unix socket of its owner's, and a port of loopback."""
+"""The control API's listening socket: a Unix socket of its owner's."""
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import os
-import secrets
 import socket
 import stat
 from pathlib import Path
@@ -85,38 +83,3 @@ def _require_private(folder: Path) -> None:
             f"control socket: {folder} is not a folder of yours alone (owner {found.st_uid}, mode "
             f"{stat.S_IMODE(found.st_mode):04o}); remove it, or set GROUNDSTATION_SOCKET"
         )
-
-
-class ControlPort:
-    """A TCP port on 127.0.0.1 and the token that its clients must show.
-
-    token_path: a file that only its owner can read, removed by ``close``.
-    """
-
-    def __init__(self, port: int, token_path: Path) -> None:
-        self.token = secrets.token_urlsafe(32)
-        self.token_path = token_path
-        # the protocol named, asyncio sends small answers at once (TCP_NODELAY), not after 40 ms
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        try:
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self.socket.bind(("127.0.0.1", port))
-            self.socket.listen(BACKLOG)
-            self.socket.setblocking(False)
-            with contextlib.suppress(FileNotFoundError):
-                token_path.unlink()
-            number = os.open(token_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with open(number, "w") as file:
-                file.write(self.token + "\n")
-        except OSError as error:
-            self.socket.close()
-            raise TakenError(f"control port 127.0.0.1:{port}: {error.strerror}") from error
-
-    @property
-    def port(self) -> int:
-        return int(self.socket.getsockname()[1])
-
-    def close(self) -> None:
-        """Stop listening and remove the token. Safe to call twice."""
-        self.socket.close()
-        self.token_path.unlink(missing_ok=True)

@@ -1,24 +1,16 @@
 """Another user of the machine who was here first: false sockets, links, lock files, ports."""
 
-import asyncio
-import contextlib
-import http.client
 import os
-import socket
 import subprocess
 import sys
-import time
 
 import pytest
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service import client, control
+from groundstation.service import client
 from groundstation.service.api import permitted_link
 from groundstation.service.client import ask
-from groundstation.service.config import Config, LinkConfig, RecordingConfig
-from groundstation.service.control import ControlServer
-from groundstation.service.control_socket import ControlPort, ControlSocket
-from groundstation.service.station import Station
+from groundstation.service.control_socket import ControlSocket
 from support.programs import Program
 
 pytestmark = pytest.mark.timeout(60)
@@ -74,109 +66,3 @@ def test_a_request_reaches_no_port_by_way_of_a_folder_for_all(tmp_path, speed):
     finally:
         os.unlink(link)
     assert permitted_link(f"serial:/dev/ttyACM0{speed}", tmp_path) == f"serial:/dev/ttyACM0{speed}"
-
-
-@pytest.fixture
-def ported(tmp_path):
-    """Runs a conversation with the TCP port of a daemon that waits for a device."""
-
-    def run(conversation):
-        async def session():
-            config = Config(
-                link=LinkConfig(name="serial:/dev/nope"),
-                recording=RecordingConfig(folder=str(tmp_path / "s"), enabled=False),
-            )
-            station = Station(config)
-            control = ControlSocket(tmp_path / "c.sock")
-            port = ControlPort(0, tmp_path / "c.token")
-            server = ControlServer(station, control, port)
-            await server.start()
-            running = asyncio.create_task(station.run())
-            try:
-                await station.receiver.tried.wait()
-                return await asyncio.to_thread(conversation, station, port)
-            finally:
-                station.stop()
-                await running
-                await server.stop()
-                port.close()
-                control.close()
-
-        return asyncio.run(session())
-
-    return run
-
-
-def request(peer, token):
-    """One request with a token on a connection: its status."""
-    peer.request("GET", "/status", headers={"Authorization": f"Bearer {token}"})
-    with peer.getresponse() as response:
-        response.read()
-        return response.status
-
-
-def test_an_answer_on_the_port_is_sent_at_once(ported):
-    def conversation(station, port):
-        peer = http.client.HTTPConnection("127.0.0.1", port.port, timeout=10)
-        with contextlib.closing(peer):
-            took = []
-            for _ in range(12):
-                began_s = time.monotonic()
-                assert request(peer, port.token) == 200
-                took.append(time.monotonic() - began_s)
-            return min(took[2:])
-
-    assert ported(conversation) < 0.03
-
-
-def strangers(port, count, words):
-    """Connections without a token, left open."""
-    peers = [socket.create_connection(("127.0.0.1", port.port), 10) for _ in range(count)]
-    for peer in peers:
-        with contextlib.suppress(OSError):
-            peer.sendall(words)
-    return peers
-
-
-@pytest.mark.parametrize(
-    "words",
-    [b"", b"GET /status HTTP/1.1\r\nHost:", b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n"],
-    ids=["silent", "half a request", "no token"],
-)
-def test_strangers_cannot_keep_the_authorised_from_the_port(ported, words):
-    def conversation(station, port):
-        peers = []
-        answers = []
-        for _ in range(2):
-            peers += strangers(port, 70, words)
-            peer = http.client.HTTPConnection("127.0.0.1", port.port, timeout=10)
-            with contextlib.closing(peer):
-                answers.append(request(peer, port.token))
-        for peer in peers:
-            peer.close()
-        return answers, station.turned_away
-
-    answers, turned_away = ported(conversation)
-    assert answers == [200] * 2
-    assert turned_away > 0
-
-
-def test_guessing_is_counted_and_slow(ported, monkeypatch):
-    monkeypatch.setattr(control, "FAILURES_BURST", 3.0)
-    monkeypatch.setattr(control, "FAILURES_HZ", 0.1)
-    monkeypatch.setattr(control, "FAILURE_S", 0.2)
-
-    def guess(port):
-        peer = http.client.HTTPConnection("127.0.0.1", port.port, timeout=10)
-        with contextlib.closing(peer):
-            return request(peer, "wrong")
-
-    def conversation(station, port):
-        began_s = time.monotonic()
-        answers = [guess(port) for _ in range(8)]
-        return answers, time.monotonic() - began_s, station.turned_away
-
-    answers, took_s, turned_away = ported(conversation)
-    assert answers == [401] * 8
-    assert took_s >= 5 * 0.2
-    assert turned_away == 8

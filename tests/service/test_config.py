@@ -105,6 +105,13 @@ def test_a_mistake_in_the_environment_names_the_variable_and_the_key():
         source.load()
 
 
+def test_a_key_of_an_earlier_version_is_refused_with_what_does_its_work_now(tmp_path):
+    in_a_file = ConfigSource(written(tmp_path, "[control]\ntcp_port = 8000\n"), {}, {})
+    for source in (in_a_file, ConfigSource(environment={"GROUNDSTATION_CONTROL_TCP_PORT": "1"})):
+        with pytest.raises(BadInputError, match=r"control\.tcp_port is no key any more: .*ssh"):
+            source.load()
+
+
 def test_a_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path):
     path = written(tmp_path, "")
     source = ConfigSource(path, {}, {})

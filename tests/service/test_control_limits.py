@@ -1,9 +1,7 @@
 """What the control API bears: strangers, floods, nonsense, clients that hang or never read."""
 
-import json
 import os
 import socket
-import stat
 import sys
 import threading
 import time
@@ -11,15 +9,13 @@ import time
 import psutil
 import pytest
 
-from groundstation.errors import GroundStationError, TakenError
+from groundstation.errors import GroundStationError
 from groundstation.service import connections, control
 from groundstation.service.client import Client, ask, live
 from groundstation.service.config import Config, RecordingConfig
-from groundstation.service.control import BODY_MOST, ControlServer
-from groundstation.service.control_socket import ControlPort, ControlSocket
-from groundstation.service.station import Station
+from groundstation.service.control import BODY_MOST
 from groundstation.service.stream import CLIENTS_MOST, ROWS_MOST
-from support.programs import free_port, run_program
+from support.programs import run_program
 from support.waiting import until
 
 
@@ -245,45 +241,3 @@ def test_thousands_of_malformed_requests_leave_memory_and_descriptors_flat(serve
         return ask(path, "GET", "/status")["faults"]
 
     assert serve(conversation) == 0
-
-
-def test_the_port_of_loopback_wants_the_token_and_tells_nothing_without(tmp_path, path):
-    import asyncio
-    import urllib.error
-    import urllib.request
-
-    async def session():
-        station = Station(Config(recording=RecordingConfig(enabled=False)))
-        unix, port = ControlSocket(path), ControlPort(free_port(), tmp_path / "control.token")
-        server = ControlServer(station, unix, port)
-        await server.start()
-        try:
-            await asyncio.to_thread(conversation, port)
-        finally:
-            await server.stop()
-            port.close()
-            unix.close()
-        assert not port.token_path.exists()
-
-    def conversation(port):
-        assert port.socket.getsockname()[0] == "127.0.0.1"
-        assert stat.S_IMODE(port.token_path.stat().st_mode) == 0o600
-        url = f"http://127.0.0.1:{port.port}/status"
-        for header in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": port.token}):
-            with pytest.raises(urllib.error.HTTPError) as refused:
-                urllib.request.urlopen(urllib.request.Request(url, headers=header))
-            refused.value.close()
-            assert refused.value.code == 401
-        good = {"Authorization": f"Bearer {port.token_path.read_text().strip()}"}
-        with urllib.request.urlopen(urllib.request.Request(url, headers=good)) as reply:
-            assert json.load(reply)["link"]["name"] == "stand-in"
-
-    asyncio.run(session())
-
-
-def test_a_port_that_is_taken_is_named(tmp_path):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        with pytest.raises(TakenError, match=str(other.getsockname()[1])):
-            ControlPort(other.getsockname()[1], tmp_path / "token")

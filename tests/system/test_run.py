@@ -239,16 +239,3 @@ def test_commands_without_a_daemon_say_how_to_start_one(tmp_path):
         line = require_failure(groundstation(*command, socket_path=nowhere))
         assert str(nowhere) in line
         assert "groundstation run" in line
-
-
-def test_a_control_port_that_is_taken_is_named_and_no_socket_is_left(tmp_path):
-    socket_path = tmp_path / "control.sock"
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        result = groundstation(
-            "run", "--no-record", "--set", f"control.tcp_port={port}", socket_path=socket_path
-        )
-    assert f"127.0.0.1:{port}" in require_failure(result)
-    assert not socket_path.exists()
