@@ -23,11 +23,12 @@ from groundstation.cli import (
     simulate,
     thesis,
 )
-from groundstation.cli.command_group import Commands
+from groundstation.cli.command_group import Commands, Root
 from groundstation.cli.terminal import show
 
 app = Commands(
     name="groundstation",
+    cls=Root,
     help=(
         "Ground station for the Crazyflie quadrotor: receive, record, view and replay telemetry."
         "\n\nExample: [bold]groundstation run --link stand-in --viewer serve[/bold]"

@@ -5,10 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from groundstation.cli.progress import watched
 from groundstation.errors import BadInputError
+
+FORMER = {
+    "config --reload": "a change takes effect with the next start of the daemon",
+    "jobs": "jobs are begun and watched on the page ('groundstation page') and by the control API"
+    " (POST /jobs/start, GET /jobs)",
+    "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
+    " 'groundstation link stand-in:ID' flies one, POST /models/watch watches with one",
+}
+"""Commands and options of earlier versions, and what does their work now."""
 
 
 class Commands(typer.Typer):
@@ -25,6 +34,8 @@ class _Command(TyperCommand):
             return super().invoke(ctx)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for word in args:
+            _require_current(f"{ctx.info_name} {word}")
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for one in given:
             single = one.nargs == 1 and not getattr(one, "multiple", False)
@@ -34,3 +45,17 @@ class _Command(TyperCommand):
                 several = ", several separated by commas" if listed else ""
                 raise BadInputError(f"{one.opts[0]}: given {times} times; give it once{several}")
         return super().parse_args(ctx, args)
+
+
+class Root(TyperGroup):
+    """Of all commands: knows those that there were."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        _require_current(args[0])
+        return super().resolve_command(ctx, args)
+
+
+def _require_current(words: str) -> None:
+    """Raise a usage error for what there is no more."""
+    if words in FORMER:
+        raise typer.BadParameter(f"there is no '{words}' any more: {FORMER[words]}")

@@ -1,4 +1,4 @@
-"""``groundstation config``: what can be set, what is set, and taking it over."""
+"""``groundstation config``: what can be set, and what is set."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import typer
 from groundstation.cli import terminal
 from groundstation.cli.model_files import AS_JSON
 from groundstation.documents import decode_toml
-from groundstation.service.client import ask
-from groundstation.service.config import ConfigSource, settings, socket_path
+from groundstation.service.config import ConfigSource, settings
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -23,30 +22,18 @@ def add_commands(app: typer.Typer) -> None:
 def config(
     file: Path | None = typer.Option(None, "--config", help="TOML configuration file."),
     show: bool = typer.Option(False, "--show", help="Print every key, its value and its default."),
-    reload: bool = typer.Option(
-        False, "--reload", help="Let the running daemon read its configuration again."
-    ),
     assign: list[str] = typer.Option(
         [], "--set", metavar="KEY=VALUE", help="Any key, as on the command line of 'run'."
     ),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Show or reload the configuration. A file is overridden by the environment
+    """Show the configuration. A file is overridden by the environment
     (GROUNDSTATION_RECORDING_FOLDER for recording.folder), and that by the command line.
 
     Example: [bold]groundstation config --config station.toml --show[/bold]
     """
-    if show == reload:
-        raise typer.BadParameter("give one of --show and --reload")
-    if reload:
-        answer = ask(socket_path(), "POST", "/config/reload")
-        if as_json:
-            terminal.show_json(answer)
-            return
-        terminal.show(f"taken over: {', '.join(answer['applied']) or 'nothing has changed'}")
-        if answer["restart_needed"]:
-            terminal.show(f"only after a new start: {', '.join(answer['restart_needed'])}")
-        return
+    if not show:
+        raise typer.BadParameter("give --show")
     found = settings(ConfigSource(file, assignments(assign)).load())
     if as_json:
         keys = {each.name: {"value": each.value, "default": each.default, "text": each.text}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli import config, jobs, models, motors, page, recordings
+from groundstation.cli import config, motors, page, recordings
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.progress import own_terminal
@@ -41,8 +41,6 @@ def add_commands(app: typer.Typer) -> None:
     motors.add_commands(app)
     recordings.add_commands(app)
     page.add_commands(app)
-    jobs.add_commands(app)
-    models.add_commands(app)
     config.add_commands(app)
 
 
@@ -125,7 +123,7 @@ def events(as_json: bool = AS_JSON) -> None:
 
 def link(
     name: str = typer.Argument(
-        help="stand-in, usb, serial:PORT, or replay:FILE with a file of the recordings folder."
+        help="stand-in, stand-in:MODEL, usb, serial:PORT, replay:FILE, or the address of a craft."
     ),
     as_json: bool = AS_JSON,
 ) -> None:

@@ -21,7 +21,7 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
-    from groundstation.service.config import Config, ConfigSource
+    from groundstation.service.config import Config
     from groundstation.service.station import Station
 
 DISPLAY_S = 0.5
@@ -100,10 +100,10 @@ def run(
     changes = {key: value for key, value in options.items() if value is not None}
     own_terminal()
     source = ConfigSource(config, changes)
-    asyncio.run(_serve(source.load(), source, duration_s))
+    asyncio.run(_serve(source.load(), duration_s))
 
 
-async def _serve(config: Config, source: ConfigSource, duration_s: float | None) -> None:
+async def _serve(config: Config, duration_s: float | None) -> None:
     from groundstation.allocator import limit_arenas
     from groundstation.service.config import socket_path
     from groundstation.service.control import ControlServer
@@ -114,7 +114,7 @@ async def _serve(config: Config, source: ConfigSource, duration_s: float | None)
     limit_arenas()
     live = sys.stdout.isatty()
     _configure_log(live, as_json=config.log.format == "json")
-    station = Station(config, source)
+    station = Station(config)
     control = ControlSocket(socket_path(config.control.socket))
     server = ControlServer(station, control)
     tasks: list[asyncio.Task[None]] = []

@@ -43,16 +43,6 @@ class RecordingStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     free_mb: float | None
 
 
-class BatteryStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The battery that flies. flown_s: with it so far. left_s: least and most flying until it is
-    low (3.3 V), as the last of this craft's batteries went; None where none of them tells. known:
-    how many were flown until they were low."""
-
-    flown_s: float
-    left_s: tuple[float, float] | None
-    known: int
-
-
 class ViewerStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The live view. viewers: connections that look at it. behind_s: age of the oldest that the
     slowest of them has not read; it is sent less often then. urls: how to open it."""
@@ -162,7 +152,6 @@ class Status(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     link: LinkStatus
     vehicle: str
     recording: RecordingStatus
-    battery: BatteryStatus
     viewer: ViewerStatus
     page: PageStatus
     command: CommandStatus | None

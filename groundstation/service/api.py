@@ -149,9 +149,6 @@ def _settings(station: Station) -> list[Operation]:
     async def configuration(_: None) -> Any:
         return {each.name: each.value for each in settings(station.config)}
 
-    async def reload(_: None) -> Any:
-        return station.reload()
-
     async def page_address(_: None) -> Any:
         return requests.PageAddress(url=station.page.address())
 
@@ -165,8 +162,6 @@ def _settings(station: Station) -> list[Operation]:
         Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,
                   requests.PageToken, requests.Done),
         Operation("GET", "/config", "Every key of the configuration in force", configuration),
-        Operation("POST", "/config/reload", "Read the configuration again", reload,
-                  answer=requests.Reloaded),
     ]  # fmt: skip
 
 

@@ -170,13 +170,6 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ] = {}
 
 
-RELOADABLE = (
-    "recording.folder", "recording.low_space_mb", "recording.rotate_mb",
-    "recording.rotate_minutes", "recording.keep_mb", "dead_man.", "twin.",
-)  # fmt: skip
-"""Keys (or tables) that a running daemon takes over; a new folder from the next file on."""
-
-
 FORMER = {
     "control.tcp_port": "the control API is on its Unix socket alone; from another machine, or by a"
     " port, 'ssh -N -L PORT:SOCKET HOST' leads to it",
@@ -245,21 +238,6 @@ def former(name: str) -> str:
 def settings(config: Config) -> list[Setting]:
     """Every key in order, with its value, default and explanation."""
     return list(_settings(config, Config(), ""))
-
-
-def changed_keys(before: Config, after: Config) -> list[str]:
-    """Keys whose values differ."""
-    pairs = zip(settings(before), settings(after), strict=True)
-    return [old.name for old, new in pairs if old.value != new.value]
-
-
-def with_reloaded(running: Config, fresh: Config) -> Config:
-    """The running configuration with what can be taken over from ``fresh``."""
-    values = {each.name: each.value for each in settings(fresh)}
-    changes = {
-        name: values[name] for name in changed_keys(running, fresh) if name.startswith(RELOADABLE)
-    }
-    return _changed(running, changes, "reload", strict=True)
 
 
 def require_sense(config: Config) -> None:

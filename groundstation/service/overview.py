@@ -27,7 +27,6 @@ def status(station: Station) -> dict[str, Any]:
         },
         "vehicle": station.craft.vehicle,
         "recording": station.recordings.status(),
-        "battery": station.batteries.status(),
         "viewer": station.viewer.status(),
         "page": station.page.status(),
         "command": _command(station),

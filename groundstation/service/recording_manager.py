@@ -57,12 +57,6 @@ class RecordingManager:
         self._look = asyncio.Event()
         self._free: int | None = None
 
-    def configure(self, config: RecordingConfig) -> None:
-        """Settings for what follows: limits at once, the folder from the next file on."""
-        self._config = config
-        self.sessions.folder = Path(config.folder)
-        self.sessions.low_space_bytes = round(config.low_space_mb * MEBIBYTE)
-
     async def start(self) -> Path:
         """Begin a new session. Raises BadInputError when one is being recorded."""
         async with self._lock:

@@ -20,13 +20,6 @@ class LinkName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     name: Annotated[str, msgspec.Meta(min_length=1, max_length=512)]
 
 
-class Reloaded(msgspec.Struct, frozen=True, kw_only=True):
-    """Keys that were taken over, and keys that need a new start of the daemon."""
-
-    applied: list[str]
-    restart_needed: list[str]
-
-
 class Acquire(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Wants to command. client: a name for people, shown in the status and recorded."""
 

@@ -14,19 +14,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from groundstation.clock import steady_clock
-from groundstation.errors import BadInputError
 from groundstation.links.base import Link
 from groundstation.links.event import LinkEvent
-from groundstation.service.batteries import Batteries
 from groundstation.service.commander import Commander
 from groundstation.service.config import (
     MEBIBYTE,
     Config,
-    ConfigSource,
-    changed_keys,
     require_sense,
     socket_path,
-    with_reloaded,
 )
 from groundstation.service.craft_links import CraftLinks, command_link, telemetry_link
 from groundstation.service.devices import DeviceList
@@ -62,12 +57,10 @@ class Station:
     ``run`` returns when ``stop`` was called or, without a viewer, when a finite link has ended.
     Statistics are stamped on the time base of the link's packets: that of the recording.
 
-    source: where the configuration came from, for a reload; None where there is none.
-
     Raises BadInputError for settings that cannot work.
     """
 
-    def __init__(self, config: Config, source: ConfigSource | None = None) -> None:
+    def __init__(self, config: Config) -> None:
         require_sense(config)
         self.config = config
         self.clock = clock = steady_clock()
@@ -75,7 +68,6 @@ class Station:
         self.turned_away = 0
         """Requests and connections beyond the control API's limits."""
         self.started_s = time.monotonic()
-        self._source = source
         self.journal = Journal(clock, self._is_repetition)
         link = telemetry_link(
             config,
@@ -123,12 +115,6 @@ class Station:
         )
         self.page = PageService(config.page, socket_path(config.control.socket))
         self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"))
-        self.batteries = Batteries(
-            Path(config.recording.folder),
-            # a simulated cell is another one than the real craft's
-            lambda: f"{self.receiver.link.name.partition(':')[0]} {self.craft.vehicle}",
-            self._noting("battery"),
-        )
         self.devices = DeviceList(self.craft.flies_by_dongle)
         self.thumbnails = Thumbnails(lambda: self.sessions.folder)
         self.models = Models(self.jobs.entries)
@@ -241,24 +227,6 @@ class Station:
             self._recording_ended = False
             await self.recordings.ensure()
 
-    def reload(self) -> dict[str, list[str]]:
-        """Take over what can be from the configuration: the keys that were, and those that need
-        a new start. Raises BadInputError, changing nothing, for a configuration that is wrong."""
-        if self._source is None:
-            raise BadInputError("this daemon was started without a configuration to reload")
-        fresh = self._source.load()
-        config = with_reloaded(self.config, fresh)
-        applied = changed_keys(self.config, config)
-        if "twin.model" in applied:
-            self.twin.configure(config.twin.model)
-        self.config = config
-        self.recordings.configure(config.recording)
-        self.commander.limits = config.dead_man
-        if applied:
-            text = f"new values of {', '.join(applied)}"
-            self.journal.note("reload", text, source="configuration")
-        return {"applied": applied, "restart_needed": changed_keys(config, fresh)}
-
     # -- what happens ----------------------------------------------------------------------
 
     def _noting(self, source: str) -> Callable[[str, str], None]:
@@ -331,7 +299,6 @@ class Station:
 
     def _split(self) -> None:
         self.sessions.split()
-        self.batteries.split()
         self.twin.split()
 
     def _show_twin(self, shown: Shown) -> None:
@@ -340,7 +307,6 @@ class Station:
 
     def _take_samples(self, samples: SampleBatch) -> None:
         self.newest.samples(samples)
-        self.batteries.samples(samples)
         self.twin.samples(samples)
         self.sessions.samples(samples)
         self.viewer.show_samples(samples)

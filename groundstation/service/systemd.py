@@ -40,7 +40,6 @@ After=local-fs.target
 [Service]
 Type=notify
 ExecStart={program} run{option}
-ExecReload={program} config --reload
 Restart=on-failure
 RestartSec=2
 WatchdogSec=20

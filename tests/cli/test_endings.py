@@ -156,3 +156,21 @@ def test_a_failed_recording_and_the_good_one_after_it_are_told_apart(tmp_path):
 )
 def test_an_option_of_one_value_that_is_given_twice_is_refused(tmp_path, command, said):
     assert said in require_failure(in_shell(f"groundstation {command}", tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("words", "successor"),
+    [
+        (["jobs", "list"], "POST /jobs/start"),
+        (["models", "watch", "ID"], "POST /models/watch"),
+        (["config", "--reload"], "the next start"),
+    ],
+)
+def test_what_is_gone_is_refused_with_what_does_its_work_now(words, successor):
+    from typer.testing import CliRunner
+
+    from groundstation.cli.app import app
+
+    result = CliRunner().invoke(app, words, env={"COLUMNS": "400"})
+    assert result.exit_code == 2
+    assert successor in result.output

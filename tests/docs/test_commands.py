@@ -90,7 +90,7 @@ SHORTER = {
 LIVE = ("groundstation run", "groundstation status --watch")
 CLIENTS = (
     *("groundstation status", "groundstation events", "groundstation record ", "curl "),
-    *("groundstation link", "groundstation config --reload", "groundstation pid fly"),
+    *("groundstation link", "groundstation pid fly"),
 )
 STEPS_OF_A_DOUBLET = 3
 OF_THE_TEST = {"state", "control.sock", "control.lock", "control.page", "stdout", "stderr"}

@@ -103,7 +103,7 @@ def test_a_change_needs_the_page_s_own_origin_and_token(flying, marking):
 
 
 def test_only_what_the_page_offers_can_be_asked(flying, marking):
-    for route in ("/do/command/acquire", "/do/config/reload", "/do/page/address", "/do/../status"):
+    for route in ("/do/command/acquire", "/do/page/address", "/do/../status"):
         assert request(flying, "POST", route, marking, "{}")[0] == 404
     refused = request(flying, "POST", "/do/record/mark", marking, '{"text": ""}')
     assert refused[0] == 400

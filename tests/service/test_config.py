@@ -11,7 +11,6 @@ from groundstation.service.config import (
     settings,
     socket_path,
 )
-from groundstation.service.station import Station
 
 
 def written(tmp_path, text):
@@ -110,23 +109,3 @@ def test_a_key_of_an_earlier_version_is_refused_with_what_does_its_work_now(tmp_
     for source in (in_a_file, ConfigSource(environment={"GROUNDSTATION_CONTROL_TCP_PORT": "1"})):
         with pytest.raises(BadInputError, match=r"control\.tcp_port is no key any more: .*ssh"):
             source.load()
-
-
-def test_a_reload_takes_over_what_it_can_and_says_what_it_cannot(tmp_path):
-    path = written(tmp_path, "")
-    source = ConfigSource(path, {}, {})
-    station = Station(source.load(), source)
-    path.write_text(
-        f"[recording]\nfolder = '{tmp_path}'\nrotate_mb = 5\nenabled = false\n"
-        "[dead_man]\nstop_s = 0.9\n[viewer]\nport = 1234\n"
-    )
-    assert station.reload() == {
-        "applied": ["recording.folder", "recording.rotate_mb", "dead_man.stop_s"],
-        "restart_needed": ["recording.enabled", "viewer.port"],
-    }
-    assert station.sessions.folder == tmp_path
-    assert station.commander.limits.stop_s == 0.9
-    path.write_text("[recording]\nrotate_mb = 'much'\n")
-    with pytest.raises(BadInputError, match=r"recording\.rotate_mb"):
-        station.reload()
-    assert station.config.recording.rotate_mb == 5

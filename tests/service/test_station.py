@@ -7,14 +7,18 @@ import pytest
 
 from groundstation.errors import BadInputError, LinkEndedError, LinkError, LinkLostError
 from groundstation.links.base import Link
+from groundstation.page.alarms import alarms
 from groundstation.recording.open_recording import open_recording
 from groundstation.service import overview
 from groundstation.service import receiver as receiver_module
+from groundstation.service.client import ask
 from groundstation.service.config import Config, LinkConfig, RecordingConfig
 from groundstation.service.journal import EVENTS_KEPT
 from groundstation.service.station import Station
 from groundstation.telemetry.samples import RawBatch
 from support.packets import COPIES, flight
+from support.stations import serve
+from support.waiting import until
 
 
 class ScriptedLink(Link):
@@ -235,3 +239,28 @@ def test_old_events_are_forgotten_not_hoarded(run):
     station, _ = run(ScriptedLink(script), enabled=False)
     assert len(station.journal.events) == EVENTS_KEPT
     assert station.journal.events[-1].kind == "closed"
+
+
+def test_a_stand_in_whose_battery_is_changed_says_so_and_is_no_alarm(tmp_path):
+    config = Config(
+        link=LinkConfig(speed=10.0),
+        recording=RecordingConfig(folder=str(tmp_path), enabled=False),
+        stand_in={"charge": 0.12, "recharge_s": 60.0, "program": "hover"},
+    )
+    control = tmp_path / "control.sock"
+
+    def conversation(station):
+        seen = []
+
+        def back():
+            seen.append(ask(control, "GET", "/status"))
+            return seen[-1]["link"]["doing"] == "it flies, with battery 2"
+
+        until(back, "the second battery", every_s=0.1)
+        pausing = [one for one in seen if one["link"]["pauses"]]
+        assert any(one["link"]["state"] == "silent" for one in pausing)
+        for one in pausing:
+            assert "its battery is changed" in one["link"]["doing"]
+            assert {told["level"] for told in alarms(one, "", 3.0)} == {"warning"}
+
+    serve(config, control, conversation)

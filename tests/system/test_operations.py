@@ -80,16 +80,6 @@ def test_a_mark_and_the_index_of_recordings(daemon):
     tell(daemon, "record", "start")
 
 
-def test_the_configuration_is_reloaded(daemon):
-    path = daemon.folder / "station.toml"
-    path.write_text("[recording]\nrotate_mb = 600\n[viewer]\nport = 1234\n")
-    assert tell(daemon, "config", "--reload") == (
-        "taken over: recording.rotate_mb\nonly after a new start: viewer.port\n"
-    )
-    path.write_text("[recording]\nrotate_mb = -1\n")
-    assert "recording.rotate_mb" in refused(daemon, "config", "--reload")
-
-
 def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
     main, screen = pty.openpty()
     os.set_blocking(main, False)

@@ -27,7 +27,6 @@ export function showStatus(status) {
   write("doing", link.doing);
   at("doing").hidden = at("doing-title").hidden = !link.doing;
   showMotors(status.command);
-  showBattery(status.battery);
   showRecording(status.recording, link);
 }
 
@@ -43,14 +42,6 @@ function showViewer({ state, viewers, behind_s: behind, urls }) {
   open.target = "_blank";
   open.rel = "noreferrer";
   at("viewer").append(" · ", open);
-}
-
-function showBattery({ flown_s: flown, left_s: left, known }) {
-  const as = known === 1 ? "the battery before it" : `the last ${known} batteries`;
-  const less = !left ? (known ? "time left not known yet"
-    : "time left not known: no battery of this craft was flown until low here")
-    : left[1] <= 0 ? "low: land" : `${spell(left[0])} to ${spell(left[1])} min left, as ${as}`;
-  write("battery-left", `${spell(flown)} min flown; ${less}`);
 }
 
 function showRecording(recording, link) {
