@@ -1,4 +1,4 @@
-"""What the daemon costs at line rate, with everything on.
+"""What the daemon costs at line rate, with everything on: a minute.
 
 The software craft in a process of its own on a pseudo-terminal, 2000 packets a second; the
 installed daemon records, feeds the viewer, serves one stream client, and is scraped every second.

@@ -1,16 +1,12 @@
-"""The live twin: what it costs, how often it errs, how soon it sees (docs/evidence.md).
+"""The live twin: how often it errs, how soon it sees, what it costs (docs/evidence.md).
 
-``python -m bench twin`` measures an hour of flight; ``python -m bench.twin clean HOURS`` and
-``python -m bench.twin effects`` make the long tables.
+``python -m bench.twin clean FOLDER HOURS`` and ``python -m bench.twin effects FOLDER``.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -25,11 +21,9 @@ from bench.sealed.cases import NO_SMALL_SIZE, named
 from bench.sealed.flights import CARRY, PROGRAMME, Generator, command, vehicle_of
 from bench.sealed.flights import flown as sealed_flight
 from bench.sealed.hidden import CHANNELS, LISTED, planted, scaled
-from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.effects.catalogue import draw
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, load_model
-from groundstation.service.client import Client
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 from groundstation.twin.alarm import Episode
@@ -54,24 +48,6 @@ FLIGHTS: tuple[tuple[float, dict[str, Any]], ...] = (
 )
 """Seconds and settings of what is flown without an effect, again and again: excitation, hover,
 take-offs and landings, empty batteries and restarts, lost rows alone and in bursts, stock gains."""
-SETTLE_S, MEASURED_S = 20.0, 60.0
-
-
-def rows() -> Iterator[Row]:
-    """Cost in fast time and in the daemon; false events in half an hour of each plant."""
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        models = fitted(Path(name))
-        for plant in PLANTS:
-            done = clean(plant, models[plant], 0.5)
-            rate = len(done.events) / done.hours
-            yield Row(
-                f"twin, {plant}, clean flight: false events an hour", rate, None, "1/h", most=1.0
-            )
-        yield Row("twin, processor per flown second (a core)", done.share, 1.0, "core", most=0.05)
-        path = Path(name) / "twin.json"
-        without, beside = (_daemon(Path(name), each) for each in (None, path))
-        yield Row("daemon with a twin: processor (without)", beside, without, "core")
-        yield Row("the twin's share of it (a core)", beside - without, 1.0, "core", most=0.05)
 
 
 def fitted(folder: Path) -> dict[str, Model]:
@@ -205,36 +181,6 @@ def flown(settings: dict[str, Any], seconds: float) -> SampleBatch:
     packets, heard_s = craft.advance(seconds)
     samples, _ = decode_all(RawBatch(packets, START_NS + np.rint(heard_s * 1e9).astype(np.int64)))
     return samples
-
-
-def _daemon(folder: Path, model: Path | None) -> float:
-    """Processor share of the daemon's own process on the stand-in in a process beside it."""
-    port = folder / f"craft{model is not None}"
-    socket = folder / f"control{model is not None}.sock"
-    craft = subprocess.Popen(
-        [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{port}", "--plant", "reduced"],
-        stdout=subprocess.DEVNULL,
-    )
-    daemon = subprocess.Popen(
-        [Path(sys.executable).with_name("groundstation"), "run", "--link", f"serial:{port}",
-         "--recordings", folder / f"sessions{model is not None}",
-         *([] if model is None else ["--twin", str(model)])],
-        env={**os.environ, "GROUNDSTATION_SOCKET": str(socket)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        time.sleep(SETTLE_S)
-        with Client(socket) as client:
-            before, began_s = client.ask("GET", "/status"), time.monotonic()
-            time.sleep(MEASURED_S)
-            after, lasted_s = client.ask("GET", "/status"), time.monotonic() - began_s
-    finally:
-        for process in (daemon, craft):
-            process.terminate()
-            process.wait(30)
-    if model is not None and after["twin"]["state"] != "watching":
-        raise RuntimeError(f"the twin was not watching: {after['twin']}")
-    return float(after["health"]["cpu_s"] - before["health"]["cpu_s"]) / lasted_s
 
 
 def main(arguments: list[str]) -> int:

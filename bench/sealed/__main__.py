@@ -1,4 +1,4 @@
-"""``python -m bench.sealed run|zero|make|table``: the acceptance matrix of ``discrepancy``."""
+"""``python -m bench.sealed run|make|table|figure``: the acceptance matrix of ``discrepancy``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ EXAMPLES = """examples:
   python -m bench.sealed run --only single quiet --seeds 2 --results results
   python -m bench.sealed run --case single:rotor_drag:3:clean --results results --keep
   python -m bench.sealed run --only single quiet --craft crazyflie21 --seeds 2 --results results
-  python -m bench.sealed zero --seeds 10 --results results
   python -m bench.sealed make single:rotor_drag:3:clean -o folder       (see what the search sees)
   python -m bench.sealed table --results results
 
@@ -71,13 +70,12 @@ def main() -> int:
     make.add_argument("case")
     make.add_argument("-o", "--output", type=Path, required=True, help="a new folder")
     make.add_argument("--open", action="store_true", help="print what is hidden")
-    table = commands.add_parser("table", help="the tables of RESULTS.md")
-    zero = commands.add_parser("zero", help="estimates of every candidate on clean flights")
-    zero.add_argument("--seeds", type=int, default=10)
-    zero.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
-    figures = commands.add_parser("figures", help="the figures of docs/evidence.md")
-    figures.add_argument("-o", "--output", type=Path, default=Path("docs/images"))
-    for one in (run, make, table, zero, figures):
+    table = commands.add_parser("table", help="what was judged, in tables")
+    figure = commands.add_parser("figure", help="that of docs/evidence.md")
+    figure.add_argument(
+        "-o", "--output", type=Path, default=Path("docs/images/discrepancy_confusion.svg")
+    )
+    for one in (run, make, table, figure):
         one.add_argument("--results", type=Path, default=Path("sealed-results"))
     options = parser.parse_args()
     try:
@@ -119,15 +117,6 @@ def _make(options: argparse.Namespace) -> int:
     return 0
 
 
-def _zero(options: argparse.Namespace) -> int:
-    from bench.sealed import zero
-
-    for line in zero.run(options.results, range(options.first, options.first + options.seeds)):
-        print(line["case"], file=sys.stderr, flush=True)
-    print(zero.table(zero.read(options.results)))
-    return 0
-
-
 def _table(options: argparse.Namespace) -> int:
     from bench.sealed.run import judged_again
     from bench.sealed.tables import tables
@@ -136,15 +125,15 @@ def _table(options: argparse.Namespace) -> int:
     return 0
 
 
-def _figures(options: argparse.Namespace) -> int:
+def _figure(options: argparse.Namespace) -> int:
     from bench.sealed.figures import draw
     from bench.sealed.run import judged_again
 
-    print(*draw(judged_again(options.results), options.output), sep="\n")
+    draw(judged_again(options.results), options.output)
     return 0
 
 
-COMMANDS = {"run": _run, "make": _make, "table": _table, "zero": _zero, "figures": _figures}
+COMMANDS = {"run": _run, "make": _make, "table": _table, "figure": _figure}
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.sealed.hidden import ALWAYS_FAITHFUL, CONFUSABLE, LISTED, MIXED, OUTSIDE
+from bench.sealed.hidden import ALWAYS_FAITHFUL, LISTED, MIXED, OUTSIDE
 from groundstation.dynamics.vehicle import BUILT_IN
 
 Mode = Literal["clean", "affected"]
@@ -25,12 +25,7 @@ GROUPS = (
     "pair",
     "triple",
     "outside",
-    "hover",
-    "power",
-    "power_noise",
 )
-POWER_SIGMAS = (3.0, 5.0, 8.0, 12.0, 20.0)
-"""Sizes of the power curve, in standard errors of the Cramer-Rao bound."""
 NO_SMALL_SIZE = ("attitude_filter_lean", "gyro_low_pass")
 """The lean is there or not; a gyro's lag of any bandwidth that flies is far above every limit."""
 PAIRS, TRIPLES = 30, 15
@@ -43,9 +38,8 @@ class Case:
     """One hidden craft.
 
     names: what is hidden on top of the plant. mode: whether the base model comes from flights
-    without the effect (``clean``) or from the very flights that have it. sigmas: the size in
-    standard errors where the power curve asks for one, else 0: drawn from the range. craft: the
-    vehicle; one with today's firmware is heard as its radio link logs it.
+    without the effect (``clean``) or from the very flights that have it. craft: the vehicle; one
+    with today's firmware is heard as its radio link logs it.
     """
 
     group: str
@@ -53,16 +47,14 @@ class Case:
     seed: int
     mode: Mode = "clean"
     condition: Condition = ""
-    sigmas: float = 0.0
     craft: str = PLAIN
 
     @property
     def name(self) -> str:
         """Unique, and what ``--case`` takes."""
         hidden = "+".join(self.names) or "nothing"
-        size = f":{self.sigmas:g}" if self.sigmas else ""
         craft = "" if self.craft == PLAIN else f"@{self.craft}"
-        return f"{self.group}{craft}:{hidden}:{self.seed}:{self.mode}{size}"
+        return f"{self.group}{craft}:{hidden}:{self.seed}:{self.mode}"
 
     @property
     def number(self) -> int:
@@ -103,19 +95,16 @@ def named(name: str) -> Case:
     group, _, craft = parts[0].partition("@")
     craft = craft or PLAIN
     modes = ("clean", "affected")
-    if len(parts) not in (4, 5) or group not in GROUPS or parts[3] not in modes:
-        raise ValueError(
-            f"{name!r} is no case; GROUP[@CRAFT]:EFFECT[+EFFECT]:SEED:clean|affected[:SIGMAS]"
-        )
+    if len(parts) != 4 or group not in GROUPS or parts[3] not in modes:
+        raise ValueError(f"{name!r} is no case; GROUP[@CRAFT]:EFFECT[+EFFECT]:SEED:clean|affected")
     if craft not in BUILT_IN:
         raise ValueError(f"{name!r}: no craft {craft}; there are {', '.join(BUILT_IN)}")
     hidden = () if parts[1] == "nothing" else tuple(parts[1].split("+"))
     unknown = set(hidden) - {*LISTED, *OUTSIDE}
     if unknown:
         raise ValueError(f"{name!r}: no effect {', '.join(sorted(unknown))}")
-    sigmas = float(parts[4]) if len(parts) == 5 else 0.0
     mode: Mode = "affected" if parts[3] == "affected" else "clean"
-    return replace(_case(group, hidden, int(parts[2]), mode, sigmas), craft=craft)
+    return replace(_case(group, hidden, int(parts[2]), mode), craft=craft)
 
 
 def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
@@ -136,18 +125,9 @@ def _of_seed(group: str, mode: Mode, seed: int) -> Iterator[Case]:
         count, size = (PAIRS, 2) if group == "pair" else (TRIPLES, 3)
         for number in range(seed * count // 10, (seed + 1) * count // 10):
             yield _case(group, _mixture(number, size), number, mode)
-    elif group == "hover":
-        for pair in CONFUSABLE:
-            for name in sorted(pair):
-                yield _case(group, (name,), seed, mode)
-    elif group == "outside":
+    else:
         for name in OUTSIDE:
             yield _case(group, (name,), seed, mode)
-    else:
-        for name in LISTED:
-            if name not in NO_SMALL_SIZE:
-                for sigmas in POWER_SIGMAS:
-                    yield _case(group, (name,), seed, mode, sigmas)
 
 
 def _mixture(number: int, size: int) -> tuple[str, ...]:
@@ -155,8 +135,8 @@ def _mixture(number: int, size: int) -> tuple[str, ...]:
     return tuple(str(name) for name in generator.choice(MIXED, size, replace=False))
 
 
-def _case(group: str, names: tuple[str, ...], seed: int, mode: Mode, sigmas: float = 0.0) -> Case:
-    return Case(group, names, seed, mode, _condition(group, names, seed), sigmas)
+def _case(group: str, names: tuple[str, ...], seed: int, mode: Mode) -> Case:
+    return Case(group, names, seed, mode, _condition(group, names, seed))
 
 
 def _condition(group: str, names: tuple[str, ...], seed: int) -> Condition:

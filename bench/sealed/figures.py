@@ -1,4 +1,4 @@
-"""The figures of docs/evidence.md from a folder of results: power and confusion."""
+"""The figure of docs/evidence.md from a folder of results: what was named, by what was hidden."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.sealed.cases import POWER_SIGMAS
 from bench.sealed.hidden import LISTED, OUTSIDE
-from bench.sealed.tables import group_of, names_of, sigmas_of
+from bench.sealed.tables import group_of, names_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,55 +21,8 @@ COLOURS = "RdBu"
 """Right is blue, wrong is red."""
 
 
-def draw(lines: list[Line], folder: Path) -> list[Path]:
-    """Write ``discrepancy_power.svg`` and ``discrepancy_confusion.svg`` where there are cases."""
-    written = []
-    for name, drawn in (("power", _power(lines)), ("confusion", _confusion(lines))):
-        if drawn is not None:
-            path = folder / f"discrepancy_{name}.svg"
-            drawn.savefig(path, format="svg", metadata={"Date": None})
-            written.append(path)
-    return written
-
-
-def _power(lines: list[Line]) -> Any:
-    """Share named by effect and size, a panel a noise, and the number behind each share."""
-    from groundstation.report.figure import figure
-
-    panels = [
-        (title, some)
-        for group, title in (
-            ("power", "nominal noise"),
-            ("power_noise", "torque noise x6, sensor noise x2"),
-        )
-        if (some := [line for line in lines if group_of(line) == group])
-    ]
-    if not panels:
-        return None
-    names = [n for n in LISTED if any(names_of(line) == [n] for _, some in panels for line in some)]
-    drawn, axes = figure(
-        2.6 + 3.2 * len(panels), 0.9 + 0.26 * len(names), 1, len(panels), sharey=True
-    )
-    for ax, (title, some) in zip(axes, panels, strict=True):
-        right = np.zeros((len(names), len(POWER_SIGMAS)))
-        tried = np.zeros_like(right)
-        for line in some:
-            at = names.index(names_of(line)[0]), POWER_SIGMAS.index(sigmas_of(line))
-            right[at] += line["right"] and bool(line["found"])
-            tried[at] += 1
-        share = right / np.where(tried > 0, tried, np.nan)
-        text = [
-            [f"{r:.0f}/{n:.0f}" if n else "" for r, n in zip(*rows, strict=True)]
-            for rows in zip(right, tried, strict=True)
-        ]
-        _table(ax, share, text, [f"{s:g}" for s in POWER_SIGMAS], names)
-        ax.set_title(title)
-        ax.set_xlabel("hidden size, standard errors of the bound")
-    return drawn
-
-
-def _confusion(lines: list[Line]) -> Any:
-    """What was named, by what was hidden alone: both noises, both bases, every plant."""
+def draw(lines: list[Line], path: Path) -> None:
+    """An SVG of singles: both noises, both bases. Raises ValueError where there are none."""
     from groundstation.report.figure import figure
 
     rows = (*LISTED, *OUTSIDE, NOTHING)
@@ -88,7 +40,7 @@ def _confusion(lines: list[Line]) -> Any:
         for name in [*false, *true] or [NOTHING]:
             counts[rows.index(hidden), columns.index(name)] += 1
     if not tried:
-        return None
+        raise ValueError("no case with one effect or none was judged; run some first")
     drawn, (ax,) = figure(10.5, 8.0)
     share = counts / np.array([[max(tried[name], 1)] for name in rows])
     text = [[f"{c:.0f}" if c else "" for c in row] for row in counts]
@@ -98,7 +50,7 @@ def _confusion(lines: list[Line]) -> Any:
     ax.tick_params(axis="x", rotation=90)
     ax.set_xlabel("named in the report")
     ax.set_ylabel("hidden (cases)")
-    return drawn
+    drawn.savefig(path, format="svg", metadata={"Date": None})
 
 
 def _table(

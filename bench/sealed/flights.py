@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.sealed.bound import significances
 from bench.sealed.cases import PLAIN, Case
-from bench.sealed.hidden import planted, scaled
+from bench.sealed.hidden import planted
 from bench.sealed.radio_log import logged
 from firmware_sim.contents import TODAY
 from firmware_sim.craft import StandIn, StandInSettings
@@ -35,7 +35,6 @@ from groundstation.telemetry.samples import RawBatch, SampleBatch
 
 COMMAND = Path(sys.executable).with_name("groundstation")
 PROGRAMME = str(Path(__file__).with_name("programme.toml"))
-HOVER = str(Path(__file__).with_name("hover.toml"))
 VEHICLE = "vehicle.toml"
 FLIGHT_S, BENCH_S = 60.0, 64.0
 RESTART_CHARGE, RESTART_S, RESTART_FLIGHT_S = 0.1, 3.0, 66.0
@@ -92,10 +91,8 @@ class Generator:
         family = self.family(case)
         folder.mkdir(parents=True)
         craft = _craft(case, family)
-        hidden = _hidden(case, craft, _motor(family))
+        hidden = _hidden(case)
         affected = {**craft, "effects": hidden}
-        if case.group == "hover":
-            affected["program"] = HOVER
         condition = _condition(case)
         seconds = RESTART_FLIGHT_S if case.condition == "restart" else FLIGHT_S
         flights = []
@@ -176,29 +173,14 @@ def _motor(family: Path) -> Path | None:
     return motor if motor.exists() else None
 
 
-def _hidden(case: Case, craft: dict[str, Any], motor: Path | None) -> Effects:
+def _hidden(case: Case) -> Effects:
     generator = np.random.default_rng(case.number)
     hidden: Effects = {}
     for name in case.names:
         values = draw(name, generator)
-        if case.sigmas:
-            values = _of_size(case, craft, motor, name, values)
-        alone = case.seed % 2 == 1 or len(case.names) > 1 or case.sigmas > 0
+        alone = case.seed % 2 == 1 or len(case.names) > 1
         hidden.update(planted(name, values, alone))
     return hidden
-
-
-def _of_size(
-    case: Case, craft: dict[str, Any], motor: Path | None, name: str, values: dict[str, float]
-) -> dict[str, float]:
-    """The drawn effect made so small that it is ``case.sigmas`` standard errors large."""
-    for _ in range(3):
-        trial = {**craft, "effects": planted(name, values, alone=True)}
-        flights = [flown({**trial, "seed": flight_seed(case, k)}, FLIGHT_S)[1] for k in range(2)]
-        settings = msgspec.convert(trial, StandInSettings)
-        found = significances(settings, flights, _motor_covariance(motor))[name]
-        values = scaled(name, values, case.sigmas / found)
-    return values
 
 
 def flight_seed(case: Case, number: int) -> int:

@@ -27,12 +27,6 @@ ALWAYS_FAITHFUL = (
     *ROTOR_TORQUES,
     "supply_sag",
 )
-CONFUSABLE = (
-    {"motor_dead_voltage", "supply_sag"},
-    {"dead_time", "gyro_low_pass"},
-    {"centre_of_gravity_offset", "rotor_mismatch"},
-)
-"""Pairs that one flight may not separate: right when both are listed and the manoeuvre settles."""
 
 CHANNELS: dict[str, tuple[str, ...]] = {
     "dead_time": ("gyro", "roll", "pitch", "yaw", "accelerometer"),

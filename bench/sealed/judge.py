@@ -10,7 +10,6 @@ from bench.sealed.cases import Case
 from bench.sealed.flights import Sealed
 from bench.sealed.hidden import (
     CHANNELS,
-    CONFUSABLE,
     LISTED,
     OUTSIDE,
     REGIMES,
@@ -32,7 +31,6 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
     ``counted`` is False where a hidden effect is below five standard errors: by the bound, never
     by what the search says. ``right``: every hidden effect named and nothing that is not there
     (``Sealed.also`` is).
-    ``listed``: wrong by one confusable name whose alternatives list the right one.
     """
     found = [effect["name"] for effect in report["effects"]]
     asked = _asked(case, sealed)
@@ -56,7 +54,6 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "false": false,
         "missed": missed,
         "right": not false and not missed,
-        "listed": _listed(report["effects"], false, missed),
         "rivals": {e["name"]: [o["name"] for o in e["alternatives"]] for e in report["effects"]},
         "parameters": _parameters(sealed, report),
         "explained": _explained(_acting(case, sealed), report),
@@ -104,13 +101,6 @@ def _counted(case: Case, asked: set[str], wanted: set[str]) -> bool:
     if hidden & set(ROTOR_TORQUES) and len(case.names) == 1:
         return bool(wanted & set(ROTOR_TORQUES))
     return hidden <= wanted
-
-
-def _listed(effects: list[dict[str, Any]], false: list[str], missed: list[str]) -> bool:
-    if len(false) != 1 or len(missed) != 1 or {false[0], missed[0]} not in CONFUSABLE:
-        return False
-    (wrong,) = [effect for effect in effects if effect["name"] == false[0]]
-    return missed[0] in [other["name"] for other in wrong["alternatives"]]
 
 
 def _parameters(sealed: Sealed, report: dict[str, Any]) -> list[dict[str, Any]]:

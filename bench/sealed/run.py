@@ -16,38 +16,23 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from bench.results import append, judged, read_results
 from bench.sealed.cases import Case, named
 from bench.sealed.flights import (
-    FLIGHT_S,
     Generator,
     Sealed,
-    flight_seed,
-    flown,
-    record,
     vehicle_of,
 )
-from bench.sealed.hidden import CONFUSABLE
 from bench.sealed.judge import judge
 from groundstation.fleet.engine import carried_out
 
 PATIENCE_S = 600.0
-SENSOR_NOISE = {
-    "gyro": np.radians(0.1),
-    "accelerometer": 0.01 * 9.80665,
-    "attitude": np.radians(0.02),
-}
-"""Of the reduced plant at its nominal noise."""
-SETTLE = str(Path(__file__).with_name("settle.toml"))
 
 
 class Search:
     """A process that searches, restarted where it hangs or dies. Not for two threads at once."""
 
-    def __init__(self, *options: str) -> None:
-        self._command = (sys.executable, "-m", "bench.sealed.worker", *options)
+    def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
 
     def __call__(self, folder: Path) -> dict[str, Any]:
@@ -55,8 +40,9 @@ class Search:
         arguments = search_arguments(folder)
         if self._process is None:
             self._process = subprocess.Popen(
-                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-            )
+                [sys.executable, "-m", "bench.sealed.worker"],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            )  # fmt: skip
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
@@ -134,8 +120,7 @@ def run(
 def carried(case: Case, home: str | None, keep: bool) -> Carried:
     """One case, for a worker. home: the folder of the results; None: one of the worker's own."""
     results = Path(home) if home is not None else _own_home()
-    options = ("--names",) if case.group.startswith("power") else ()
-    search = _search(threading.get_ident(), *options)
+    search = _search(threading.get_ident())
     with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
         folder = Path(parent) / "case"
         came = _judged(case, results, search, folder)
@@ -154,26 +139,23 @@ def _own_home() -> Path:
 
 
 @cache
-def _search(thread: int, *options: str) -> Search:
+def _search(thread: int) -> Search:
     """This thread's: ``dask worker`` begins as many of them as there are cores."""
-    search = Search(*options)
+    search = Search()
     atexit.register(search.close)
     return search
 
 
 def judged_again(results: Path) -> list[dict[str, Any]]:
     """The lines of ``results`` by the judge as it is now, from what was hidden and said; the
-    file is left as it is. What took a flight or a second search is kept."""
+    file is left as it is."""
     lines = []
     for line in read_results(results):
         case = named(line["case"])
         opened = _opened(results, case)
         if "error" not in line and opened.exists():
             seal, said = json.loads(opened.read_text())
-            new = judge(case, Sealed(**seal), said)
-            if new["listed"] and line.get("settled"):
-                new["right"] = True
-            line = {**line, **new}
+            line = {**line, **judge(case, Sealed(**seal), said)}
         lines.append(line)
     return lines
 
@@ -199,15 +181,6 @@ def _judged(case: Case, results: Path, search: Search, folder: Path) -> Carried:
     opened = json.dumps([asdict(sealed), said])
     line = judge(case, sealed, said)
     line |= {key: answer[key] for key in ("seconds", "processor_s", "peak_mb")}
-    if line["listed"] or case.group == "hover":
-        line["after_manoeuvre"] = after = _after_manoeuvre(case, sealed, search, folder)
-        line["settled"] = settles(after)
-        line["right"] = line["right"] or (line["listed"] and line["settled"])
-    if case.group == "single" and line["right"]:
-        try:
-            line["flown"] = _flown(case, sealed, folder)
-        except ValueError as error:
-            line["not_flown"] = str(error)
     return Carried(line, opened)
 
 
@@ -215,48 +188,3 @@ def _failed(case: Case, why: str, sealed: Sealed | None = None) -> dict[str, Any
     line = {"case": case.name, "group": case.group, "counted": True, "right": False}
     hidden = sealed.hidden if sealed else {}
     return {**line, "hidden": hidden, "condition": case.condition, "error": why}
-
-
-def _after_manoeuvre(case: Case, sealed: Sealed, search: Search, folder: Path) -> dict[str, Any]:
-    """What is said when the manoeuvre was flown next, with a full and with an empty cell."""
-    for number, charge in ((3, 1.0), (4, 0.35)):
-        settings = {**sealed.craft, "program": SETTLE, "charge": charge, "land_when_low": False}
-        samples, _ = flown({**settings, "seed": flight_seed(case, number)}, FLIGHT_S)
-        record(folder / f"fit{number}.mcap", samples)
-    for name in ("report.json", "improved.json"):
-        (folder / name).unlink()
-    error = search(folder)["error"]
-    if error:
-        return {"error": error, "right": False}
-    line = judge(case, sealed, json.loads((folder / "report.json").read_text()))
-    return {key: line[key] for key in ("right", "found", "missed", "said", "rivals")}
-
-
-def settles(line: dict[str, Any]) -> bool:
-    """Whether a judgement names the right effect and lists nothing it can be confused with."""
-    doubts = [{name, other} for name, some in line.get("rivals", {}).items() for other in some]
-    return bool(line["right"]) and not any(pair in CONFUSABLE for pair in doubts)
-
-
-def _flown(case: Case, sealed: Sealed, folder: Path) -> dict[str, float]:
-    """How far the stand-in that flies the base and the improved model strays from the hidden craft.
-
-    The same references, the same noise: what the nine channels differ by, RMS in units of their
-    sensors' noise.
-    """
-    seed = {"seed": flight_seed(case, 2)}
-    hidden, _ = flown({**sealed.craft, **seed}, FLIGHT_S)
-    out = {}
-    for label, model in (("base", "model.json"), ("improved", "improved.json")):
-        settings = {**sealed.craft, **seed, "effects": {}, "craft": str(folder / model)}
-        other, _ = flown(settings, FLIGHT_S)
-        rows = min(len(hidden), len(other))
-        squares = []
-        for channel, noise in SENSOR_NOISE.items():
-            one = getattr(other, channel)[:rows].astype(np.float64)
-            difference = one - getattr(hidden, channel)[:rows]
-            if channel == "attitude":
-                difference = (difference + np.pi) % (2 * np.pi) - np.pi
-            squares.append(np.mean((difference / noise) ** 2))
-        out[label] = round(float(np.sqrt(np.mean(squares))), 3)
-    return out

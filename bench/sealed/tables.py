@@ -1,4 +1,4 @@
-"""The tables of bench/sealed/RESULTS.md, in Markdown, from a folder of results."""
+"""Tables in Markdown from a folder of results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Line = dict[str, Any]
 
 def tables(lines: list[Line]) -> str:
     """Every table that the results have cases for."""
-    parts = [_rates(lines), _by_name(lines), _confusion(lines), _proof(lines), _power(lines)]
+    parts = [_rates(lines), _by_name(lines), _confusion(lines), _proof(lines)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -91,8 +91,6 @@ def _proof(lines: list[Line]) -> str:
     """What the report claims besides the name; of singles, those that were named rightly."""
     some = [x for x in lines if x["counted"] and x["right"] and group_of(x) in ("single", "noise")]
     explained = np.array([x["explained"] for x in some if x.get("explained") is not None])
-    flights = [x.get("flown") for x in some if "flown" in x or "not_flown" in x]
-    ratios = [f["improved"] / max(f["base"], 1e-9) for f in flights if f]
     figures: list[tuple[str, Sequence[bool]]] = [
         ("explained part at least 0.9", list(explained >= 0.9)),
         (
@@ -101,11 +99,6 @@ def _proof(lines: list[Line]) -> str:
         ),
         ("residual white with the effect in", [x["residual"] == "white" for x in some]),
         ("top `where` row: channel and regime of what is hidden", [x["where_right"] for x in some]),
-        (
-            "the stand-in flies the improved model closer to the hidden craft"
-            + (f" (median distance x {np.median(ratios):.2f})" if ratios else ""),
-            [f is not None and f["improved"] < f["base"] for f in flights],
-        ),
         (
             "outside the list, gap over 2: `unexplained`, right channel first",
             [
@@ -124,14 +117,6 @@ def _proof(lines: list[Line]) -> str:
                 if size >= VISIBLE
             ],
         ),
-        (
-            "one hover speed: both of a confusable pair in the report, or the right one alone",
-            [x["right"] or x["listed"] for x in lines if group_of(x) == "hover" and x["counted"]],
-        ),
-        (
-            "then the manoeuvre: the right one alone",
-            [bool(x.get("settled")) for x in lines if group_of(x) == "hover" and x["counted"]],
-        ),
     ]
     rows = [f"| {what} | {sum(held)} | {len(held)} |" for what, held in figures if len(held)]
     if not rows:
@@ -141,50 +126,6 @@ def _proof(lines: list[Line]) -> str:
         median, most = np.percentile(busy, (50, 95))
         rows.append(f"| processor time, median {median:.1f} s, 95 % below {most:.1f} s | | |")
     return "\n".join(["| measured | holds | of |", "|---|---|---|", *rows])
-
-
-def _power(lines: list[Line]) -> str:
-    parts = []
-    for group in ("power", "power_noise"):
-        some = [x for x in lines if group_of(x) == group]
-        if not some:
-            continue
-        levels = sorted({sigmas_of(x) for x in some})
-        head = " | ".join(f"{level:g} sigma" for level in levels)
-        rows = [
-            f"| named rightly, {group} | {head} | size at 5 sigma |",
-            "|---" * (len(levels) + 2) + "|",
-        ]
-        for name in LISTED:
-            mine = [x for x in some if names_of(x) == [name]]
-            if not mine:
-                continue
-            cells = []
-            for level in levels:
-                here = [x["right"] and bool(x["found"]) for x in mine if sigmas_of(x) == level]
-                cells.append(f"{sum(here)}/{len(here)}" if here else "")
-            rows.append(f"| `{name}` | {' | '.join(cells)} | {_size_at_five(name, mine)} |")
-        parts.append("\n".join(rows))
-    return "\n\n".join(parts)
-
-
-def _size_at_five(name: str, lines: list[Line]) -> str:
-    """Geometric mean of the sizes scaled to five standard errors."""
-    sizes = []
-    for line in lines:
-        found = line.get("significance", {}).get(name)
-        values = {
-            k: v for k, v in line["hidden"].get(name, {}).items() if k not in ("rotor", "height_m")
-        }
-        if not found or not values:
-            continue
-        if name == "gyro_low_pass":
-            sizes.append(values["bandwidth_hz"] * found / 5.0)
-        elif name == "motor_braking_asymmetry":
-            sizes.append(abs(1.0 - values["factor"]) * 5.0 / found)
-        else:
-            sizes.append(float(np.linalg.norm(list(values.values()))) * 5.0 / found)
-    return f"{np.exp(np.mean(np.log(sizes))):.2g}" if sizes else ""
 
 
 def group_of(line: Line) -> str:
@@ -198,7 +139,3 @@ def names_of(line: Line) -> list[str]:
 
 def mode_of(line: Line) -> str:
     return str(line["case"]).split(":")[3]
-
-
-def sigmas_of(line: Line) -> float:
-    return float(str(line["case"]).split(":")[4])

@@ -1,8 +1,7 @@
 """The process that searches: ``python -m bench.sealed.worker``, one JSON line in and out a case.
 
 It runs the installed command line in-process, so that compiled code stays warm from case to
-case. It is told a folder's file names and nothing else. With ``--names`` it calls the search
-behind the command alone, for the power curves: what is named, no gap, no proof.
+case. It is told a folder's file names and nothing else.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 
@@ -58,40 +56,5 @@ def command(arguments: list[str]) -> None:
     app(arguments, standalone_mode=False)
 
 
-def names_alone(arguments: list[str]) -> None:
-    """What ``discrepancy`` names; of its report only that is written."""
-    from groundstation.discrepancy.engine import find_effects
-    from groundstation.dynamics.model import load_model
-    from groundstation.identification.recordings import flights_of
-    from groundstation.recording.open_recording import open_recording
-
-    at = {key: arguments.index(key) for key in ("--model", "--json")}
-    given = {key: Path(arguments[place + 1]) for key, place in at.items()}
-    fit_on = [
-        run
-        for path in map(Path, arguments[1 : at["--model"]])
-        for run in flights_of(open_recording(path).samples, path.name)
-    ]
-    found = find_effects(fit_on, load_model(given["--model"]))
-    effects = [
-        {
-            "name": effect.name,
-            "parameters": {
-                key: {"value": e.value, "stderr": e.stderr} for key, e in effect.parameters.items()
-            },
-            "alternatives": [{"name": other.name} for other in effect.alternatives],
-        }
-        for effect in found.effects
-    ]
-    report = {
-        "verdict": found.verdict,
-        "effects": effects,
-        "residual": found.residual.verdict,
-        "where": [],
-        "gap": {"channels": {}},
-    }
-    given["--json"].write_text(json.dumps(report))
-
-
 if __name__ == "__main__":
-    main(names_alone if "--names" in sys.argv else command)
+    main(command)

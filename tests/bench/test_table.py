@@ -44,22 +44,25 @@ def test_columns_are_aligned():
 
 def test_what_takes_hours_is_no_part_and_every_part_gives_rows():
     parts = bench._parts()
-    assert not {"soak", "against", "sealed", "table", "timing"} & set(parts)
-    assert {"daemon", "discrepancy", "identification", "ingest", "pid", "recording"} <= set(parts)
+    assert not {"soak", "against", "sealed", "table"} & set(parts)
+    assert {"quick", "daemon", "identification", "stop"} <= set(parts)
 
 
 def test_an_unknown_part_is_a_usage_error_that_names_the_known_ones():
     done = run_program([sys.executable, "-m", "bench", "banana"], cwd=ROOT)
     assert done.returncode == 2
-    assert "banana not known; there are daemon, discrepancy" in done.stderr
+    assert "banana not known; there are daemon, identification" in done.stderr
 
 
-def test_json_holds_the_same_rows(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["bench", "--json", "simulation"])
-    monkeypatch.setattr(
-        "bench.simulation.rows", lambda: iter([("old form", 1.0, 2.0, "s"), Row("b", 3, None, "")])
-    )
+def test_a_limit_that_is_missed_is_named_at_the_end_which_is_then_a_failure(monkeypatch, capsys):
+    rows = [Row("kept", 1.0, 2.0, "s", most=3.0), Row("missed", 9.0, None, "s", most=3.0)]
+    monkeypatch.setattr("bench.serial_link.rows", lambda: iter(rows))
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", "serial_link"])
+    assert bench.main() == 1
+    said = capsys.readouterr()
+    assert "limit missed: missed" in said.err
+    first, second = json.loads(said.out)
+    assert (first["part"], first["ratio"], first["met"]) == ("serial_link", 0.5, True)
+    assert (second["reference"], second["ratio"], second["met"]) == (None, None, False)
+    rows.pop()
     assert bench.main() == 0
-    first, second = json.loads(capsys.readouterr().out)
-    assert (first["part"], first["what"], first["ratio"]) == ("simulation", "old form", 0.5)
-    assert (second["reference"], second["ratio"], second["met"]) == (None, None, None)

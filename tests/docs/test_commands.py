@@ -48,8 +48,6 @@ ELSEWHERE = {
     "python -m bench.sealed run": ("some searches; a slice of them", SEALED, "bench.sealed"),
     "python -m bench.sealed make": ("clean flights and their fit, too", SEALED, "bench.sealed"),
     "python -m bench.sealed table": ("needs the searches before it", SEALED, "bench.sealed"),
-    "python -m bench.sealed figures": ("needs them, too", SEALED_BENCH, "draw_figures("),
-    "python -m bench.sealed zero": ("twenty searches", SEALED_BENCH, "clean_table("),
     "make bench": ("minutes; each part by itself", "bench/__main__.py", "rows()"),
     "make soak": ("a quarter of an hour", "bench/soak.py", "--hours"),
     "make check-local": ("recordings that are not published", "Makefile", "pytest tests/local"),
