@@ -20,6 +20,7 @@ from support.programs import free_port
 from support.waiting import until
 
 FLIGHT = "stand_in_flight.mcap"
+REAL_FLIGHTS = ("nanobench_figure8.mcap", "nanobench_trefoil.mcap")
 NUMBERS = re.compile(r"^\d+ numbers$")
 
 
@@ -342,6 +343,45 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     with page.expect_popup() as opened:
         inspected.get_by_role("link", name="Log of").click()
     expect(opened.value.locator("body")).to_contain_text("verdict")
+
+
+@pytest.mark.timeout(900)
+def test_who_reads_only_the_page_gets_from_two_real_flights_to_what_is_missing_and_to_fly(
+    page_daemon, visit
+):
+    page = visit(page_daemon().address())
+    page.get_by_role("link", name="Open", exact=True).click()
+    for name in REAL_FLIGHTS:
+        example = page.get_by_role("button", name=name)
+        if name != REAL_FLIGHTS[0]:  # they are folded away once a recording is shown
+            page.locator("#examples-part summary").click()
+        example.click()
+        expect(page.locator("#opened-title")).to_have_text(name)
+        expect(page.locator("#opened-state")).to_have_text(re.compile(r"^[\d.]+ s"))
+    page.get_by_role("link", name="Flights").click()
+    for name in REAL_FLIGHTS:
+        page.get_by_label(f"Role of {name}").select_option("fit")
+    page.get_by_role("button", name="Fit a model").click()
+    fitted = page.locator("#jobs tr", has_text="The fit advises")
+    fitted.get_by_role("button", name="Fit again with these").click()
+    again = page.locator("#jobs tr", has_text="; with dead_time")
+    expect(again).to_contain_text("done", timeout=900_000)
+    expect(page.locator("#model option")).to_have_count(3)
+    page.locator("#model").select_option(index=0)
+    page.get_by_role("button", name="Find the discrepancy").click()
+    report = report_of(page, "discrepancy").locator("body")
+    cell = page.get_by_role("cell", name="discrepancy", exact=True)
+    searched = page.locator("#jobs tr", has=cell)
+    for name, words in {
+        "velocity_moment": "tipping moment of blade flapping",
+        "rotor_drag": "drag of the rotors",
+    }.items():
+        expect(searched).to_contain_text(f"{name} (")
+        expect(report).to_contain_text(words)
+    expect(report).to_contain_text(
+        re.compile(r"prediction errors fall from [\d.]+ to [\d.]+ times")
+    )
+    expect(report).to_contain_text(re.compile(r"Next: .+ fly "))
 
 
 def report_of(page, work):

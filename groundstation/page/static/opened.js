@@ -51,6 +51,7 @@ const addFile = (file) => add("file", file.name, file, "application/octet-stream
 async function add(kind, name, content, type) {
   at("opened-state").textContent = `Reading ${name}…`;
   const found = await send(`add/${kind}/${encodeURIComponent(name)}`, content, type, null);
+  if (location.hash !== "#opened") return; // somebody went on meanwhile
   if (found) openRecording(found.file);
   else at("opened-state").textContent = at("said").textContent;
 }
