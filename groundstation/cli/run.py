@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import sys
 import time
-from collections.abc import MutableMapping
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from groundstation.cli.config import assignments
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
-from groundstation.cli.terminal import Log, say
+from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
+    from groundstation.links.event import LinkEvent
     from groundstation.service.config import Config
     from groundstation.service.station import Station
 
@@ -113,8 +116,8 @@ async def _serve(config: Config, duration_s: float | None) -> None:
 
     limit_arenas()
     live = sys.stdout.isatty()
-    _configure_log(live, as_json=config.log.format == "json")
     station = Station(config)
+    station.journal.log = _log(live, as_json=config.log.format == "json")
     control = ControlSocket(socket_path(config.control.socket))
     server = ControlServer(station, control)
     tasks: list[asyncio.Task[None]] = []
@@ -253,30 +256,25 @@ async def _display(station: Station) -> None:
         )
 
 
-def _configure_log(live: bool, *, as_json: bool) -> None:
+def _log(live: bool, *, as_json: bool) -> Callable[[LinkEvent, bool], None]:
     """One event a line on stderr: time, source, kind, text; as text, or as a JSON object."""
-    import structlog
 
-    if as_json:
-        structlog.configure(
-            processors=[
-                structlog.processors.add_log_level,
-                structlog.processors.TimeStamper(fmt="iso", utc=True),
-                structlog.processors.JSONRenderer(),
-            ],
-            logger_factory=lambda *names: Log(),
-        )
-        return
+    def as_text(event: LinkEvent, warns: bool) -> None:
+        moment, mark = time.strftime("%H:%M:%S"), "!" if warns else " "
+        line = f"{moment} {mark} {event.link:<10} {event.kind:<10} {event.text}"
+        say(line, error=True, clear=live)
 
-    def render(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
-        moment = time.strftime("%H:%M:%S")
-        text = event.pop("event")
-        source, kind = event.pop("source", ""), event.pop("kind", "")
-        rest = "".join(f" {key}={value}" for key, value in event.items())
-        mark = "!" if method == "warning" else " "
-        return f"{moment} {mark} {source:<10} {kind:<10} {text}{rest}"
+    def as_object(event: LinkEvent, warns: bool) -> None:
+        line = {
+            "source": event.link,
+            "kind": event.kind,
+            "event": event.text,
+            "level": "warning" if warns else "info",
+            "timestamp": f"{datetime.now(UTC).replace(tzinfo=None).isoformat()}Z",
+        }
+        say(json.dumps(line), error=True)
 
-    structlog.configure(processors=[render], logger_factory=lambda *names: Log(live))
+    return as_object if as_json else as_text
 
 
 def _speed(text: str | None) -> float | str | None:

@@ -50,15 +50,3 @@ def require_yes(question: str, otherwise: str) -> None:
     own_terminal()
     if not typer.confirm(question):
         raise BadInputError(otherwise)
-
-
-class Log:
-    """Where structlog's lines go: stderr. clear: over the line that is there."""
-
-    def __init__(self, clear: bool = False) -> None:
-        self._clear = clear
-
-    def msg(self, text: str) -> None:
-        say(text, error=True, clear=self._clear)
-
-    info = warning = msg

@@ -10,7 +10,6 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkLostError
@@ -33,9 +32,6 @@ QUEUE_PACKETS = 50_000
 """A minute and more at any rate; the oldest are dropped and counted."""
 RATES_HZ = (1000, 500, 250, 200, 125, 100, 50)
 """Whole ms, and not below what identification needs."""
-WATCH_S, MOST_LOST = 2.5, 0.1
-"""Two such spans in turn with more lost than that share, and the link does not bear the rate: users
-report up to 4 % on a link that does, and who walks between is gone after a second."""
 LEAST_HZ, MOST_HZ = 100, 250
 """At 200 packets a second any dongle keeps up: what is lost there is the distance. Rows that come
 250 times a second tell all settings of the motors: so many are tried where no rate is asked for."""
@@ -55,24 +51,8 @@ DEVICES = {
 """What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Watched:
-    """Rows that had come by ``since_s``; lossy: too many were lost before."""
-
-    since_s: float = 0.0
-    came: int = 0
-    lost: int = 0
-    lossy: bool = False
-
-    def later(self, now_s: float, counts: DecoderCounts) -> tuple[_Watched, float]:
-        """The same by now, and the share of the rows since then that were lost."""
-        lost, came = counts.lost - self.lost, counts.samples - self.came
-        share = lost / max(lost + came, 1)
-        return _Watched(now_s, counts.samples, counts.lost, share > MOST_LOST), share
-
-
 class CrazyflieTelemetry(Link):
-    """Samples of a stock Crazyflie, ``rate_hz`` a second or, where the link loses many, fewer.
+    """Samples of a stock Crazyflie.
 
     rate_hz: 0: as many as the link is found to bear before the first row, ``MOST_HZ`` at most.
     wanted: further log variables.
@@ -96,7 +76,7 @@ class CrazyflieTelemetry(Link):
         self._connection = Connection(uri)
         self._connection.on_lost.append(self._lose)
         self.commands: CrazyflieLink = CrazyflieLink(uri, shared=self._connection, clock=self.clock)
-        self._period_ms = self._asked_ms = 1000 // (rate_hz or MOST_HZ)
+        self._period_ms = 1000 // (rate_hz or MOST_HZ)
         self._measures = rate_hz == 0
         self._wanted = tuple(wanted)
         self._rows: LogRows | None = None
@@ -109,8 +89,7 @@ class CrazyflieTelemetry(Link):
         self._loop: asyncio.AbstractEventLoop | None = None
         self._due_s = 0.0
         self._heard: dict[int, float] = {}  # block -> when something of it came last, or it began
-        self._watched = _Watched()
-        self._pacing: asyncio.Task[None] | None = None  # or asking for a block again
+        self._asking: asyncio.Task[None] | None = None  # for a block again
 
     def sample_counts(self) -> DecoderCounts | None:
         return self._rows.counts() if self._rows is not None else None
@@ -124,8 +103,7 @@ class CrazyflieTelemetry(Link):
         try:
             identity = await self._connection.identify()
             if self._measures and identity.protocol < 0:  # which logs every 10 ms at the most
-                self._measures, self._asked_ms = False, 1000 // LEAST_HZ
-            self._period_ms = self._asked_ms  # whatever was lost on the connection before
+                self._measures, self._period_ms = False, 1000 // LEAST_HZ
             slow = self._period_ms > SETTING_MS
             plan = plan_log(self._connection.variables(), self._wanted, slow)
             if self._rows is None:
@@ -144,7 +122,6 @@ class CrazyflieTelemetry(Link):
         self._found = self._introduction(identity, plan)
         now_s = self._loop.time()
         self._heard = dict.fromkeys(range(len(blocks)), now_s)
-        self._watched, _ = _Watched().later(now_s, self._rows.counts())
 
     async def _take_what_is_borne(self, blocks: int) -> None:
         """Count what comes of the most that is asked for, and ask for so much: packets that a radio
@@ -169,7 +146,7 @@ class CrazyflieTelemetry(Link):
         self._measures = False  # once, for who connects again may be in the air
         if came_hz < BORNE * MOST_HZ:
             rates = [rate for rate in RATES_HZ if LEAST_HZ < rate <= SPARE * came_hz]
-            self._period_ms = self._asked_ms = 1000 // (rates[0] if rates else LEAST_HZ)
+            self._period_ms = 1000 // (rates[0] if rates else LEAST_HZ)
             await self._connection.blocks.pace(self._period_ms)
             self.emit(
                 "loss",
@@ -208,7 +185,6 @@ class CrazyflieTelemetry(Link):
             for table in rows.take_extra():
                 self.on_table(table)
             self._require_each(loop.time(), rows.plan)
-            self._bear(loop.time(), rows)
             if len(samples):
                 if self._found:
                     self.emit("found", self._found)
@@ -216,40 +192,12 @@ class CrazyflieTelemetry(Link):
                 return samples
 
     async def _close(self) -> None:
-        if self._pacing is not None:
-            self._pacing.cancel()
-            await asyncio.gather(self._pacing, return_exceptions=True)
-            self._pacing = None
+        if self._asking is not None:
+            self._asking.cancel()
+            await asyncio.gather(self._asking, return_exceptions=True)
+            self._asking = None
         await self.commands.close()
         await self._connection.close()
-
-    def _bear(self, now_s: float, rows: LogRows) -> None:
-        """Log more slowly where the link has lost too much."""
-        watched = self._watched
-        if now_s < watched.since_s + WATCH_S:
-            return
-        self._watched, share = watched.later(now_s, rows.counts())
-        rate_hz = 1000 // self._period_ms
-        slower = [rate for rate in RATES_HZ if LEAST_HZ <= rate < rate_hz]
-        pacing = self._pacing is not None and not self._pacing.done()
-        if slower and watched.lossy and self._watched.lossy and not pacing:
-            told = f"{100.0 * share:.0f} % of {rate_hz} rows a second lost"
-            self._pacing = asyncio.create_task(self._slow_down(slower[0], told, rows))
-
-    async def _slow_down(self, rate_hz: int, told: str, rows: LogRows) -> None:
-        """Rows that follow are another segment; commands do not notice."""
-        try:
-            await self._connection.blocks.pace(1000 // rate_hz)
-        except Exception as error:  # cflib raises what it likes, and nobody waits for this task
-            self.emit("loss", f"{told}, and they cannot be made fewer: {error}")
-            return
-        self._period_ms = 1000 // rate_hz
-        with self._lock:
-            self._packets.clear()
-        rows.restart(rows.plan, self._period_ms)
-        self._watched, _ = self._watched.later(asyncio.get_running_loop().time(), rows.counts())
-        self._watched = replace(self._watched, lossy=False)
-        self.emit("loss", f"{told}: {rate_hz} from now on; --rate {rate_hz} asks for so many")
 
     def _require_heard(self, now_s: float) -> None:
         if self._lost:
@@ -266,8 +214,8 @@ class CrazyflieTelemetry(Link):
             raise LinkLostError(
                 f"{self.name}: no {_groups(plan, lost)} came for {SILENT_S:g} s; connecting again"
             )
-        if away and len(away) < len(self._heard) and (self._pacing is None or self._pacing.done()):
-            self._pacing = asyncio.create_task(self._ask_again(away, _groups(plan, away)))
+        if away and len(away) < len(self._heard) and (self._asking is None or self._asking.done()):
+            self._asking = asyncio.create_task(self._ask_again(away, _groups(plan, away)))
 
     async def _ask_again(self, blocks: list[int], names: str) -> None:
         try:

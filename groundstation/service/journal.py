@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from operator import itemgetter
 
-import structlog
-
 from groundstation.clock import HostClock
 from groundstation.links.event import LinkEvent
 from groundstation.service.twin import BEGAN
@@ -39,7 +37,7 @@ class Journal:
     """The daemon's events.
 
     clock: stamps events of the daemon itself. is_repetition: whether an event of (source, kind) is
-    no news. listeners: handed every other event.
+    no news. listeners: handed every other event; log: as well, with whether it is a warning.
     """
 
     def __init__(self, clock: HostClock, is_repetition: Callable[[str, str], bool]) -> None:
@@ -51,7 +49,7 @@ class Journal:
         self.listeners: list[Callable[[LinkEvent], None]] = []
         self._clock = clock
         self._is_repetition = is_repetition
-        self._log = structlog.get_logger("groundstation")
+        self.log: Callable[[LinkEvent, bool], None] = lambda event, warns: None
 
     @property
     def events(self) -> list[LinkEvent]:
@@ -74,8 +72,7 @@ class Journal:
             return
         self._kept.append(event)
         self.damaged |= event.kind == "damage"
-        level = self._log.warning if event.kind in _WARNINGS else self._log.info
-        level(event.text, source=event.link, kind=event.kind)
+        self.log(event, event.kind in _WARNINGS)
         for listener in self.listeners:
             listener(event)
 
