@@ -170,8 +170,8 @@ def motor_excitation(runs: Sequence[MotorRun]) -> Excitation:
     # Second differences hold noise, not motion: their variance is six times one reading's.
     spread = robust_spread(np.concatenate([np.diff(one, 2) for one in readings])) / np.sqrt(6)
     weights = [np.isfinite(run.rev_s) / spread**2 for run in runs]
-    normal, _, _ = problem.system(weights, theta)
-    stderr = np.sqrt(np.diag(inverse(normal)))[:3]
+    jacobian = problem.jacobian(weights, theta)
+    stderr = np.sqrt(np.diag(inverse(jacobian.T @ jacobian)))[:3]
     names = ("a0", "a1", "a2")
     found = Excitation(names, theta[:3], stderr, ())
     lines = [

@@ -1,7 +1,7 @@
 """Grey-box identification of the motor, n' = a0 u - a1 n - a2 n^2 (thesis 7.2).
 
 The motor is stable and the bench has no disturbance to speak of, so the prediction error is the
-error of simulation: Levenberg-Marquardt on it with exact sensitivities, all runs together, each
+error of simulation: least squares on it with exact sensitivities, all runs together, each
 with its own initial speed, and one delay of the readings for all. Inputs are held between rows,
 as PWM is (interpolating them biases a2 by 14 %). What is left after the fit decides which
 readings were glitches after all.
@@ -107,16 +107,16 @@ def fit_motor(runs: Sequence[MotorRun], effects: Sequence[str] = ()) -> MotorFit
     theta = problem.theta(first_constants(runs))
     rejected, readings = 0, sum(int(np.isfinite(run.rev_s).sum()) for run in runs)
     for attempt in range(ROUNDS):
-        theta, normal = problem.minimise(weights, theta, coarse=attempt == 0)
+        theta = problem.minimise(weights, theta, coarse=attempt == 0)
         weights, now_rejected = problem.weights(theta)
         if attempt > 0 and abs(now_rejected - rejected) <= SETTLED * readings:
             break
         rejected = now_rejected
     if theta[2] < 0.0:
         problem.first_order, theta[2] = True, 0.0
-        theta, normal = problem.minimise(weights, theta)
+        theta = problem.minimise(weights, theta)
     _require_motor(theta, runs)
-    return _outcome(problem, weights, theta, normal, rejected)
+    return _outcome(problem, weights, theta, rejected)
 
 
 def first_constants(runs: Sequence[MotorRun]) -> Array:
@@ -157,9 +157,9 @@ def simulate_run(
     theta[SHARED : problem.starts] = list(given.values())
     weight = np.isfinite(run.rev_s).astype(np.float64)
     for _ in range(5):
-        normal, gradient, _ = problem.system([weight], theta)
-        if normal[-1, -1] > 0:
-            theta[-1] += gradient[-1] / normal[-1, -1]
+        slope = problem.jacobian([weight], theta)[:, -1]
+        if slope.any():
+            theta[-1] -= slope @ problem.errors([weight], theta) / (slope @ slope)
     model = np.full(len(run.rev_s), np.nan)
     model[np.isfinite(run.rev_s)] = problem.compare(theta)[0][1]
     return model
@@ -253,7 +253,6 @@ def _outcome(
     problem: MotorProblem,
     weights: Sequence[Array],
     theta: Array,
-    normal: Array,
     rejected: int,
 ) -> MotorFit:
     fits, errors, readings = [], [], 0
@@ -265,7 +264,8 @@ def _outcome(
         errors.append(rms((measured - modelled)[used]))
         readings += len(measured)
     blocks = problem.scores(weights, theta)
-    shared = problem.starts
+    shared, jacobian = problem.starts, problem.jacobian(weights, theta)
+    normal = jacobian.T @ jacobian
     covariance = sandwich(normal, blocks)[:shared, :shared]
     names = (*NAMES, *(f"{name}.{EFFECTS[name].name}" for name in problem.effects))
     freedom = max(len(blocks) - len(theta), 1)

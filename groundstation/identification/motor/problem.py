@@ -25,9 +25,12 @@ ABSENT = {name: one.absent for name, one in EFFECTS.items()}
 LONGEST_DELAY_S = 0.03
 OUTLIER = 4.5
 """Readings further from the model than so many robust standard deviations are glitches."""
-STEPS = 50
+MOST_EVALUATIONS = 50
+PRECISION, COARSE = 1e-7, 1e-4
+"""Relative gains of the cost that are not worth another step."""
 WITHIN_NOISE = 0.01
-"""Gain, in squared standard deviations of one reading, that is not worth another try."""
+"""The same in squared standard deviations of one reading: readings between rows make the cost rough
+at the scale of their noise."""
 BLOCK_S, MOST_BLOCKS = 0.5, 100
 
 
@@ -80,92 +83,86 @@ class MotorProblem:
 
         The arrays are reused by the next call for the same run.
         """
-        from groundstation.identification.motor.kernel import (
-            flawed_sensitivities,
-            motor_sensitivities,
-        )
+        from groundstation.identification.motor.kernel import motor_sensitivities
 
         run, (speed, sensitivity) = self.runs[index], self._room[index]
         voltage_mv = self._voltage_mv[index]
         start = theta[self.starts + index]
         asked = theta.tobytes()
-        if asked == self._simulated[index]:
-            return speed, sensitivity[:, self._used] if self.effects else sensitivity
-        self._simulated[index] = asked
-        if not self.effects:
-            motor_sensitivities(theta[:3], voltage_mv, run.period_s, start, speed, sensitivity)
-            return speed, sensitivity
-        values = dict(zip(self.effects, theta[SHARED : self.starts], strict=True))
-        constants = np.array([*theta[:3], *({**ABSENT, **values}[name] for name in EFFECTS)])
-        flawed_sensitivities(constants, voltage_mv, run.period_s, start, speed, sensitivity)
-        return speed, sensitivity[:, self._used]
+        if asked != self._simulated[index]:
+            self._simulated[index] = asked
+            values = dict(zip(self.effects, theta[SHARED : self.starts], strict=True))
+            constants = np.array([*theta[:3], *({**ABSENT, **values}[name] for name in EFFECTS)])
+            motor_sensitivities(constants, voltage_mv, run.period_s, start, speed, sensitivity)
+        return speed, sensitivity[:, self._used] if self.effects else sensitivity
 
     def places(self, index: int) -> NDArray[np.int64]:
         """Where the columns of ``simulate``, and then the delay, belong among the parameters."""
         effects = range(SHARED, self.starts)
         return np.array([0, 1, 2, self.starts + index, *effects, DELAY], np.int64)
 
-    def system(self, weights: Sequence[Array], theta: Array) -> tuple[Array, Array, float]:
-        """J^T W J, J^T W e and the weighted sum of squared errors."""
-        from groundstation.identification.motor.kernel import motor_normal_equations
-
-        normal, gradient = np.zeros((self.size, self.size)), np.zeros(self.size)
-        cost = 0.0
+    def jacobian(self, weights: Sequence[Array], theta: Array) -> Array:
+        """Derivatives (readings, p) of ``errors``."""
+        found = []
         for index, (run, weight) in enumerate(zip(self.runs, weights, strict=True)):
             speed, sensitivity = self.simulate(theta, index)
-            scale = np.ones(self.size)
-            scale[DELAY] = 1 / run.period_s
-            part, slope = np.zeros_like(normal), np.zeros_like(gradient)
-            cost += motor_normal_equations(
-                speed,
-                np.ascontiguousarray(sensitivity),
-                run.rev_s,
-                weight,
-                run.age_s / run.period_s,
-                theta[DELAY] / run.period_s,
-                self.places(index),
-                part,
-                slope,
+            rows = np.flatnonzero(np.isfinite(run.rev_s))
+            row, share = _places(run, rows, theta[DELAY])
+            columns = np.zeros((len(rows), self.size))
+            below = sensitivity[row]
+            columns[:, self.places(index)[:-1]] = below + share[:, None] * (
+                sensitivity[row + 1] - below
             )
-            normal += part * np.outer(scale, scale)
-            gradient += slope * scale
-        return normal, gradient, cost
+            columns[:, DELAY] = (speed[row] - speed[row + 1]) / run.period_s
+            found.append(-np.sqrt(weight[rows])[:, None] * columns)
+        return np.vstack(found)
 
-    def minimise(
-        self, weights: Sequence[Array], theta: Array, coarse: bool = False
-    ) -> tuple[Array, Array]:
-        """Levenberg-Marquardt; returns the minimum and J^T W J there.
+    def errors(self, weights: Sequence[Array], theta: Array) -> Array:
+        """Measured less modelled readings of all runs, by the roots of their weights."""
+        return np.concatenate(
+            [
+                np.sqrt(weight[np.isfinite(run.rev_s)]) * (measured - modelled)
+                for run, weight, (measured, modelled) in zip(
+                    self.runs, weights, self.compare(theta), strict=True
+                )
+            ]
+        )
+
+    def minimise(self, weights: Sequence[Array], theta: Array, coarse: bool = False) -> Array:
+        """The least squares from a start.
 
         coarse: delay and effects are held, and less precision will do.
         """
-        damping, tolerance = 1e-6, 1e-4 if coarse else 1e-7
+        from scipy.optimize import least_squares
+
         free = np.ones(self.size, np.bool_)
         free[2] = not self.first_order
         if coarse:
             free[DELAY : self.starts] = False
+        low, high = np.full((2, self.size), [[-np.inf], [np.inf]])
+        low[DELAY], high[DELAY] = -LONGEST_DELAY_S, LONGEST_DELAY_S
+        for place, name in enumerate(self.effects, start=SHARED):
+            low[place], high[place] = EFFECTS[name].bounds
         readings = sum(int(np.count_nonzero(one)) for one in weights)
-        normal, gradient, cost = self.system(weights, theta)
-        for _ in range(STEPS):
-            damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12))
-            step = np.zeros(self.size)
-            step[free] = np.linalg.solve(damped[np.ix_(free, free)], gradient[free])
-            gain = float(step @ gradient)
-            if gain <= tolerance * cost:
-                break
-            trial = theta + step
-            if self._within(trial):
-                new_normal, new_gradient, new_cost = self.system(weights, trial)
-            else:
-                new_cost = np.inf
-            if np.isfinite(new_cost) and new_cost <= cost:
-                theta, normal, gradient, cost = trial, new_normal, new_gradient, new_cost
-                damping = max(damping * 0.1, 1e-12)
-            else:
-                damping *= 10.0
-            # Readings between rows make the cost rough at the scale of their noise.
-            if damping > 1e9 or gain <= WITHIN_NOISE * cost / readings:
-                break
-        return theta, normal
+
+        def whole(point: Array) -> Array:
+            full = theta.copy()
+            full[free] = point
+            return full
+
+        with np.errstate(invalid="ignore", over="ignore"):  # a trial may diverge: it is not taken
+            found = least_squares(
+                lambda point: self.errors(weights, whole(point)),
+                theta[free],
+                jac=lambda point: self.jacobian(weights, whole(point))[:, free],
+                bounds=(low[free], high[free]),
+                x_scale="jac",
+                ftol=COARSE if coarse else max(PRECISION, WITHIN_NOISE / readings),
+                xtol=1e-12,
+                gtol=None,
+                max_nfev=MOST_EVALUATIONS,
+            )
+        return whole(found.x)
 
     def compare(self, theta: Array) -> list[tuple[Array, Array]]:
         """(measured, modelled) of each run's readings."""
@@ -205,30 +202,15 @@ class MotorProblem:
 
     def scores(self, weights: Sequence[Array], theta: Array) -> Array:
         """J^T W e (blocks, p) over blocks of half a second, longer where these would be many."""
-        found = []
-        pairs = self.compare(theta)
-        for index, (run, weight, (measured, modelled)) in enumerate(
-            zip(self.runs, weights, pairs, strict=True)
-        ):
+        found, first = [], 0
+        every = -self.jacobian(weights, theta) * self.errors(weights, theta)[:, None]
+        for run in self.runs:
             rows = np.flatnonzero(np.isfinite(run.rev_s))
-            speed, sensitivity = self.simulate(theta, index)
-            jacobian = np.zeros((len(rows), self.size))
-            series = (*sensitivity.T, -np.gradient(speed, run.period_s))
-            for place, values in zip(self.places(index), series, strict=True):
-                jacobian[:, place] = at_age(run, rows, values, theta[DELAY])
-            score = jacobian * ((measured - modelled) * weight[rows])[:, None]
             length = max(round(BLOCK_S / run.period_s), len(run.rev_s) // MOST_BLOCKS)
             begins = np.flatnonzero(np.diff(rows // length, prepend=-1))
-            found.append(np.add.reduceat(score, begins))
+            found.append(np.add.reduceat(every[first : first + len(rows)], begins))
+            first += len(rows)
         return np.vstack(found)
-
-    def _within(self, theta: Array) -> bool:
-        limits = [EFFECTS[name].bounds for name in self.effects]
-        within = [
-            low <= size <= high
-            for size, (low, high) in zip(theta[SHARED : self.starts], limits, strict=True)
-        ]
-        return bool(abs(theta[DELAY]) <= LONGEST_DELAY_S) and all(within)
 
 
 def first_speed(run: MotorRun) -> float:
@@ -239,8 +221,18 @@ def first_speed(run: MotorRun) -> float:
 
 def at_age(run: MotorRun, rows: NDArray[np.intp], series: Array, delay_s: float) -> Array:
     """A modelled series at the time each reading was taken."""
-    place = np.clip(rows - (run.age_s[rows] + delay_s) / run.period_s, 0, len(series) - 1)
-    return np.interp(place, np.arange(len(series)), series)
+    row, share = _places(run, rows, delay_s)
+    return np.asarray(series[row] + share * (series[row + 1] - series[row]))
+
+
+def _places(
+    run: MotorRun, rows: NDArray[np.intp], delay_s: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Between which rows readings were taken: the first of the two, and how far behind it."""
+    last = len(run.rev_s) - 1
+    place = np.clip(rows - (run.age_s[rows] + delay_s) / run.period_s, 0, last)
+    row = np.minimum(place.astype(np.intp), last - 1)
+    return row, place - row
 
 
 def robust_spread(errors: ArrayLike) -> float:

@@ -231,25 +231,6 @@ def test_readings_that_lag_by_two_rows_do_not_bias_the_motor():
     np.testing.assert_allclose(fit.estimates.values[:3], TRUE, rtol=0.01)
 
 
-def test_the_sensitivities_are_the_derivatives_of_the_simulation():
-    from groundstation.identification.motor.kernel import motor_sensitivities
-
-    voltage = np.random.default_rng(0).uniform(500, 3500, 300)
-    theta = np.array([*TRUE, 80.0])
-
-    def simulated(parameters):
-        speed, sensitivity = np.empty(300), np.empty((300, 4))
-        motor_sensitivities(parameters[:3], voltage, 0.002, parameters[3], speed, sensitivity)
-        return speed, sensitivity
-
-    _, sensitivity = simulated(theta)
-    for i in range(4):
-        step = np.zeros(4)
-        step[i] = 1e-5 * theta[i]
-        change = (simulated(theta + step)[0] - simulated(theta - step)[0]) / (2 * step[i])
-        np.testing.assert_allclose(sensitivity[:, i], change, rtol=1e-5, atol=1e-8)
-
-
 def test_a_fit_and_the_simulator_agree_on_what_the_motor_does():
     run = made_run(THESIS_MOTOR, noise=0.0)
     speed, _ = simulate_motor(THESIS_MOTOR, run.voltage_mv[1:, None], 0.002, [120.0])
