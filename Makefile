@@ -43,7 +43,7 @@ $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -n
 	PYTHONPATH=tests $(BIN)/python -m support.compiled
 	touch $@
 
-# Needs qemu-system-x86, busybox-static, kmod, cpio and usbip.
+# Needs qemu-system-x86, busybox-static, kmod and cpio.
 test-usb: $(VENV)/.ready-dev ## USB through a real kernel, in a virtual machine: ten minutes
 	$(BIN)/pytest tests/usb_vm -s -v -o faulthandler_timeout=0 $(ARGS)
 

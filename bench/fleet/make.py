@@ -12,20 +12,18 @@ import math
 import os
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_sim.craft import StandIn, StandInSettings
-from firmware_sim.monte_carlo import fly_many
 from firmware_sim.output import write_npz
 from firmware_sim.settings import Sensor
 from groundstation.dynamics.vehicle import Vehicle, load_vehicle
-from groundstation.telemetry.packet import Packets
 from groundstation.text import printable
 
 EXAMPLE = """example:
@@ -175,15 +173,13 @@ def _fly_all(options: argparse.Namespace, crafts: list[Vehicle], fates: list[Fat
             ]
             names = {one.seed: folder / _file(flight) for flight, one in enumerate(settings)}
 
-            def kept(
-                craft: StandIn,
-                packets: Packets,
-                arrival_s: NDArray[np.float64],
-                names: dict[int, Path] = names,
-            ) -> None:
-                write_npz(names[craft.settings.seed], packets, arrival_s, options.craft)
+            def fly(craft: StandIn, names: dict[int, Path] = names) -> None:
+                path = names[craft.settings.seed]
+                write_npz(path, *craft.advance(options.seconds), options.craft)
 
-            fly_many(settings, options.seconds, kept, workers=os.cpu_count())
+            crafts = [StandIn(one) for one in settings]
+            with ThreadPoolExecutor(os.cpu_count()) as pool:  # kernels hold no interpreter lock
+                list(pool.map(fly, crafts))
 
 
 def _file(flight: int) -> str:

@@ -36,7 +36,6 @@ from support.pages import PAGES, blocks_of
 from support.programs import Program, free_port, run_program
 from support.waiting import PATIENCE_S, until
 
-USB = "tests/usb_vm/guest/test_usbip.py"
 SEALED = "tests/discrepancy/test_sealed.py"
 SEALED_BENCH = "tests/discrepancy/test_sealed_bench.py"
 FLEET = "tests/fleet/test_fleet.py"
@@ -72,12 +71,6 @@ ELSEWHERE = {
     "groundstation fleet fit": ("a fleet is flown once", FLEET, '"fit"'),
     "groundstation fleet report": ("a fleet is flown once", FLEET, '"report"'),
     "python -m bench.fleet.make": ("a fleet is flown once", FLEET, "make.__file__"),
-    "modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
-    "sudo modprobe vhci-hcd": ("root and a kernel of one's own", USB, "vhci"),
-    "sudo usbip attach": ("root and a kernel of one's own", USB, '"attach"'),
-    "sudo usbip detach": ("root and a kernel of one's own", USB, '"detach"'),
-    "usbip list": ("a kernel of one's own", USB, '"list"'),
-    "python tests/support/usbip.py": ("a kernel of one's own", USB, "support/usbip.py"),
     "sudo udevadm control --reload": ("changes the machine", "tests/links/test_usb_rule.py", ""),
     "ssh ": ("another machine", "tests/viewer/test_viewer.py", "serve"),
 }

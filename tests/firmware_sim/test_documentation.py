@@ -10,15 +10,9 @@ import pytest
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.physics import parameters
 from firmware_sim.programme import BUILT_IN
-from firmware_sim.settings import Quirks, StandInSettings, load_settings
-from support.loop_margins import loop_margins
+from firmware_sim.settings import Quirks, load_settings
 
 TEXT = (Path(__file__).parents[2] / "docs" / "stand_in.md").read_text()
-TABLE = {
-    tuple(cell.strip() for cell in line.split("|")[1:3]): line.split("|")[3:7]
-    for line in TEXT.splitlines()
-    if line.startswith("| crazyflie") or line.startswith("| thesis")
-}
 
 
 @pytest.mark.parametrize("name", sorted(EFFECTS))
@@ -31,15 +25,6 @@ def test_every_effect_and_parameter_is_documented(name):
 def test_every_programme_and_quirk_is_documented():
     for name in [*BUILT_IN, *Quirks.__struct_fields__]:
         assert f"`{name}`" in TEXT
-
-
-@pytest.mark.parametrize(("craft", "axis"), sorted(TABLE))
-def test_the_printed_margins_are_those_of_the_code(craft, axis):
-    margins = loop_margins(StandInSettings(craft=craft), axis)
-    printed = [float(cell) for cell in TABLE[craft, axis]]
-    assert printed == pytest.approx(
-        [margins.crossover_rad_s, margins.phase_deg, 1e3 * margins.delay_s, margins.gain], abs=0.51
-    )
 
 
 def test_the_settings_example_loads(tmp_path):

@@ -12,6 +12,11 @@ from bench.sealed.flights import CARRY
 from firmware_sim.craft import StandIn, StandInSettings
 from firmware_sim.settings import Loss
 
+STOCK = {
+    f"{loop}.{axis}_{gain}": value
+    for loop, gain, value in (("pid_rate", "kp", 70.0), ("pid_attitude", "kp", 3.5))
+    for axis in ("roll", "pitch")
+}
 PROGRAMME = """
 name = "there and back"
 [[segment]]
@@ -155,3 +160,20 @@ def test_with_the_gains_of_the_documentation_every_effect_flies_at_its_largest(p
         assert np.abs(truth["rate_rad_s"][:, :2]).max() < 4.0, case
         assert np.abs(truth["position_m"][:, :2]).max() < 10.0, case
         assert truth["position_m"][:, 2].min() > 0.3, case
+
+
+@pytest.mark.parametrize(
+    ("settings", "steady"),
+    [
+        ({"craft": "thesis"}, True),
+        ({"craft": "thesis", "gains": STOCK}, False),
+        # half and one and a half of what the loop bears: 3.3 ms beside a sensor 3.3 ms old
+        ({"plant": "reduced", "effects": {"dead_time": {"delay_s": 0.0033}}}, True),
+        ({"plant": "reduced", "effects": {"dead_time": {"delay_s": 0.0099}}}, False),
+    ],
+)
+def test_a_craft_without_margin_oscillates_and_one_with_margin_does_not(settings, steady):
+    craft = StandIn(StandInSettings(program="hover", truth=True, copies=1, **settings))
+    craft.advance(14.0)
+    worst_rad_s = float(np.abs(craft.truth()["rate_rad_s"][3500:]).max())
+    assert worst_rad_s < 1.5 if steady else worst_rad_s > 3.0

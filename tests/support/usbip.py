@@ -1,65 +1,29 @@
-"""The bridge on a USB bus over USB/IP: attached to this machine's kernel, or served on TCP.
+"""Plugs the bridge into this machine's kernel, which then shows it to every USB program as it shows
+a real one: USB/IP over a socket pair with the virtual host controller (``vhci-hcd``, root only).
 
-    python tests/support/usbip.py vhci|HOST:PORT [--settings FILE]
-
-flies the software craft behind it until Ctrl-C.
-
-The kernel's virtual host controller (``modprobe vhci-hcd``) then has a real device, which every
-USB program sees. Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, all fields
-big-endian.
+Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, all fields big endian.
 """
 
 from __future__ import annotations
 
-import argparse
 import errno
 import select
-import signal
 import socket
 import struct
-import sys
 import time
 from pathlib import Path
 
-from firmware_sim.craft import StandIn
-from firmware_sim.settings import StandInSettings, load_settings
-from groundstation.telemetry.bridge_usb import PRODUCT_ID, VENDOR_ID
 from support.usb_device import Completion, UsbBridge
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 FULL_SPEED = 2
-BUS_ID = "1-1"
 DEVICE_ID = 1 << 16 | 2
-PORT = 3240
-VERSION = 0x0111
 IDLE_S = 0.05
 
 _SUBMIT, _UNLINK, _RET_SUBMIT, _RET_UNLINK = 1, 2, 3, 4
 _HEADER_BYTES = 48
 _ISO_BYTES = 16
 _PORT_FREE = "004"
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Returns 0, or 1 after one line on stderr."""
-    parser = argparse.ArgumentParser(prog="python tests/support/usbip.py", description=__doc__)
-    parser.add_argument("where", metavar="vhci|HOST:PORT")
-    parser.add_argument("--settings", type=Path, help="of the craft (docs/stand_in.md)")
-    options = parser.parse_args(arguments)
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        for sign in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(sign, lambda *_: ours.send(b"x"))
-        try:
-            settings = load_settings(options.settings) if options.settings else StandInSettings()
-            craft = StandIn(settings)
-            craft.advance(0.0)  # compiles on a machine's first run; what is announced answers
-            print(f"USB bridge on {options.where}", flush=True)
-            run(UsbBridge(craft), options.where, theirs)
-        except (ValueError, OSError) as error:
-            print(f"usbip: {error}", file=sys.stderr)
-            return 1
-    return 0
 
 
 class UsbIpSession:
@@ -142,22 +106,6 @@ def _reply(
     )
 
 
-def run(bridge: UsbBridge, where: str, stop: socket.socket) -> None:
-    """``vhci``: plug the bridge into this machine until the kernel lets go of it. ``HOST:PORT``:
-    export it there. Returns when ``stop`` becomes readable.
-
-    Raises ValueError or OSError when it cannot be done.
-    """
-    if where == "vhci":
-        serve(bridge, attach(), stop)
-        return
-    host, _, port = where.rpartition(":")
-    if not host or not port.isdigit() or int(port) > 65535:
-        raise ValueError(f"{where}: give vhci, or HOST:PORT (usually 127.0.0.1:{PORT})")
-    with socket.create_server((host, int(port))) as listener:
-        serve_tcp(bridge, listener, stop)
-
-
 def serve(bridge: UsbBridge, connection: socket.socket, stop: socket.socket) -> None:
     """Answer one host until it leaves, the bridge is unplugged or ``stop`` becomes readable."""
     bridge.plug()
@@ -209,67 +157,3 @@ def _free_port() -> int:
         if hub == "hs" and state == _PORT_FREE:
             return int(port)
     raise OSError(errno.EBUSY, "every port of the virtual host controller is taken", str(VHCI))
-
-
-def serve_tcp(bridge: UsbBridge, listener: socket.socket, stop: socket.socket) -> None:
-    """Export the bridge to ``usbip attach -r HOST -b 1-1``, one host after the other."""
-    while True:
-        ready, _, _ = select.select([listener, stop], [], [], IDLE_S)
-        if stop in ready:
-            return
-        bridge.fly_on(time.monotonic())
-        if not ready:
-            continue
-        connection, _ = listener.accept()
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.settimeout(5.0)  # for the greeting; a host that says nothing blocks no other
-        try:
-            imported = _greet(bridge, connection)
-        except (OSError, struct.error):
-            imported = False
-        if imported:
-            connection.settimeout(None)
-            serve(bridge, connection, stop)
-        else:
-            connection.close()
-
-
-def _greet(bridge: UsbBridge, connection: socket.socket) -> bool:
-    """Answer a list or an import request; whether the device was imported."""
-    _, request, _ = struct.unpack(">HHI", _exactly(connection, 8))
-    if request == 0x8005:
-        listed = struct.pack(">HHII", VERSION, 0x0005, 0, 1) + _device_record()
-        connection.sendall(listed + bytes([0xFF, 0, 0, 0]))
-        return False
-    if request != 0x8003:
-        return False
-    wanted = _exactly(connection, 32).rstrip(b"\0").decode(errors="replace")
-    if wanted != BUS_ID:
-        connection.sendall(struct.pack(">HHI", VERSION, 0x0003, 1))
-        return False
-    connection.sendall(struct.pack(">HHI", VERSION, 0x0003, 0) + _device_record())
-    return True
-
-
-def _device_record() -> bytes:
-    """The 312 bytes that describe the device in a list or an import."""
-    return struct.pack(
-        ">256s32sIIIHHHBBBBBB",
-        f"/sys/devices/platform/groundstation/usb1/{BUS_ID}".encode(), BUS_ID.encode(),
-        DEVICE_ID >> 16, DEVICE_ID & 0xFFFF, FULL_SPEED, VENDOR_ID, PRODUCT_ID, 0x0100,
-        0, 0, 0, 0, 1, 1,
-    )  # fmt: skip
-
-
-def _exactly(connection: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        more = connection.recv(size - len(data))
-        if not more:
-            raise ConnectionError("the host left during the greeting")
-        data += more
-    return data
-
-
-if __name__ == "__main__":
-    sys.exit(main())

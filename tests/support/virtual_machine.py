@@ -1,7 +1,5 @@
 """A virtual machine with a stock Debian kernel, in which the host's own files run.
 
-    python tests/support/virtual_machine.py [--icount] -- COMMAND...
-
 The host's root is mounted read-only, so that the project's virtual environment is the one under
 test; ``/mnt`` in the guest is a folder of the host for what comes out. The kernel is fetched once
 with apt-get and unpacked, not installed. Plain emulation: no KVM, no privileges on the host.
@@ -12,7 +10,6 @@ own, which the load of the host cannot touch.
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import io
 import lzma
@@ -21,16 +18,13 @@ import shlex
 import shutil
 import struct
 import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from support.programs import run_program
 
-PROGRAMS = (
-    *("qemu-system-x86_64", "busybox", "depmod", "cpio", "usbip", "dpkg", "apt-get", "setpriv"),
-)
+PROGRAMS = (*("qemu-system-x86_64", "busybox", "depmod", "cpio", "dpkg", "apt-get", "setpriv"),)
 BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p")
 GUEST_MODULES = ("usbcore", "vhci-hcd")
 MEMORY_MB = 512
@@ -233,27 +227,3 @@ def _command(command: list[str], folder: str) -> str:
 
 def _read(path: Path) -> str:
     return path.read_text(errors="replace") if path.exists() else ""
-
-
-def main() -> int:
-    """Run one command; its output and its exit status."""
-    parser = argparse.ArgumentParser(description="Run a command in the USB test machine.")
-    parser.add_argument("--icount", choices=("sleep=on", "sleep=off"), default="")
-    parser.add_argument("--timeout", type=float, default=300.0)
-    parser.add_argument("--out", type=Path, help="folder that appears as /mnt")
-    parser.add_argument("command", nargs="+")
-    options = parser.parse_args()
-    if reason := why_not():
-        print(reason, file=sys.stderr)
-        return 1
-    with tempfile.TemporaryDirectory() as folder:
-        out = options.out or Path(folder)
-        result = run(
-            options.command, out, icount=options.icount, timeout_s=options.timeout, cwd=Path.cwd()
-        )
-    print(result.output, end="")
-    return result.status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

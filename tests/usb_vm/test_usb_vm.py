@@ -21,7 +21,7 @@ from support.one_flight import (
 )
 from support.usb_guest import PATIENCE_S, run_guest, table
 
-LEAST_TESTS = 45
+LEAST_TESTS = 43
 TOLD = r"^(?:unplug seen|descriptors,|CPU while|\| .* \| \d+ \| \d+ \|$).*"
 """What the guest's tests measured, beside the table."""
 pytestmark = pytest.mark.timeout(PATIENCE_S + 100)
