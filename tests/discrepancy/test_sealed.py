@@ -50,6 +50,7 @@ def opened(name, sealed, folder):
     return judge(named(name), sealed, report), report
 
 
+@pytest.mark.timeout(1200)
 def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(generator, search, tmp_path):
     sealed = made(generator, HIDDEN, tmp_path / "seen")
     assert search(tmp_path / "seen")["error"] == ""

@@ -12,6 +12,7 @@ from pathlib import Path
 import psutil
 
 from groundstation.errors import GroundStationError
+from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
 from support.programs import Program, run_program
 from support.waiting import PATIENCE_S, until
@@ -36,6 +37,13 @@ def require_failure(result, status=1):
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("groundstation: ")
     return lines[0]
+
+
+def gaps(recording):
+    """How many gaps a recording of the stand-in has beside those that it explains itself: where
+    the machine holds the daemon up, what the craft sent meanwhile is lost, as on a real link."""
+    explained = sum("stood still for" in event["text"] for event in recording.events)
+    return max(inspect_recording(recording)["gap_count"] - explained, 0)
 
 
 class Daemon:

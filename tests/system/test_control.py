@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from support.daemons import Daemon, groundstation, inspected, require_failure
+from groundstation.recording.open_recording import open_recording
+from support.daemons import Daemon, gaps, groundstation, require_failure
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,6 @@ def test_recordings_start_and_stop_on_demand_and_twice_is_refused(daemon):
         assert stopped["dropped"] == 0
         assert "nothing is being recorded" in require_failure(tell(daemon, "record", "stop"))
         assert len(daemon.files()) == number
-        report = inspected(daemon.folder / stopped["file"])
-        assert report["samples"] == stopped["samples"] >= 100
-        assert report["gap_count"] == 0
+        recording = open_recording(daemon.folder / stopped["file"])
+        assert len(recording.samples) == stopped["samples"] >= 100
+        assert gaps(recording) == 0

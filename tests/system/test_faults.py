@@ -16,7 +16,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
 from support import shim
-from support.daemons import Daemon, groundstation, require_failure
+from support.daemons import Daemon, gaps, groundstation, require_failure
 from support.programs import Program, free_port, run_program
 from support.waiting import in_real_time, until
 
@@ -259,7 +259,7 @@ def test_a_killed_daemon_leaves_its_socket_to_the_next_one(tmp_path):
     with pytest.raises(GroundStationError, match="no groundstation is running"):
         ask(tmp_path / "c.sock", "GET", "/status")
     recording = open_recording(first.only_file())
-    assert inspect_recording(recording)["gap_count"] == 0
+    assert gaps(recording) == 0
     missing_s = (killed_ns - recording.samples.host_time_ns[-1]) * 1e-9
     figure("SIGKILL of the daemon", f"the last {missing_s:.2f} s are missing")
     with Daemon(tmp_path / "b", socket_path=tmp_path / "c.sock") as second:

@@ -1,9 +1,8 @@
 """A disk that fills up while the daemon records."""
 
 from groundstation.recording.open_recording import open_recording
-from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recover import recover
-from support.daemons import Daemon, groundstation
+from support.daemons import Daemon, gaps, groundstation
 
 
 def run_on(disk, folder, low_space_mb):
@@ -25,7 +24,7 @@ def require_kept(path, samples):
     """All that the daemon said was written is there, without a gap."""
     recording = open_recording(path, raw=True)
     assert len(recording.samples) >= samples > 0
-    assert inspect_recording(recording)["gap_count"] == 0
+    assert gaps(recording) == 0
     return recording
 
 

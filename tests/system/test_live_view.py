@@ -8,7 +8,7 @@ import pytest
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from support import RECORDINGS
-from support.daemons import Daemon
+from support.daemons import Daemon, gaps
 from support.programs import free_port
 from support.waiting import PATIENCE_S
 
@@ -66,7 +66,7 @@ def test_nothing_outlives_a_daemon_that_is_killed(tmp_path):
         daemon.stop(signal.SIGKILL)
         _, alive = psutil.wait_procs(children, timeout=PATIENCE_S)
         assert not alive
-        assert inspect_recording(open_recording(daemon.only_file()))["gap_count"] == 0
+        assert gaps(open_recording(daemon.only_file())) == 0
 
 
 def test_the_addresses_to_open_are_printed_and_in_the_status(tmp_path):

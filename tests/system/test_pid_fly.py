@@ -141,7 +141,7 @@ def test_gains_are_flown_measured_beside_the_prediction_and_put_back(station, tm
         ("in", STOCK),
     ]
     sent = [e for e in recording.commands if e["kind"] == "setpoint"]
-    assert {e["client"] for e in sent} == {"pid fly"}
+    assert {e["client"] for e in sent} - {"dead man"} == {"pid fly"}
     assert sent[-1]["thrust"] == 0
     assert max(abs(e["roll_deg"]) for e in sent) == 10.0
     samples = recording.samples
@@ -273,7 +273,8 @@ def test_what_was_set_anew_since_an_interrupted_flight_is_not_put_back(
 
 
 def test_a_fault_in_flight_ends_it_and_puts_the_gains_back(station):
-    with station.flying("--gains", GAINS, *SHORT, mark="pid fly begins") as flight:
+    long = ("--axis", "roll", "--repeat", "20")  # a busy machine may begin to ask late
+    with station.flying("--gains", GAINS, *long, mark="pid fly begins") as flight:
         ask(station.daemon.socket, "POST", "/record/stop")  # nowhere to put the next mark
         _, stderr = flight.communicate(timeout=60)
     assert flight.returncode == 1
