@@ -15,6 +15,7 @@ from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
+from groundstation.links.names import KINDS
 from groundstation.service.client import Client, ask
 from groundstation.service.config import socket_path
 from groundstation.text import printable
@@ -122,9 +123,7 @@ def events(as_json: bool = AS_JSON) -> None:
 
 
 def link(
-    name: str = typer.Argument(
-        help="stand-in, stand-in:MODEL, usb, serial:PORT, replay:FILE, or the address of a craft."
-    ),
+    name: str = typer.Argument(help=f"{KINDS}."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Let the running daemon receive from another link; the recording goes on.

@@ -20,6 +20,7 @@ from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import say
 from groundstation.errors import BadInputError, GroundStationError
+from groundstation.links.names import KINDS, split_name
 from groundstation.viewer.mode import ViewerMode
 
 if TYPE_CHECKING:
@@ -40,8 +41,7 @@ def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
     link: str | None = typer.Option(
         None,
-        help="stand-in (default), stand-in:MODEL, usb, serial:PORT, replay:FILE, or a stock craft:"
-        " radio://..., usb://0, udp://HOST:PORT.",
+        help=f"{KINDS} (default: stand-in).",
     ),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
@@ -287,8 +287,6 @@ def _speed(text: str | None) -> float | str | None:
 
 
 def _link(name: str | None) -> str | None:
-    from groundstation.links.factory import split_name
-
     try:
         split_name(name or "stand-in")
     except BadInputError as error:

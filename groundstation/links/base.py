@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
@@ -38,6 +39,30 @@ class LinkState(enum.StrEnum):
     """The device went away."""
     ENDED = "ended"
     """A finite source has delivered everything."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkOptions:
+    """What links are made from; each takes what concerns it.
+
+    argument: what follows the colon of the name. speed: of stand-in and replay, 1 for real time.
+    stand_in: settings of the software craft; model: file of the model that ``stand-in:MODEL``
+    names, where MODEL is not the file itself; command: URI at which it answers where it is
+    ``udp://``. usb: ``device`` (VID:PID) and ``serial`` of the bridge where they are not the usual
+    ones. rate_hz, wanted: rows a second (0: what the link bears), and further variables, of a
+    craft's own log.
+    """
+
+    name: str
+    argument: str
+    speed: float = 1.0
+    stand_in: Mapping[str, Any] = field(default_factory=dict)
+    model: str = ""
+    command: str = ""
+    usb: Mapping[str, str] = field(default_factory=dict)
+    rate_hz: int = 0
+    wanted: Sequence[str] = ()
+    clock: HostClock | None = None
 
 
 class Link(ABC):

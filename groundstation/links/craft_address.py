@@ -42,6 +42,20 @@ def is_address(uri: str) -> bool:
         return False
 
 
+def udp_address(uri: str) -> tuple[str, int] | None:
+    """Host and port of ``udp://HOST:PORT``, None for another scheme. Raises BadInputError."""
+    parts = urlsplit(uri)
+    if parts.scheme != "udp":
+        return None
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if host is None or port is None:
+        raise BadInputError(f"command link {uri!r}: give it as udp://HOST:PORT")
+    return host, port
+
+
 def ways_of(uris: Iterable[str]) -> dict[str, set[str]]:
     """Names of the dongle or cable that each address leads through, empty for another link.
 

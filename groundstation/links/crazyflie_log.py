@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkLostError
-from groundstation.links.base import Link
+from groundstation.links.base import Link, LinkOptions
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.crazyflie_connection import Connection, Identity
 from groundstation.links.log_plan import LogPlan, plan_log
@@ -49,6 +49,12 @@ DEVICES = {
     "Crazyflie 2.0": "crazyflie21",
 }
 """What the firmware calls itself -> vehicle profile. A 2.1+ calls itself 2.1."""
+
+
+def make(options: LinkOptions) -> Link:
+    return CrazyflieTelemetry(
+        options.name, rate_hz=options.rate_hz, wanted=options.wanted, clock=options.clock
+    )
 
 
 class CrazyflieTelemetry(Link):

@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.background import in_background
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError
-from groundstation.links.base import Link, LinkBatch
+from groundstation.links.base import Link, LinkBatch, LinkOptions
 from groundstation.recording.file_window import FileWindow
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -23,6 +23,10 @@ BATCH_S = 0.02
 PIECE = 4096
 """Rows read ahead; also a batch when replaying as fast as possible."""
 FAST = float("inf")
+
+
+def make(options: LinkOptions) -> Link:
+    return ReplayLink(Path(options.argument), speed=options.speed, clock=options.clock)
 
 
 class ReplayLink(Link):

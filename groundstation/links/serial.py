@@ -18,7 +18,7 @@ import numpy as np
 from groundstation.background import in_background, left_running
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError, LinkLostError
-from groundstation.links.base import Link
+from groundstation.links.base import Link, LinkOptions
 from groundstation.telemetry.framing import FRAME_BYTES, Deframer, port_and_baud
 from groundstation.telemetry.samples import RawBatch
 
@@ -37,6 +37,10 @@ UNREADABLE_BYTES = 100 * FRAME_BYTES
 _ABSENT = {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO}
 _DENIED = {errno.EACCES, errno.EPERM}
 _TAKEN = {errno.EAGAIN, errno.EBUSY}
+
+
+def make(options: LinkOptions) -> Link:
+    return SerialLink(options.argument, clock=options.clock)
 
 
 class SerialLink(Link):

@@ -14,7 +14,8 @@ from groundstation.clock import HostClock
 from groundstation.compiling import announced
 from groundstation.documents import explained
 from groundstation.errors import BadInputError, TakenError
-from groundstation.links.base import Link
+from groundstation.links.base import Link, LinkOptions
+from groundstation.links.craft_address import udp_address
 from groundstation.telemetry.samples import RawBatch
 
 BATCH_S = 0.01
@@ -26,6 +27,20 @@ LOW_POWER = 3
 """The firmware's power state after some seconds of low voltage."""
 CATCH_UP_S = 2.0
 """A process stalled for longer than this has missed what the craft sent meanwhile."""
+
+
+def make(options: LinkOptions) -> Link:
+    """Flies the settings, or with an argument that model and nothing else."""
+    settings = dict(options.stand_in)
+    if options.argument:
+        settings |= {"plant": "model", "craft": options.model or options.argument, "effects": {}}
+    return StandInLink(
+        settings,
+        name=options.name,
+        speed=options.speed,
+        crtp=udp_address(options.command),
+        clock=options.clock,
+    )
 
 
 class StandInLink(Link):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkError, LinkLostError
-from groundstation.links.base import Link
+from groundstation.links.base import Link, LinkOptions
 from groundstation.links.usb_frames import FrameClock
 from groundstation.links.usb_ring import DEPTH, DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
 from groundstation.telemetry.bridge_usb import (
@@ -81,6 +81,10 @@ class UsbCounts:
     def lost(self) -> int:
         """Frames whose content is missing."""
         return self.errors + self.overruns + self.stalls + self.ragged + self.unseen + self.unread
+
+
+def make(options: LinkOptions) -> Link:
+    return UsbLink(**options.usb, clock=options.clock)
 
 
 class UsbLink(Link):

@@ -14,7 +14,7 @@ import msgspec
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
-from groundstation.links.factory import STAND_IN, is_stand_in, split_name
+from groundstation.links.names import STAND_IN, is_stand_in, split_name
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import overview, requests
 from groundstation.service.answers import Status

@@ -14,6 +14,7 @@ import msgspec
 from groundstation.documents import decode_toml, explained, read_document
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
+from groundstation.links.names import KINDS, STAND_IN
 
 MEBIBYTE = 1 << 20
 DEFAULT_VEHICLE = "crazyflie1"
@@ -31,12 +32,8 @@ class LinkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     name: Annotated[
         str,
-        _key(
-            "stand-in, stand-in:MODEL, usb, serial:PORT, replay:FILE, or a craft: radio://...,"
-            " usb://0, udp://HOST:PORT",
-            min_length=1,
-        ),
-    ] = "stand-in"
+        _key(KINDS, min_length=1),
+    ] = STAND_IN
     speed: Annotated[
         float | Literal["max"], _key('of stand-in and replay: 1 is real time, or "max"')
     ] = 1.0

@@ -10,7 +10,7 @@ from groundstation.links.factory import make_link
 from groundstation.recording.recording_file import write_mcap
 from groundstation.recording.session import Recording
 from groundstation.telemetry.samples import SampleBatch
-from support import packets
+from support import RECORDINGS, packets
 from support.crafts import served
 from support.links import FiniteLinkContract, LinkContract
 
@@ -113,3 +113,25 @@ class TestReplayOfSamples(MadeByTheFactory, FiniteLinkContract):
         recording = Recording(tmp_path, "microsd", samples)
         write_mcap(recording, tmp_path / "samples.mcap")
         return super().make(tmp_path)
+
+
+def test_a_link_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
+    from groundstation import links
+    from groundstation.links.names import LINKS, split_name
+
+    (tmp_path / "thesis_excerpt.py").write_text(
+        "from pathlib import Path\n"
+        "from groundstation.links.replay import ReplayLink\n"
+        "def make(options):\n"
+        "    return ReplayLink(Path(options.argument), speed=float('inf'), clock=options.clock)\n"
+    )
+    monkeypatch.setattr(links, "__path__", [*links.__path__, str(tmp_path)])
+    monkeypatch.setitem(LINKS, "excerpt:FILE", "thesis_excerpt")
+    name = f"excerpt:{RECORDINGS / 'thesis_excerpt.csv'}"
+    assert split_name(name)[0] == "excerpt"
+
+    async def rows():
+        async with make_link(name) as link:
+            return len(await link.read())
+
+    assert asyncio.run(rows()) == 25
