@@ -37,7 +37,6 @@ from groundstation import (
 from groundstation.discrepancy.report_figures import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
 from groundstation.report.figure import png
-from groundstation.viewer.screenshot import hidden_viewer
 from groundstation.viewer.viewer import free_port
 
 IMAGES = Path(__file__).parent / "images"
@@ -141,6 +140,9 @@ def looks(page: Any, *, full: bool) -> dict[str, bytes]:
 
 def viewer_picture(recording: Path, at_s: float) -> bytes:
     """The recording in the viewer, the cursor at a device time."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
+    from support.screenshots import hidden_viewer
+
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.rrd"
         write_rrd(open_recording(recording), path)

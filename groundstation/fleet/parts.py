@@ -63,36 +63,26 @@ class Parts:
 
     def compact(self, keys: Sequence[str] | None = None) -> None:
         """Each row once, in few files; of ``keys`` alone where given. Nothing is written where it
-        is so already; otherwise file by file, never the whole table in memory."""
+        is so already."""
         import pyarrow as pa
 
         old = self._files()
-        known = [self._read(path, ()).column(self._key).to_pylist() for path in old]
-        newest = {key: (i, k) for i, some in enumerate(known) for k, key in enumerate(some)}
-        wanted = newest.keys() if keys is None else newest.keys() & set(keys)
-        count = sum(map(len, known))
-        if count == len(wanted) and len(old) <= 2 + 2 * (count // PART_ROWS):
+        if not old:
             return
-        number = first = self._next()
-        waiting: list[Any] = []
-
-        def write() -> None:
-            nonlocal number, waiting
-            if waiting:
-                self._write(number, pa.concat_tables(waiting))
-                number, waiting = number + 1, []
-
+        table = pa.concat_tables(self._read(path) for path in old)
+        newest = {key: row for row, key in enumerate(table.column(self._key).to_pylist())}
+        wanted = newest.keys() if keys is None else newest.keys() & set(keys)
+        if len(table) == len(wanted) and len(old) <= 2 + 2 * (len(table) // PART_ROWS):
+            return
+        table = table.take(sorted(newest[key] for key in wanted))
+        first = self._next()
+        numbers = range(first, first - (-len(table) // PART_ROWS))
         try:
-            for i, path in enumerate(old):
-                mask = [key in wanted and newest[key] == (i, k) for k, key in enumerate(known[i])]
-                kept = self._read(path).filter(pa.array(mask, pa.bool_()))
-                if waiting and sum(map(len, waiting)) + len(kept) > PART_ROWS:
-                    write()
-                waiting.append(kept)
-            write()
+            for number, row in zip(numbers, range(0, len(table), PART_ROWS), strict=True):
+                self._write(number, table.slice(row, PART_ROWS))
         except RecordingError:
-            for place in range(first, number):  # the old ones are whole: leave the disk as it was
-                self._path(place).unlink(missing_ok=True)
+            for number in numbers:  # the old ones are whole: leave the disk as it was
+                self._path(number).unlink(missing_ok=True)
             raise
         for path in old:  # the new ones are newer, so that a crash in between changes nothing
             path.unlink()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from groundstation.recording.device_time import SYNTHESISED, host_time_from_tick
 from groundstation.recording.map_document import (
     NAMED,
     ColumnMap,
-    load_column_map,
+    map_for,
 )
 from groundstation.recording.map_plan import (
     Channel,
@@ -46,10 +46,7 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
     Raises RecordingError where a file cannot be opened, BadInputError where the map is wrong
     (file and key), a column is missing, or a cell does not read (file, line, column).
     """
-    map_path = NAMED.get(str(source), Path(source))
-    column_map = load_column_map(map_path)
-    if column_map.kind != "csv":
-        raise BadInputError(f"{path}: a CSV file, and {source} is a map of {column_map.kind} files")
+    column_map, map_path = map_for(path, "csv", source)
     table = open_table(path, column_map.skip)
     plan = plan_of(column_map, map_path, called(table.names), said_by(table, str(source) in NAMED))
     places = [
@@ -62,15 +59,11 @@ def read_mapped_csv(path: Path, source: str | Path) -> Recording:
     for block in table.blocks(places):
         if not batches:
             plan, unclear = decided(plan, block.values)
-        batches.append(samples_of(plan, block.values, block.error))
+        batches.append(_samples(plan, block.values, block.error))
         rest.append(block.values[:, len(plan.channels) :])
     samples = SampleBatch.concatenate(batches) if batches else empty_samples(0, plan.tick_s)
-    recording = mapped_recording(
-        path, plan, column_map, samples, np.concatenate(rest), table.names, table.damage
-    )
-    if unclear:
-        recording.metadata[UNCLEAR_METADATA] = unclear
-    return recording
+    kept = np.concatenate(rest)
+    return _recording(path, plan, column_map, samples, kept, table.names, table.damage, unclear)
 
 
 def said_by(table: TextTable, named: bool) -> Said:
@@ -89,17 +82,42 @@ def mapped_recording(
     path: Path,
     plan: Plan,
     column_map: ColumnMap,
+    values: NDArray[np.float64],
+    names: Collection[str],
+    unclear: Mapping[str, str],
+    damage: Sequence[str] = (),
+) -> Recording:
+    """What a map makes of a file's columns (n, channels and kept of ``plan``). names: every column
+    of the file. unclear: field -> what the file leaves open.
+
+    Raises BadInputError for a value that cannot be (column, row).
+    """
+
+    def refuse(row: int, place: int, why: str) -> BadInputError:
+        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
+
+    samples = _samples(plan, values, refuse)
+    kept = values[:, len(plan.channels) :]
+    return _recording(path, plan, column_map, samples, kept, names, damage, unclear)
+
+
+def _recording(
+    path: Path,
+    plan: Plan,
+    column_map: ColumnMap,
     samples: SampleBatch,
     kept: NDArray[np.float64],
     names: Collection[str],
-    damage: list[str],
+    damage: Sequence[str],
+    unclear: Mapping[str, str],
 ) -> Recording:
-    """What a map makes of a file: samples with their clock, tables from the columns that are kept
-    (n, len(plan.kept)), and metadata. names: every column of the file."""
+    """Samples with their clock, tables from the columns that are kept, and metadata."""
     samples, order = in_order(samples, [kept])
     kept = order.of(kept)
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, plan.tick_s, samples.segment)
     metadata = {"host_time": dict(SYNTHESISED), "column_map": plan.text}
+    if unclear:
+        metadata[UNCLEAR_METADATA] = dict(unclear)
     if order.notes:
         metadata[ROWS_METADATA] = order.notes
     if column_map.vehicle is not None:
@@ -114,7 +132,7 @@ def mapped_recording(
         samples=samples,
         tables=_tables(plan.kept, kept, samples.time_s),
         metadata=metadata,
-        damage=damage,
+        damage=list(damage),
     )
 
 
@@ -163,7 +181,7 @@ def place_of(path: Path, names: Sequence[str], width: int, channel: Channel, map
 
 
 @np.errstate(over="ignore", invalid="ignore")  # beyond what a channel holds is no value
-def samples_of(
+def _samples(
     plan: Plan,
     values: NDArray[np.float64],
     error: Callable[[int, int, str], BadInputError],

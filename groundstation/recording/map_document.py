@@ -180,6 +180,20 @@ class ColumnMap(msgspec.Struct, forbid_unknown_fields=True):
     yaw_from: Literal["east", "north"] = "east"
 
 
+def map_for(path: Path, kind: Kind, source: str | Path) -> tuple[ColumnMap, Path]:
+    """The map by which a file of a kind is read: one of ``NAMED``, or a TOML file; and where it is.
+
+    Raises BadInputError where it is a map of another kind, and as ``load_column_map``.
+    """
+    map_path = NAMED.get(str(source), Path(source))
+    column_map = load_column_map(map_path)
+    if column_map.kind != kind:
+        raise BadInputError(
+            f"{path}: {source} is a map of {column_map.kind} files, and this is none"
+        )
+    return column_map, map_path
+
+
 def load_column_map(path: Path) -> ColumnMap:
     """Read and check a column map.
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording.craft_family import TODAY
 from groundstation.recording.device_time import SYNTHESISED, host_time_from_ticks
-from groundstation.recording.microsd_channels import GyroUnit, samples_from_columns
+from groundstation.recording.microsd_channels import samples_from_columns
 from groundstation.recording.microsd_scan import CRC_BYTES, longest_in_order, scan, scan_damaged
 from groundstation.recording.row_order import ROWS_METADATA, in_order
 from groundstation.recording.session import Recording, Table
@@ -58,13 +58,12 @@ class _Layout:
     first_record: int
 
 
-def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
+def read_microsd(path: Path) -> Recording:
     """Read a microSD log: every event in ``tables``, the fixed-frequency one as samples.
 
     Table columns keep the file's names and types; samples follow the design's units and
-    signs (see ``microsd_channels``). ``gyro_unit`` overrides what the data say about the
-    gyro's unit; the choice and its reason are in ``metadata["microsd"]``. Host stamps are
-    made from device time.
+    signs (see ``microsd_channels``); the gyro's unit and its reason are in
+    ``metadata["microsd"]``. Host stamps are made from device time.
 
     A checksum that does not match, a torn end or bytes that are no record are lines of
     ``damage``; everything that still reads is there.
@@ -104,7 +103,7 @@ def read_microsd(path: Path, *, gyro_unit: GyroUnit | None = None) -> Recording:
         damage.append(f"{(~usable).sum()} samples with an impossible time were left out")
         columns = {name: values[usable] for name, values in columns.items()}
         time_us = time_us[usable]
-    samples, notes = samples_from_columns(columns, time_us, TICK_S, gyro_unit)
+    samples, notes = samples_from_columns(columns, time_us, TICK_S, None)
     samples, order = in_order(samples)
     samples.host_time_ns[:] = host_time_from_ticks(samples.ticks, TICK_S, samples.segment)
     return Recording(

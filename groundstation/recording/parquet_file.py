@@ -11,13 +11,8 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
-from groundstation.recording.column_map import (
-    UNCLEAR_METADATA,
-    mapped_recording,
-    place_of,
-    samples_of,
-)
-from groundstation.recording.map_document import NAMED, load_column_map
+from groundstation.recording.column_map import mapped_recording, place_of
+from groundstation.recording.map_document import map_for
 from groundstation.recording.map_plan import Said, decided, map_of_header, plan_of
 from groundstation.recording.session import Recording
 from groundstation.recording.table_header import base_name, called
@@ -94,10 +89,7 @@ def _mapped(path: Path, file: Any, source: str | Path | None) -> Recording:
             " 'groundstation convert --list-columns' with --columns, or describe the columns in a"
             " TOML file"
         )
-    map_path = NAMED.get(str(source), Path(source))
-    column_map = load_column_map(map_path)
-    if column_map.kind != "csv":
-        raise BadInputError(f"{path}: a table, and {source} is a map of {column_map.kind} files")
+    column_map, map_path = map_for(path, "csv", source)
     units = dict(base_name(name) for name in names)
     units |= {name: "ns" for name in names if str(schema.field(name).type).startswith("timestamp")}
     plan = plan_of(column_map, map_path, called(names), Said(units))
@@ -107,16 +99,8 @@ def _mapped(path: Path, file: Any, source: str | Path | None) -> Recording:
     columns = [_numbers(path, table, names[place]) for place in places]
     values = np.column_stack(columns)
     plan, unclear = decided(plan, values)
-
-    def refuse(row: int, place: int, why: str) -> BadInputError:
-        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
-
-    samples = samples_of(plan, values, refuse)
-    kept = values[:, len(plan.channels) :]
-    recording = mapped_recording(path, plan, column_map, samples, kept, names, [])
+    recording = mapped_recording(path, plan, column_map, values, names, unclear)
     recording.kind = "parquet"
-    if unclear:
-        recording.metadata[UNCLEAR_METADATA] = unclear
     return recording
 
 

@@ -17,12 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.recording.column_map import (
-    UNCLEAR_METADATA,
-    mapped_recording,
-    samples_of,
-)
-from groundstation.recording.map_document import NAMED, load_column_map
+from groundstation.recording.column_map import mapped_recording
+from groundstation.recording.map_document import map_for
 from groundstation.recording.map_plan import Plan, map_of_series, plan_of
 from groundstation.recording.session import Recording
 
@@ -93,10 +89,7 @@ def read_mapped_series(
                 f"{path}: no known map fits its series ({listed}); name one of 'groundstation"
                 " convert --list-columns' with --columns, or describe the columns in a TOML file"
             )
-    map_path = NAMED.get(str(source), Path(source))
-    column_map = load_column_map(map_path)
-    if column_map.kind != kind:
-        raise BadInputError(f"{path}: a {kind} file, and {source} is a map of {column_map.kind}")
+    column_map, map_path = map_for(path, kind, source)
     rows = by_name.get(column_map.rows)
     if rows is None or (rows.type in unread and not len(rows.time_ns)):
         raise BadInputError(
@@ -111,17 +104,8 @@ def read_mapped_series(
             )
     plan, unclear = _of_a_quadrotor(plan, column_map.only, parameters)
     values = _on_rows(plan, rows, columns)
-
-    def refuse(row: int, place: int, why: str) -> BadInputError:
-        return BadInputError(f"{path}: {plan.channels[place].column}, row {row + 1}: {why}")
-
-    samples = samples_of(plan, values, refuse)
-    kept = values[:, len(plan.channels) :]
     names = [name.rpartition(".")[2] for name in columns]
-    recording = mapped_recording(path, plan, column_map, samples, kept, names, list(damage))
-    if unclear:
-        recording.metadata[UNCLEAR_METADATA] = unclear
-    return recording
+    return mapped_recording(path, plan, column_map, values, names, unclear, damage)
 
 
 def _of_a_quadrotor(

@@ -12,11 +12,13 @@ from groundstation.telemetry.bridge_usb import (
     ALTERNATE,
     ENDPOINT,
     INTERFACE,
+)
+from support.firmware import UsbControl, firmware, octets
+from support.usb_descriptors import (
     configuration_descriptor,
     device_descriptor,
     string_descriptor,
 )
-from support.firmware import UsbControl, firmware, octets
 from support.usb_device import UsbBridge
 
 IDENTITY = bytes(range(0xA0, 0xAC))

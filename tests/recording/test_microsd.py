@@ -318,13 +318,6 @@ def test_the_attitude_says_which_unit_the_gyro_has(folder, unit, size):
     assert samples.duty[0, 1] == pytest.approx(0.5, abs=1e-4)
 
 
-def test_the_caller_can_overrule_the_gyro_s_unit(folder):
-    data, _, _ = flight(rate_unit=1.0)
-    recording = read_microsd(saved(folder, data), gyro_unit="deg/s")
-    assert recording.metadata["microsd"]["gyro_unit_because"] == "chosen by the caller"
-    assert np.degrees(recording.samples.gyro[0, 0]) == pytest.approx(1.2)
-
-
 def test_a_gyro_that_says_nothing_is_taken_as_the_firmware_logs_it():
     quiet = np.full((500, 3), 0.01)
     unit, why = gyro_unit_of(quiet, np.full((500, 3), np.nan, np.float32), np.arange(500) * 0.002)

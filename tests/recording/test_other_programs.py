@@ -181,10 +181,10 @@ def test_what_acts_is_the_last_command_known_at_a_row(flight, tmp_path):
 @pytest.mark.parametrize(
     ("name", "columns", "message"),
     [
-        ("log.ulg", "cfclient", "a ulog file, and cfclient is a map of csv"),
-        ("log.ulg", "ros2", "a ulog file, and ros2 is a map of rosbag"),
-        ("log.csv", "px4", "a CSV file, and px4 is a map of ulog files"),
-        ("bag", "px4", "a rosbag file, and px4 is a map of ulog"),
+        ("log.ulg", "cfclient", "cfclient is a map of csv"),
+        ("log.ulg", "ros2", "ros2 is a map of rosbag"),
+        ("log.csv", "px4", "px4 is a map of ulog files"),
+        ("bag", "px4", "px4 is a map of ulog"),
         ("bag", "crazyswarm2", "the file has none of the columns"),
         ("log.ulg", "none.toml", "no column 'sensor_gyro.x'.*sensor_combined"),
     ],

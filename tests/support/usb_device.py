@@ -26,6 +26,8 @@ from groundstation.telemetry.bridge_usb import (
     ENDPOINT,
     FRAME_BYTES,
     FRAME_S,
+)
+from support.usb_descriptors import (
     configuration_descriptor,
     device_descriptor,
     string_descriptor,

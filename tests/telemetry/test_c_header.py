@@ -10,6 +10,7 @@ from groundstation.telemetry import bridge_usb
 from groundstation.telemetry.framing import frame_packets
 from groundstation.telemetry.packet import encode
 from support.programs import run_program
+from support.usb_descriptors import configuration_descriptor, device_descriptor
 
 HEADER = Path(bridge_usb.__file__).with_name("groundstation_telemetry.h").read_text()
 GOLDEN = bytes.fromhex(
@@ -137,12 +138,12 @@ def test_any_packet_and_its_frame_are_those_of_the_codec(compiled):
 def test_constants_and_descriptors_are_those_of_the_package(compiled):
     line, _, descriptors = compiled(CONSTANTS_PROGRAM)().partition(b"\n")
     assert line == b"32 36 2000000 0483 5741 0 1 81 64 29b1"
-    assert descriptors == bridge_usb.device_descriptor() + bridge_usb.configuration_descriptor()
+    assert descriptors == device_descriptor() + configuration_descriptor()
 
 
 def test_the_descriptors_say_what_a_host_expects():
     """Read by the rules of USB 2.0, chapter 9."""
-    device, data = bridge_usb.device_descriptor(), bridge_usb.configuration_descriptor()
+    device, data = device_descriptor(), configuration_descriptor()
     assert (device[0], device[1], len(device)) == (18, 1, 18)
     assert device[8:12] == bytes([0x83, 0x04, 0x41, 0x57])
     assert int.from_bytes(data[2:4], "little") == len(data)

@@ -16,7 +16,7 @@ from groundstation.recording.session import Recording
 from groundstation.rerun_log.channels import DEVICE_TIME, FLIGHT_TIME, GROUPS, MOTORS, STATISTICS
 from groundstation.rerun_log.device_clock import RecordedClock
 from groundstation.telemetry.samples import empty_samples
-from groundstation.viewer.screenshot import hidden_viewer, software_driver
+from support.screenshots import hidden_viewer, software_driver
 
 pytestmark = [
     pytest.mark.screenshot,

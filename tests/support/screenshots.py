@@ -1,4 +1,4 @@
-"""Pictures of a recording as the viewer shows it, without a window: for documents and tests.
+"""Pictures of a recording as the viewer shows it, without a window: for tests and the pages.
 
 Draws with a real rerun viewer, by a GPU if there is one and else by Mesa's software Vulkan
 driver (Debian: mesa-vulkan-drivers, libvulkan1).
