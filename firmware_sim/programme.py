@@ -124,60 +124,35 @@ class Sticks:
     def __init__(self, programme: Programme, seed: int) -> None:
         self._programme = programme
         self._seed = seed
-        self._lengths = [round(s.seconds / TICK_S) for s in programme.segment]
-        self._total = sum(self._lengths)
-        self._cached: tuple[int, NDArray[np.float64]] | None = None
+        self._begin(0, 0)
 
     def rows(self, first: int, count: int) -> NDArray[np.float64]:
         """Rows ``first`` to ``first + count`` (10 ms each, from power-on), shape (count, 7)."""
-        out = np.zeros((count, ROW_COLUMNS))
-        done = 0
-        while done < count:
-            number, offset = self._locate(first + done)
-            table = self._table(number)
-            if len(table) == 0:
-                out[done:] = _idle(1)
-                break
-            part = table[offset : offset + count - done]
-            out[done : done + len(part)] = part
-            done += len(part)
-        return out
+        if first < self._start:
+            self._begin(0, 0)
+        parts, end = [], first + count
+        while first < end:
+            while first >= self._start + len(self._table):
+                self._begin(self._number + 1, self._start + len(self._table))
+            parts.append(self._table[first - self._start : end - self._start])
+            first += len(parts[-1])
+        return np.concatenate(parts)
 
-    def _locate(self, tick: int) -> tuple[int, int]:
-        """(running number of the segment, tick inside it); the number counts repetitions on."""
-        segments = len(self._lengths)
-        if tick < self._total:
-            number, rest = 0, tick
-        elif self._programme.repeat is None:
-            return segments, 0
+    def _begin(self, number: int, start: int) -> None:
+        """The segment of that running number, which counts repetitions on, from a tick on. Behind
+        the last of all the motors are off, for an hour at a time."""
+        self._number, self._start = number, start
+        segments, repeat = self._programme.segment, self._programme.repeat
+        if number >= len(segments) and repeat is None:
+            self._table = _idle(round(3600.0 / TICK_S))
+            return
+        if number >= len(segments):
+            repeat = repeat or 0
+            segment = segments[repeat + (number - len(segments)) % (len(segments) - repeat)]
         else:
-            repeat = self._programme.repeat
-            cycle = sum(self._lengths[repeat:])
-            laps, rest = divmod(tick - self._total, cycle)
-            number = segments + laps * (segments - repeat)
-        while rest >= self._lengths[self._index(number)]:
-            rest -= self._lengths[self._index(number)]
-            number += 1
-        return number, rest
-
-    def _index(self, number: int) -> int:
-        segments = len(self._lengths)
-        if number < segments:
-            return number
-        repeat = self._programme.repeat or 0
-        return repeat + (number - segments) % (segments - repeat)
-
-    def _table(self, number: int) -> NDArray[np.float64]:
-        if self._cached is None or self._cached[0] != number:
-            if self._programme.repeat is None and number >= len(self._lengths):
-                table = np.empty((0, ROW_COLUMNS))
-            else:
-                index = self._index(number)
-                generator = np.random.default_rng((self._seed, number))
-                segment = self._programme.segment[index]
-                table = _segment_rows(segment, self._lengths[index], generator)
-            self._cached = (number, table)
-        return self._cached[1]
+            segment = segments[number]
+        generator = np.random.default_rng((self._seed, number))
+        self._table = _segment_rows(segment, round(segment.seconds / TICK_S), generator)
 
 
 _COLUMN = {

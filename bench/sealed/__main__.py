@@ -60,11 +60,6 @@ def main() -> int:
     )
     run.add_argument("--case", nargs="+", default=[], help="these cases only")
     run.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    run.add_argument(
-        "--scheduler",
-        metavar="tcp://HOST:PORT",
-        help="begun in a checkout as its workers are: python -m dask scheduler, worker",
-    )
     run.add_argument("--keep", action="store_true", help="keep the folders of wrong cases")
     make = commands.add_parser("make", help="write one case's recordings and model")
     make.add_argument("case")
@@ -96,9 +91,7 @@ def _run(options: argparse.Namespace) -> int:
         for case in matrix(tuple(options.only), modes, options.seeds, options.first, options.craft)
         if not options.names or set(case.names) & set(options.names)
     ]
-    for line in run(
-        cases, options.results, options.workers, keep=options.keep, scheduler=options.scheduler
-    ):
+    for line in run(cases, options.results, options.workers, keep=options.keep):
         word = "right" if line["right"] else "WRONG"
         word = word if line["counted"] else f"({word})"
         said = line.get("error") or f"{line['verdict']}: {', '.join(line['found']) or '-'}"

@@ -88,25 +88,19 @@ class Carried:
 
 
 def run(
-    cases: Iterable[Case],
-    results: Path,
-    workers: int,
-    keep: bool = False,
-    scheduler: str | None = None,
+    cases: Iterable[Case], results: Path, workers: int, keep: bool = False
 ) -> Iterator[dict[str, Any]]:
     """Judge every case that ``results`` does not hold yet, and append it there; what failed is
     tried again.
 
     results: a folder, with ``results.jsonl``, what was hidden and said in every case
     (``opened/``), and the base models' families. keep: leave the folders of wrong cases there.
-    scheduler: a running one of Dask, whose workers run in a checkout and share no disk with this.
     """
     results.mkdir(parents=True, exist_ok=True)
     done = judged(results)
     left = [case for case in cases if case.name not in done]
-    home = None if scheduler else str(results.absolute())
-    work = partial(carried, home=home, keep=keep)
-    arriving = carried_out(work, left, workers=workers, scheduler=scheduler, largest=1)
+    work = partial(carried, results=results.absolute(), keep=keep)
+    arriving = carried_out(work, left, workers=workers, largest=1)
     for case, came in arriving:
         line = _failed(case, "its process dies, again and again") if came is None else came.line
         if came is not None and came.opened is not None:
@@ -117,9 +111,8 @@ def run(
         yield line
 
 
-def carried(case: Case, home: str | None, keep: bool) -> Carried:
-    """One case, for a worker. home: the folder of the results; None: one of the worker's own."""
-    results = Path(home) if home is not None else _own_home()
+def carried(case: Case, results: Path, keep: bool) -> Carried:
+    """One case, for a worker."""
     search = _search(threading.get_ident())
     with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
         folder = Path(parent) / "case"
@@ -129,13 +122,6 @@ def carried(case: Case, home: str | None, keep: bool) -> Carried:
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(folder, kept)
     return came
-
-
-@cache
-def _own_home() -> Path:
-    folder = tempfile.TemporaryDirectory(prefix="sealed-")
-    atexit.register(folder.cleanup)
-    return Path(folder.name)
 
 
 @cache

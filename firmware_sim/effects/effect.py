@@ -91,6 +91,11 @@ def vector(low: float, high: float, *parameters: str) -> Draw:
     return drawn
 
 
+def each(**ranges: tuple[float, float]) -> Draw:
+    """Several sizes, each from its range."""
+    return lambda generator: {name: size(generator, *range_) for name, range_ in ranges.items()}
+
+
 def fixed(**values: float) -> Draw:
     """Always the same."""
     return lambda generator: dict(values)

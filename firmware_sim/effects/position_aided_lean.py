@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.effect import POSITIVE, Effect, G, Values, reads, size
+from firmware_sim.effects.effect import POSITIVE, Effect, G, Values, each, reads
 from firmware_sim.layout import Record
 
 
@@ -51,9 +51,6 @@ EFFECT = Effect(
     present=lambda p: (
         reads(aided_strength="strength", aided_time="time_s")(p) if p["aided_strength"] else None
     ),
-    draw=lambda generator: {
-        "strength": size(generator, 0.6, 1.2),
-        "time_s": size(generator, 0.25, 0.6),
-    },
+    draw=each(strength=(0.6, 1.2), time_s=(0.25, 0.6)),
     limits={"strength": POSITIVE, "time_s": (0.05, 10.0)},
 )

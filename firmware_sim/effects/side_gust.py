@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.effect import Effect, sets, size
+from firmware_sim.effects.effect import Effect, each, sets
 from firmware_sim.layout import Record
 
 
@@ -24,11 +24,7 @@ EFFECT = Effect(
         "moment_n_m": (1e-5, "N m"),
     },
     apply=sets(gust_hz="frequency_hz", gust_force="force_n", gust_moment="moment_n_m"),
-    draw=lambda generator: {
-        "frequency_hz": size(generator, 0.3, 2.0),
-        "force_n": size(generator, 0.004, 0.02),
-        "moment_n_m": size(generator, 4e-6, 4e-5),
-    },
+    draw=each(frequency_hz=(0.3, 2.0), force_n=(0.004, 0.02), moment_n_m=(4e-6, 4e-5)),
     limits={"frequency_hz": (0.0, 250.0), "force_n": (-1.0, 1.0), "moment_n_m": (-0.01, 0.01)},
     listed=False,
 )

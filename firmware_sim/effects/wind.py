@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import inner
-from firmware_sim.effects.effect import POSITIVE, Effect, Values, size, zeroes
+from firmware_sim.effects.effect import POSITIVE, Effect, Values, each, zeroes
 from firmware_sim.layout import Record
 
 WAVES, SLOWEST, FASTEST = 32, 0.01, 8.0
@@ -48,31 +48,23 @@ def _present(p: Any) -> Values | None:
     return dict(zip(NAMES, p["wind"].tolist(), strict=True)) | {"time_s": float(p["wind_time"])}
 
 
-def _draw(generator: np.random.Generator) -> Values:
-    return {
-        "moment_x": size(generator, 1.0, 5.0),
-        "moment_y": size(generator, 1.0, 5.0),
-        "moment_z": size(generator, 0.5, 2.0),
-        "force_x": size(generator, 0.1, 0.4),
-        "force_y": size(generator, 0.1, 0.4),
-        "force_z": size(generator, 0.05, 0.2),
-        "time_s": size(generator, 1.0, 5.0),
-    }
-
-
 EFFECT = Effect(
     parameters={
-        "moment_x": (1.0, "rad/s^2"),
-        "moment_y": (1.0, "rad/s^2"),
-        "moment_z": (1.0, "rad/s^2"),
-        "force_x": (0.1, "m/s^2"),
-        "force_y": (0.1, "m/s^2"),
-        "force_z": (0.1, "m/s^2"),
+        **dict.fromkeys(NAMES[:3], (1.0, "rad/s^2")),
+        **dict.fromkeys(NAMES[3:], (0.1, "m/s^2")),
         "time_s": (2.0, "s"),
     },
     apply=_apply,
     clear=zeroes("windy", "wind"),
     present=_present,
-    draw=_draw,
+    draw=each(
+        moment_x=(1.0, 5.0),
+        moment_y=(1.0, 5.0),
+        moment_z=(0.5, 2.0),
+        force_x=(0.1, 0.4),
+        force_y=(0.1, 0.4),
+        force_z=(0.05, 0.2),
+        time_s=(1.0, 5.0),
+    ),
     limits={**dict.fromkeys(NAMES, POSITIVE), "time_s": (0.05, math.inf)},
 )

@@ -67,30 +67,6 @@ def test_the_client_lists_every_parameter_and_log_variable_twice_in_a_row(flight
     assert logged == {name for name, *_ in VARIABLES}
 
 
-def test_every_gain_is_written_and_read_back(flight):
-    gains = [name for name, _ in PARAMETERS if name.startswith("pid_")]
-    before = {name: flight.craft.get_parameter(name) for name in gains}
-    with connected(flight) as crazyflie:
-        seen = {}
-        done = threading.Event()
-
-        def updated(name: str, value: str) -> None:
-            seen[name] = float(value)
-            if len(seen) == len(gains):
-                done.set()
-
-        for name in gains:
-            group, variable = name.split(".")
-            crazyflie.param.add_update_callback(group=group, name=variable, cb=updated)
-        for number, name in enumerate(gains):
-            crazyflie.param.set_value(name, 0.5 * number)
-        assert done.wait(10)
-    assert seen == {name: 0.5 * number for number, name in enumerate(gains)}
-    assert {name: flight.craft.get_parameter(name) for name in gains} == seen
-    for name, value in before.items():
-        flight.craft.set_parameter(name, value)
-
-
 def test_log_blocks_come_100_times_a_second_and_setpoints_fly_the_craft(flight):
     with connected(flight) as crazyflie:
         received: list[tuple[int, dict[str, float]]] = []

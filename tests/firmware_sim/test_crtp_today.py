@@ -63,21 +63,6 @@ def test_the_logging_example_of_the_library_reads_the_units_of_the_firmware(conn
     assert values["motor.m1"] == values["rpm.m1"] == 0
 
 
-def test_the_basic_logging_example_finds_all_of_its_variables(connected, craft):
-    log = LogConfig("Stabilizer", period_in_ms=10)
-    for name in ("x", "y", "z"):
-        log.add_variable(f"stateEstimate.{name}", "float")
-    for name in ("roll", "pitch", "yaw"):
-        log.add_variable(f"stabilizer.{name}", "float")
-    log.add_variable("pm.vbat", "FP16")
-    with SyncLogger(connected, log) as logger:
-        (stamp, values, _) = next(iter(logger))
-    said = craft.craft.logged(stamp)
-    assert (values["stateEstimate.x"], values["stateEstimate.y"]) == (0.0, 0.0)
-    assert values["stateEstimate.z"] == pytest.approx(said.height_m, abs=0.01)
-    assert values["pm.vbat"] == pytest.approx(said.battery_v, abs=0.01)
-
-
 def test_the_step_by_step_example_chooses_an_estimator_and_another(connected, craft):
     heard = []
     connected.wait_for_params()
@@ -88,20 +73,6 @@ def test_the_step_by_step_example_chooses_an_estimator_and_another(connected, cr
         connected.cf.param.set_value("stabilizer.estimator", number)
         craft.wait_for(lambda number=number: heard[-1:] == [number])
         assert craft.craft.get_parameter("stabilizer.estimator") == float(number)
-
-
-def test_the_parameter_example_of_the_library_sets_and_reads_back(connected, craft):
-    crazyflie = connected.cf
-    connected.wait_for_params()
-    name = "pid_attitude.yaw_kd"
-    before = crazyflie.param.get_value(name)
-    heard = []
-    crazyflie.param.add_update_callback("pid_attitude", "yaw_kd", lambda n, v: heard.append(v))
-    crazyflie.param.set_value(name, 0.2)
-    craft.wait_for(lambda: bool(heard))
-    assert float(heard[-1]) == pytest.approx(0.2)
-    assert craft.craft.get_parameter(name) == pytest.approx(0.2)
-    craft.craft.set_parameter(name, float(before))
 
 
 def test_the_library_is_told_protocol_and_device(connected, craft):
