@@ -43,11 +43,6 @@ took to join so that nothing joins and leaves in turn."""
 DISAGREE, APART_SHARE = 5.0, 0.4
 """Flights disagree on how much a rotor shakes where the size in one lies so many standard errors
 and this share of it away."""
-BELOW, BELOW_ANYWHERE = 0.05, 0.01
-"""An effect that explains less than this share of the structure that is left in the channels it
-touches, or in all of them, is not believed."""
-PREDICTED_SHARE = 0.1
-"""But it is where so much of the squared excess of predictions over noise goes with it."""
 
 
 class Stage(Enum):
@@ -61,8 +56,6 @@ class Stage(Enum):
     """Another effect has joined since."""
     STABLE = auto()
     """Nothing joins any more."""
-    LEFT = auto()
-    """What no effect explains has been looked at."""
     NAMED = auto()
     """The last one."""
 
@@ -72,9 +65,7 @@ class Trial:
     """A candidate on its way through the gates; each stage fills in what it found.
 
     fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
-    removal: what -2 log L gains when it leaves. slow:
-    channel -> structure that nothing explains, in -2 log L. predicted: share of the squared excess
-    of predictions over noise that goes with it. open_s: delay that the rows leave open.
+    removal: what -2 log L gains when it leaves. open_s: delay that the rows leave open.
     """
 
     variant: Variant
@@ -82,8 +73,6 @@ class Trial:
     gain: float = 0.0
     evidence: Evidence | None = None
     removal: float = np.inf
-    slow: Mapping[int, float] | None = None
-    predicted: float = 0.0
     open_s: float = 0.0
     scored: Scored | None = None
 
@@ -186,19 +175,6 @@ def superfluous(trial: Trial) -> str:
     return "superfluous once another effect had joined" if trial.removal < KEEP else ""
 
 
-def below_residual(trial: Trial) -> str:
-    """It is small beside a structure that nothing explains.
-
-    A pendulum under the craft, say, also looks a little like a lever arm: a name for a hundredth
-    of what is wrong is no explanation.
-    """
-    evidence, slow = _evidence(trial), trial.slow or {}
-    near = sum(slow.get(channel, 0.0) for channel in evidence.channels)
-    small = evidence.drop < max(BELOW * near, BELOW_ANYWHERE * sum(slow.values()))
-    small = small and trial.predicted < PREDICTED_SHARE
-    return "small beside a structure that nothing explains" if small else ""
-
-
 def negligible(trial: Trial) -> str:
     """It is surely there, and always is: too small to be called an effect."""
     assert trial.fit is not None
@@ -252,7 +228,6 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
-    ((Stage.LEFT,), Reason.BELOW_RESIDUAL, below_residual),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""

@@ -1,5 +1,5 @@
-"""Backward: what leaves the model again, because the others do as well without it, because chance
-can do it beside all that joined since, or because something without a name is larger."""
+"""Backward: what leaves the model again, because the others do as well without it, or because
+chance can do it beside all that joined since."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
 from groundstation.discrepancy.evidence import by_parts, separated
-from groundstation.discrepancy.findings import Leftover
 from groundstation.discrepancy.screening import removal_cost, sizes_at
-from groundstation.discrepancy.search_state import Accepted, SearchState
-from groundstation.discrepancy.whiteness import leftover
+from groundstation.discrepancy.search_state import SearchState
 
 
 def drop_needless(search: SearchState) -> bool:
@@ -53,31 +51,3 @@ def drop_insignificant(search: SearchState) -> bool:
     search.banned.add(worst.variant.label)
     search.drop(worst, why)
     return True
-
-
-def drop_below_residual(search: SearchState) -> Leftover:
-    """Judge the residual; what is small beside an unexplained structure loses its name.
-
-    It stays in the fit: a centre of gravity that sits elsewhere in each flight, left out, took
-    a third of the moment of velocity and a tenth of c1 with it on real flights.
-    """
-    left, slow = leftover(search.problem, search.now)
-    for one in list(search.accepted):
-        trial = Trial(one.variant, evidence=one.evidence, slow=slow)
-        why = refusal(Stage.LEFT, trial)
-        if why is not None and search.judge is not None:
-            trial.predicted = _predicted(search, one)
-            why = refusal(Stage.LEFT, trial)
-        if why is not None:
-            search.refused[one.variant.label] = why
-            search.accepted.remove(one)
-            search.beside.append(one.variant)
-    return left
-
-
-def _predicted(search: SearchState, one: Accepted) -> float:
-    """Share of the squared excess over noise that predictions lose with an effect."""
-    rest = [other for other in search.accepted if other is not one]
-    excess = search.judged(search.refit(rest, search.held).point).gap ** 2 - 1.0
-    left = search.judged(search.now.point).gap ** 2 - 1.0
-    return 1.0 - left / excess if excess > 0.0 else 0.0

@@ -232,7 +232,7 @@ def _searched(
     plain = search.judge = None if judged is None else Judge(judged, model_at)
     search_effects(search)
     if judged is not None:
-        slow = to_follow(judged.of(model_at(search.named_point(search.now.point))))
+        slow = to_follow(judged.of(model_at(search.now.point)))
         search.judge = plain = Judge(judged, model_at, slow)
     if plain is not None:
         search.raises_plainly = plain.raises_plainly

@@ -7,7 +7,6 @@ with which all channels together are, is taken back.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -24,11 +23,6 @@ again by so much. Noise in a gap of a minute is below 0.2 %."""
 CLEARLY = 1.0
 """Standard errors, from the spread of seconds, by which a gap has to fall for that: of a few
 seconds in slow air the gap is hardly known to a per cent."""
-IDLE, UNEXPLAINED = 0.2, 1.5
-"""A sensor's fault explains nothing where less than this share of the squared excess over noise
-goes with it in every channel that it touches, and these are left at so many times noise or more:
-then something else is wrong in them, of which it has taken the little that it can imitate."""
-
 
 Without = tuple[Predicted, Accepted | Group, Fit]
 """What predictions say of the joint fit without an effect or a changed constant, and that fit."""
@@ -76,48 +70,6 @@ def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Wit
     held = search.held.union(option) if isinstance(option, tuple) else search.held
     fit = search.refit(rest, held)
     return judge(fit.point), option, fit
-
-
-def drop_idle(search: SearchState, judge: Judge) -> bool:
-    """Take back, one by one, faults of sensors that explain next to nothing of channels of which
-    much is left; whether any was.
-
-    Only theirs: what a sensor adds is in its channel at any horizon, while what turns a craft at
-    once may be forgotten in 20 ms.
-    """
-    changed = False
-    while True:
-        now = judge(search.now.point)
-        trials: list[tuple[float, Accepted, Fit]] = []
-        for one in search.accepted:
-            channels = [c for c in one.evidence.channels if math.isfinite(now.gaps[c])]
-            clear = not channels or min(now.gaps[c] for c in channels) < UNEXPLAINED
-            if clear or one.variant.definition.stage != "sensor":
-                continue
-            search.progress("asking predictions of fitted samples", 0.95)
-            fit = search.refit(
-                [other for other in search.accepted if other is not one], search.held
-            )
-            left = judge(fit.point)
-            share = max(_share(now.gaps[c], left.gaps[c]) for c in channels)
-            if share < IDLE and not left.worse:
-                trials.append((share, one, fit))
-        if not trials:
-            return changed
-        share, out, search.now = min(trials, key=lambda trial: trial[0])
-        search.accepted.remove(out)
-        names = _named(out.evidence.channels)
-        search.refused[out.variant.label] = Refusal(
-            Reason.BELOW_RESIDUAL,
-            f"explains {100.0 * max(share, 0.0):.0f} % of what is wrong in predictions of {names};"
-            " something else is",
-        )
-        changed = True
-
-
-def _share(gap: float, without: float) -> float:
-    """Of the squared excess over noise, what goes with an effect."""
-    return 1.0 - (gap**2 - 1.0) / max(without**2 - 1.0, 1e-9)
 
 
 def lower(left: Predicted, now: Predicted) -> bool:

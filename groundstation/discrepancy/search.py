@@ -7,10 +7,9 @@ before, and each stage has its gates (``acceptance.py``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from groundstation.discrepancy.backward_step import (
-    drop_below_residual,
     drop_insignificant,
     drop_needless,
 )
@@ -71,7 +70,7 @@ def search_effects(search: SearchState) -> None:
         ):
             break
     search.now = search.problem.fit(search.now.point, search.now.keys)
-    search.residual = drop_below_residual(search)
+    search.residual = leftover(search.problem, search.now)
     settle_trim(search)
     hold_base(search)
     name_base_changes(search)
@@ -80,9 +79,15 @@ def search_effects(search: SearchState) -> None:
 def concluded(search: SearchState) -> Outcome:
     """What stays of a search where predictions are asked."""
     if confirm(search):
-        search.residual, _ = leftover(search.problem, search.now)
-    final = replace(search.now, point=search.named_point(search.now.point))
+        search.residual = leftover(search.problem, search.now)
     return Outcome(
-        *(final, search.errors, search.accepted, search.residual, search.refused, search.held_out),
-        *(search.first, search.scores, search.last),
+        final=search.now,
+        errors=search.errors,
+        accepted=search.accepted,
+        residual=search.residual,
+        refused=search.refused,
+        held_out=search.held_out,
+        first=search.first,
+        scores=search.scores,
+        last=search.last,
     )

@@ -65,8 +65,6 @@ class SearchState:
         self.refused: dict[str, Refusal] = {}
         self.held_out: dict[str, float] = {}
         self.banned: set[str] = set()
-        self.beside: list[Variant] = []
-        """Fitted along, not named: too small to be believed, but left out they bend the others."""
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
         self._away: tuple[Fit, Linear] | None = None
@@ -108,8 +106,7 @@ class SearchState:
         """The joint fit of some effects, with the constants ``held`` as they were given."""
         # Without what explains a trim, none is too large: a constant would make room for it.
         self.problem.trim = self.trims.get(names_of(accepted), self.trim)
-        fitted = (*(one.variant for one in accepted), *self.beside)
-        keys = (*self.base_keys, *(key for variant in fitted for key in variant.keys))
+        keys = (*self.base_keys, *(key for one in accepted for key in one.variant.keys))
         start = self.problem.start
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
         point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
@@ -125,17 +122,6 @@ class SearchState:
         """The final constants, with only some of the effects."""
         keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
         return {k: number for k, number in self.now.point.items() if k in keys} | self.fixed
-
-    def named_point(self, point: Point) -> Point:
-        """A point without what is fitted along, but not named."""
-        for variant in self.beside:
-            point = without(point, variant)
-        return point
-
-    def judged(self, point: Point) -> Predicted:
-        """Predictions of fitted samples with what is named at a point."""
-        assert self.judge is not None
-        return self.judge(self.named_point(point))
 
 
 def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
-from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
+from groundstation.discrepancy.prediction_gate import answer_to_predictions
 from groundstation.discrepancy.search_state import Accepted, SearchState, names_of
 from groundstation.identification.likelihood.parameters import Variant
 from groundstation.identification.likelihood.problem import Fit
@@ -71,8 +71,7 @@ def confirm(search: SearchState) -> bool:
     """Ask predictions; whether anything left."""
     if search.judge is None:
         return False
-    changed = answer_to_predictions(search, search.judged)
-    return drop_idle(search, search.judged) or changed
+    return answer_to_predictions(search, search.judge)
 
 
 def _renamed(

@@ -38,10 +38,6 @@ BASELINE_SHARE, BASELINE_HZ = 0.35, 4.0
 """The smooth spectrum is a running median over this share of the frequency, or this far."""
 EXCESS, FAR = 1.7, 5.8
 """Rises count from this ratio and this many standard deviations: 1 in 10^8 each."""
-SLOW_HZ = (0.5, 6.0)
-"""Below, velocity is not known well enough to explain what it does; above, there is vibration,
-which hides no effect."""
-
 
 VELOCITY_DOUBT, LEANING_DOUBT, HEIGHT_DOUBT = 0.015, 0.1, 0.15
 """Shares of the power of what goes with velocity or height that reckoning them costs, beside what
@@ -59,9 +55,8 @@ class Signal:
     drop: float
 
 
-def leftover(problem: Problem, fit: Fit) -> tuple[Leftover, dict[int, float]]:
-    """Judge what a fit leaves; also how much slow structure each channel has beyond coloured noise,
-    in -2 log L."""
+def leftover(problem: Problem, fit: Fit) -> Leftover:
+    """Judge what a fit leaves."""
     signals = [s for s in scan(problem, fit) if s.drop > SCAN_DROP]
     known = problem.frame.unknowns
     sizes = [key for key in fit.keys if key in known and known[key].parameter.kind == "size"]
@@ -69,7 +64,7 @@ def leftover(problem: Problem, fit: Fit) -> tuple[Leftover, dict[int, float]]:
     linear = problem.linear(fit.point, reckoned, problem.flights)
     peaks = rises(linear, [excused(s, linear, problem.frame) for s in linear.spectra])
     if not signals and not peaks:
-        return Leftover("white"), {}
+        return Leftover("white")
     by_channel: dict[int, float] = {}
     for signal in signals:
         by_channel[signal.channel] = max(by_channel.get(signal.channel, 0.0), signal.drop)
@@ -89,18 +84,13 @@ def leftover(problem: Problem, fit: Fit) -> tuple[Leftover, dict[int, float]]:
         words = words or "the rotors' speed, folded at the sample rate: a propeller out of balance"
     elif mine and not words:
         words = "an oscillation that no recorded signal goes with"
-    found = Leftover(
+    return Leftover(
         "structured",
         CHANNELS[worst],
         tuple(round(hz, 2) for hz in _apart([p[1] for p in mine])[:5]),
         words,
         max((p[2] for p in mine), default=1.0),
     )
-    slow: dict[int, float] = {}
-    for channel, hz, ratio, freedom in peaks:
-        if SLOW_HZ[0] < hz < SLOW_HZ[1]:
-            slow[channel] = slow.get(channel, 0.0) + freedom * (ratio - 1.0)
-    return found, slow
 
 
 def scan(problem: Problem, fit: Fit) -> list[Signal]:

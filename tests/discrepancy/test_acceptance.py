@@ -102,13 +102,6 @@ def test_flights_that_differ_by_more_than_noise_widen_what_is_stated_of_a_size()
         assert stated == pytest.approx({key: error, "c0": 1e-5}, rel=0.01)
 
 
-def test_a_name_for_a_hundredth_of_what_is_wrong_is_no_explanation():
-    assert said(Stage.LEFT, evidence=evidence(), slow={GYRO_Z: 30000.0}) is Reason.BELOW_RESIDUAL
-    assert said(Stage.LEFT, evidence=evidence(), slow={}) is None
-    # ... unless predictions say that it is much of what is wrong
-    assert said(Stage.LEFT, evidence=evidence(), slow={GYRO_Z: 30000.0}, predicted=0.5) is None
-
-
 def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():
     small, large = (dict.fromkeys(VARIANT["gyro_bias"].keys, size) for size in (0.05, 0.2))
     for point, reason in ((small, Reason.NEGLIGIBLE), (large, None)):

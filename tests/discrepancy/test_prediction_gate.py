@@ -8,7 +8,7 @@ import pytest
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.findings import Predicted, Reason
-from groundstation.discrepancy.prediction_gate import answer_to_predictions, drop_idle
+from groundstation.discrepancy.prediction_gate import answer_to_predictions
 
 
 @dataclass
@@ -25,10 +25,6 @@ class Effect:
     @property
     def evidence(self):
         return self
-
-    @property
-    def definition(self):
-        return SimpleNamespace(stage="sensor" if self.label == "bias" else "body")
 
 
 @dataclass
@@ -139,51 +135,3 @@ def test_where_nothing_helps_the_given_model_is_what_remains(hunt):
     assert hunt.now.point == set()
     assert not hunt.accepted
     assert hunt.held == {"c0", "c2"}
-
-
-def left_at(gaps):
-    """A judge: each channel's gap by the set of effects that are there."""
-
-    def judge(point):
-        names = frozenset(point) - {"c0", "c2"}
-        found = [1.0] * 9
-        for channel, by_names in gaps.items():
-            found[channel] = by_names[names]
-        return Predicted(max(found), {}, tuple(found))
-
-    return judge
-
-
-NONE, DRAG, BIAS, BOTH = (frozenset(n) for n in ((), ("drag",), ("bias",), ("drag", "bias")))
-
-
-def test_an_effect_that_leaves_its_channels_as_wrong_as_they_were_is_taken_back(hunt):
-    judge = left_at(
-        {
-            3: {NONE: 9.0, DRAG: 4.0, BIAS: 8.9, BOTH: 3.9},
-            4: {NONE: 5.0, DRAG: 5.0, BIAS: 4.8, BOTH: 4.8},
-        }
-    )
-    assert drop_idle(hunt, judge)
-    assert [one.label for one in hunt.accepted] == ["drag"]
-    assert hunt.refused["bias"].reason is Reason.BELOW_RESIDUAL
-    assert "explains 8 % of what is wrong in predictions of accelerometer_x, accelerometer_y" in (
-        hunt.refused["bias"].words
-    )
-
-
-def test_a_small_effect_stays_where_nothing_else_is_wrong(hunt):
-    judge = left_at(
-        {
-            3: {NONE: 1.3, DRAG: 1.05, BIAS: 1.25, BOTH: 1.0},
-            4: {NONE: 1.02, DRAG: 1.02, BIAS: 1.01, BOTH: 1.01},
-        }
-    )
-    assert not drop_idle(hunt, judge)
-    assert [one.label for one in hunt.accepted] == ["drag", "bias"]
-
-
-def test_a_torque_that_predictions_forget_is_no_fault_of_a_sensor(hunt):
-    same = dict.fromkeys((NONE, DRAG, BIAS, BOTH), 4.0)
-    assert drop_idle(hunt, left_at({3: same, 4: same}))
-    assert [one.label for one in hunt.accepted] == ["drag"]
