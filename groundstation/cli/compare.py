@@ -81,7 +81,7 @@ def compare(
             show(line, error=True)
         names = [one.name for one in read if one.runs]
         report = CompareReport(
-            *(found.places, gap_of(found), names, model),
+            *(found.places, gap_of(found, (found.further(), None)), names, model),
             [stretch_report(one, found) for one in asked],
             turning,
         )

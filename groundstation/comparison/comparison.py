@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.comparison.consistency import require_consistent
-from groundstation.comparison.gap import AheadErrors, ahead_errors, overall, pooled_rms
+from groundstation.comparison.gap import (
+    FURTHER_EVERY_S,
+    FURTHER_S,
+    HORIZONS_S,
+    AheadErrors,
+    ahead_errors,
+    overall,
+    pooled_rms,
+)
 from groundstation.comparison.localisation import Place, where
 from groundstation.comparison.noise_floor import BlackBox, Floor, floor_errors, learn, prepare
 from groundstation.comparison.refusals import (
@@ -36,7 +44,7 @@ class Comparison(Result):
 
     errors, floors: one of each per run. black_box: what the floors come from. turning: what of the
     model turns the craft. warnings: recordings whose predictions are not driven by their PWM, and
-    why.
+    why. horizons_s: how far ahead.
     """
 
     model: Model
@@ -45,6 +53,7 @@ class Comparison(Result):
     black_box: BlackBox
     turning: Turning = "body"
     warnings: Mapping[str, str] = field(default_factory=dict)
+    horizons_s: tuple[float, ...] = HORIZONS_S
     SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:comparison"
 
     def _what(self) -> str:
@@ -53,7 +62,7 @@ class Comparison(Result):
 
     @cached_property
     def rms(self) -> Array:
-        """Of the errors 20 and 50 ms ahead, (9,), SI."""
+        """Of the errors at all horizons, (9,), SI."""
         return pooled_rms([error for one in self.errors for error in one.horizons])
 
     @cached_property
@@ -76,7 +85,7 @@ class Comparison(Result):
         return where(self.errors, self.floors)
 
     def at_horizon(self, number: int) -> tuple[Array, Array]:
-        """(error, noise floor), (9,) each, SI, at one of ``HORIZONS_S``."""
+        """(error, noise floor), (9,) each, SI, at one of ``horizons_s``."""
         error = pooled_rms([one.horizons[number] for one in self.errors])
         return error, pooled_rms([one.horizons[number] for one in self.floors])
 
@@ -91,10 +100,20 @@ class Comparison(Result):
                 noise=one.noise,
                 turning=self.turning,
                 every_s=every_s,
+                horizons_s=self.horizons_s,
             )
             for one in self.errors
         )
         return replace(self, model=model, errors=errors)
+
+    def further(self, black_box: BlackBox | None = None) -> Comparison:
+        """The same model on the same rows 200 and 500 ms ahead, beside the noise floor there.
+
+        black_box: learnt that far ahead on other runs; None: learnt on these.
+        """
+        far = replace(self, horizons_s=FURTHER_S).with_model(self.model, FURTHER_EVERY_S)
+        floors, learnt = _floors(far.errors, self.model, black_box)
+        return replace(far, floors=floors, black_box=learnt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +156,14 @@ def compare(
     )
     require_flight(errors)
     require_predictions(errors)
+    floors, learnt = _floors(errors, model, black_box)
+    return Comparison(model, errors, floors, learnt, turning, warnings)
+
+
+def _floors(
+    errors: Sequence[AheadErrors], model: Model, black_box: BlackBox | None
+) -> tuple[tuple[Floor, ...], BlackBox]:
     configuration = model_vehicle(model).configuration
     prepared = [prepare(one, configuration) for one in errors]
     learnt = black_box if black_box is not None else learn(prepared)
-    floors = tuple(floor_errors(learnt, one) for one in prepared)
-    return Comparison(model, errors, floors, learnt, turning, warnings)
+    return tuple(floor_errors(learnt, one) for one in prepared), learnt

@@ -33,6 +33,10 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 Array = NDArray[np.float64]
 
 HORIZONS_S = (0.02, 0.05)
+FURTHER_S = (0.2, 0.5)
+"""Where an observer that follows what is slow helps little and physics shows."""
+FURTHER_EVERY_S = 0.02
+"""Rows from which predictions that far start: neighbours share nearly all of what they fly over."""
 GYRO, ACCELEROMETER, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
 UNITS = {
     **dict.fromkeys(CHANNELS[GYRO], "deg/s"),
@@ -50,7 +54,7 @@ class AheadErrors:
 
     recorded: the run as it is, run: lost rows filled in. noise: its own. step: at the shortest
     horizon, ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows.
-    horizons: one for each of ``HORIZONS_S``, which are ``rows`` (9,) each. NaN where the first or
+    horizons: one for each that was asked for, which are ``rows`` (9,) each. NaN where the first or
     last row is outside flight or was not measured afresh.
     """
 
@@ -73,8 +77,9 @@ def ahead_errors(
     noise: Noise | None = None,
     turning: Turning = "body",
     every_s: float = 0.0,
+    horizons_s: Sequence[float] = HORIZONS_S,
 ) -> AheadErrors:
-    """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon, 20 and 50 ms.
+    """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon and ``horizons_s``.
 
     rows_judged: only these; the rows before tell the state. motion: that of another model on the
     same run, so that the same rows are judged; None: of this one. noise: of the run's sensors
@@ -94,7 +99,7 @@ def ahead_errors(
     known = np.isfinite(_measured(run)) & moved.flown[:, None]
     known[:, ATTITUDE] &= fresh[:, None]
     step_rows = np.array([1] * 6 + [rhythm] * 3)
-    horizons = [max(round(horizon / run.period_s), rhythm) for horizon in HORIZONS_S]
+    horizons = [max(round(horizon / run.period_s), rhythm) for horizon in horizons_s]
     rows = tuple(np.array([count] * 6 + [count - count % rhythm] * 3) for count in horizons)
     # The model flies on every input; what was not measured afresh must not look measured.
     shown = np.where(fresh[:, None], run.attitude, np.nan)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import AheadErrors
+from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.findings import Findings, Predicted
 from groundstation.dynamics.model import Disturbance, Model
 from groundstation.gaps import filled
@@ -67,7 +67,8 @@ class Explained(msgspec.Struct, frozen=True):
 class Proof:
     """The given and the improved model, on the samples they were fitted to and on others.
 
-    before, after: without a disturbance; followed: (given, improved) each with its own. steps:
+    before, after: without a disturbance; followed: (given, improved) each with its own; further:
+    both without it, 200 and 500 ms ahead. steps:
     (what changed, the gap on proof samples with it): the given model, the constants that moved, if
     any did, then each effect in order. explained: None where the given model leaves no more than
     noise.
@@ -78,6 +79,7 @@ class Proof:
     before: Comparison
     after: Comparison
     followed: tuple[Comparison, Comparison]
+    further: tuple[Comparison, Comparison]
     steps: tuple[tuple[str, float], ...]
     explained: Explained | None
 
@@ -183,8 +185,10 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     ]
     followed = rows.of(findings.given), rows.of(findings.model)
     ends = before.gap, first, after.beside(before), followed[1].beside(before)
+    far = before.further(train.before.further().black_box)
+    further = far, far.with_model(plain, FURTHER_EVERY_S)
     proof = Proof(
-        *(train.before, train.of(plain), before, after, followed, tuple(steps)),
+        *(train.before, train.of(plain), before, after, followed, further, tuple(steps)),
         _explained(*ends),
     )
     return replace(findings, effects=tuple(weighed)), proof

@@ -73,6 +73,7 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
         page.figure(time_map(found, number), "The same second by second.")
     page.heading("By horizon")
     page.figure(by_horizon(found), "The further ahead, the more a wrong torque adds up.")
+    _further(page, report.gap)
     _closer(page, found, None, worst)
     page.heading("How it is measured")
     page.text(FLOOR_TEXT)
@@ -99,6 +100,7 @@ def discrepancy_page(proof: Proof, report: DiscrepancyReport) -> Page:
     )
     _channels(page, report.gap)
     page.figure(by_horizon(proof.before, proof.after), "Each channel, before and after.")
+    _further(page, report.gap)
     if report.left:
         with page.more("What is left, channel by channel"):
             page.bullets(one.words for one in report.left)
@@ -188,6 +190,19 @@ def _effects(page: Page, report: DiscrepancyReport) -> None:
                 f"{title_of(effect.name)} could also be {title_of(other.name)}"
                 f" (margin {other.margin:.1f}); to tell them apart fly {other.manoeuvre}."
             )
+
+
+def _further(page: Page, gap: Gap) -> None:
+    """Where an observer that follows what is slow helps little."""
+    page.text(
+        "Further ahead, where physics shows: "
+        + ", ".join(
+            f"{far.removesuffix('ms')} ms {one.before:.2f}"
+            + ("" if one.after is None else f" → {one.after:.2f}")
+            for far, one in gap.further.items()
+        )
+        + " times noise over all channels."
+    )
 
 
 def _channels(page: Page, gap: Gap) -> None:

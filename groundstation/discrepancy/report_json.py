@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
+from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS, overall
 from groundstation.comparison.localisation import Place
 from groundstation.comparison.noise_floor import SOURCE
 from groundstation.comparison.stretches import Marked, within
@@ -62,13 +62,15 @@ class ChannelGap(msgspec.Struct, frozen=True):
 
 
 class Gap(msgspec.Struct, frozen=True):
-    """How far the models are from the recordings; ``channels`` are those of ``validation``."""
+    """How far the models are from the recordings; ``channels`` are those of ``validation``.
+    further: the same of ``200ms`` and ``500ms`` ahead, over the noise floor there."""
 
     unit: str
     floor_source: str
     validation: Proven
     train: Level | None
     channels: dict[str, ChannelGap]
+    further: dict[str, Level]
 
 
 class Step(msgspec.Struct, frozen=True):
@@ -206,12 +208,13 @@ def stretch_report(
 
 def gap_of(
     before: Comparison,
+    further: tuple[Comparison, Comparison | None],
     after: Comparison | None = None,
     train: tuple[Comparison, Comparison] | None = None,
     followed: tuple[Comparison, Comparison] | None = None,
 ) -> Gap:
     """The ``gap`` part: before and after on proof samples, the same with the disturbance
-    ``followed``, and on the samples that were fitted."""
+    ``followed``, ``further`` ahead, and on the samples that were fitted."""
     channels = {}
     for number, name in enumerate(CHANNELS):
         floor, error = before.noise_floor[number], before.rms[number]
@@ -244,7 +247,17 @@ def gap_of(
         ),
         None if train is None else level(*train),
         channels,
+        {
+            f"{horizon * 1e3:.0f}ms": _gap_at(*further, number)
+            for number, horizon in enumerate(further[0].horizons_s)
+        },
     )
+
+
+def _gap_at(before: Comparison, after: Comparison | None, number: int) -> Level:
+    error, floor = before.at_horizon(number)
+    later = None if after is None else overall(after.at_horizon(number)[0], floor)
+    return Level(overall(error, floor), later, 1.0)
 
 
 def level(before: Comparison, after: Comparison | None) -> Level:
@@ -271,7 +284,10 @@ def discrepancy_report(
     """The whole report on a search. validation: files, or how rows were held out."""
     findings, proof = found.findings, found.proof
     left = findings.residual
-    gap = gap_of(proof.before, proof.after, (proof.train_before, proof.train_after), proof.followed)
+    gap = gap_of(
+        *(proof.before, proof.further, proof.after),
+        *((proof.train_before, proof.train_after), proof.followed),
+    )
     return DiscrepancyReport(
         verdict=findings.verdict.value,
         explained=proof.explained,

@@ -11,7 +11,7 @@ from groundstation.comparison.gap import (
     pooled_rms,
 )
 from groundstation.prediction.attitude_rhythm import fresh_rows
-from support.flights import BASE, judged
+from support.flights import BASE, MEDIUM, hidden, judged
 from support.flights import compared as flights
 
 
@@ -78,3 +78,11 @@ def test_predictions_that_grow_without_end_are_no_small_gap():
 def test_rms_is_pooled_over_rows_not_over_runs():
     long, short = np.full((30, 9), 1.0), np.full((10, 9), 3.0)
     assert pooled_rms([long, short])[0] == pytest.approx(np.sqrt((30 + 90) / 40))
+
+
+def test_200_and_500_ms_ahead_a_right_model_is_at_noise_and_a_wrong_one_shows_more():
+    right, wrong = judged(), judged(effects=hidden("velocity_moment", MEDIUM["velocity_moment"]))
+    near, far = (overall(*right.further().at_horizon(number)) for number in (0, 1))
+    assert (near, far) == pytest.approx((1.0, 1.0), abs=0.1)
+    ahead = wrong.further()
+    assert wrong.gap < overall(*ahead.at_horizon(0)) < overall(*ahead.at_horizon(1))

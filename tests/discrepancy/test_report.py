@@ -60,7 +60,7 @@ def test_each_effect_carries_the_gap_before_and_after_it_joined(found, proven):
 def test_a_channel_that_was_not_recorded_is_absent_from_the_report():
     runs = [replace(run, attitude=np.full((len(run), 3), np.nan)) for run in flights(1)]
     judged = compare(runs, BASE)
-    gap = gap_of(judged)
+    gap = gap_of(judged, (judged.further(), None))
     assert set(gap.channels) == set(CHANNELS[:6])
     text = msgspec.json.encode(CompareReport(judged.places, gap, ["a"], "m"))
     assert msgspec.json.decode(text, type=CompareReport).gap == gap
@@ -105,7 +105,7 @@ def test_a_channel_that_got_worse_is_a_warning(found, proven):
 def test_a_model_as_good_as_noise_is_told_so():
     (run,) = flights(1)
     good = compare([run], BASE)
-    made = CompareReport(good.places, gap_of(good), ["a.mcap"], "base.json")
+    made = CompareReport(good.places, gap_of(good, (good.further(), None)), ["a.mcap"], "base.json")
     told = replace(good, warnings={"flight": "flight: driven by its measured speeds"})
     page = compare_page(told, made).html()
     assert "driven by its measured speeds" in page

@@ -1,5 +1,8 @@
 """Findings of a search that never ran, beside real comparisons: for tests of reports."""
 
+import functools
+
+from groundstation.comparison.gap import FURTHER_EVERY_S
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import (
     Alternative,
@@ -55,14 +58,28 @@ def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
     )
 
 
-def proof(found):
-    """The given model and the found one on a flight with the effect."""
+@functools.cache
+def _given():
+    """The given model on a flight with the effect, near and further ahead."""
     before = judged(effects=hidden(NAME, MEDIUM[NAME]))
-    after = before.with_model(found.model)
+    return before, before.further()
+
+
+def _with(model):
+    """The same of another model."""
+    before, far = _given()
+    return before.with_model(model), far.with_model(model, FURTHER_EVERY_S)
+
+
+def proof(found):
+    """What predictions say of these findings."""
+    before, far = _given()
+    after, ahead = _with(found.model) if found.effects else _given()
     steps = [("given model", before.gap)]
     steps += [(one.name, after.beside(before)) for one in found.effects]
     explained = Explained(0.9, 0.0, 0.06, 0.04) if found.effects else None
-    return Proof(before, after, before, after, (before, after), tuple(steps), explained)
+    pair = before, after
+    return Proof(*pair, *pair, pair, (far, ahead), tuple(steps), explained)
 
 
 def report(found, proven):
