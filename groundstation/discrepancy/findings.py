@@ -50,8 +50,6 @@ class Reason(StrEnum):
     """It joined, and is not needed since others have."""
     RECORDINGS_DISAGREE = "recordings_disagree"
     """Recordings tell different sizes."""
-    BELOW_RESIDUAL = "below_residual"
-    """It is small beside a structure that nothing explains."""
     PREDICTS_WORSE = "predicts_worse"
     """With it a channel is predicted worse, 20 and 50 ms ahead, than without."""
     NEGLIGIBLE = "negligible"
