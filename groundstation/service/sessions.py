@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError
@@ -17,6 +17,10 @@ from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus
 from groundstation.recording.recording_file import session_metadata
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
+from groundstation.telemetry.statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
 
 OUR_NAME = re.compile(r"\d{4}-\d\d-\d\dT\d\d-\d\d-\d\d-\d{3}Z_[a-z-]+\.mcap")
 """What ``Sessions`` calls its files: they sort by time, also where the clock was set back."""
@@ -143,17 +147,17 @@ class Sessions:
         if recorder := self._recorder:
             recorder.samples(batch)
 
-    def table(self, rows: LogTable) -> None:
-        if recorder := self._recorder:
-            recorder.table(rows)
-
-    def event(self, event: LinkEvent) -> None:
-        if recorder := self._recorder:
-            recorder.event(asdict(event))
-
-    def statistics(self, entry: dict[str, Any]) -> None:
-        if recorder := self._recorder:
-            recorder.statistics(entry)
+    def note(self, note: LinkEvent | LinkStatistics | LogTable | Shown) -> None:
+        recorder = self._recorder
+        if recorder is None:
+            return
+        match note:
+            case LinkEvent():
+                recorder.event(asdict(note))
+            case LinkStatistics():
+                recorder.statistics(note.as_dict())
+            case LogTable():
+                recorder.table(note)
 
     def command(self, entry: dict[str, Any]) -> None:
         if recorder := self._recorder:

@@ -23,6 +23,7 @@ from groundstation.service.config import (
     require_sense,
     socket_path,
 )
+from groundstation.service.consumers import Consumer
 from groundstation.service.craft_links import CraftLinks, command_link, telemetry_link
 from groundstation.service.devices import DeviceList
 from groundstation.service.health import Health
@@ -74,7 +75,7 @@ class Station:
             config.link.name,
             self.journal,
             clock,
-            on_table=self._take_table,
+            on_table=self._note,
             port=config.command,
         )
         self.commander = self._commanding(link)
@@ -122,12 +123,12 @@ class Station:
             config.twin.model,
             tell=self.journal.take,
             note=self._noting(SOURCE),
-            show=self._show_twin,
+            show=self._note,
         )
         self.supervisor = Supervisor(lambda text, name: self.journal.fault(text, source=name))
         self.health = Health(self._noting("daemon"))
-        listening = self.sessions.event, self.viewer.show_event, self.stream.event
-        self.journal.listeners.extend(listening)
+        self._consumers: tuple[Consumer, ...] = (self.twin, self.sessions, self.viewer, self.stream)
+        self.journal.listeners.append(self._note)
         self._recording_ended = False  # with a replay, not by an operator
         self._stopping = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -275,11 +276,6 @@ class Station:
     def _take_raw(self, batch: RawBatch) -> None:
         self.sessions.raw(batch)
 
-    def _take_table(self, rows: LogTable) -> None:
-        self.sessions.table(rows)
-        self.viewer.show_table(rows)
-        self.stream.table(rows)
-
     def _take_command(self, entry: dict[str, Any]) -> None:
         self._in_the_loop(lambda: self.sessions.command(entry))
 
@@ -298,19 +294,17 @@ class Station:
         stopping.cancel()
 
     def _split(self) -> None:
-        self.sessions.split()
-        self.twin.split()
+        for consumer in self._consumers:
+            consumer.split()
 
-    def _show_twin(self, shown: Shown) -> None:
-        self.viewer.show_twin(shown)
-        self.stream.twin(shown)
+    def _note(self, note: LinkEvent | LinkStatistics | LogTable | Shown) -> None:
+        for consumer in self._consumers:
+            consumer.note(note)
 
     def _take_samples(self, samples: SampleBatch) -> None:
         self.newest.samples(samples)
-        self.twin.samples(samples)
-        self.sessions.samples(samples)
-        self.viewer.show_samples(samples)
-        self.stream.samples(samples)
+        for consumer in self._consumers:
+            consumer.samples(samples)
 
     async def _close_windows(self) -> None:
         """Once a second, also while nothing comes."""
@@ -321,10 +315,7 @@ class Station:
     def _close_window(self) -> None:
         statistics = self.receiver.close_window(self.statistics)
         self.statistics = statistics
-        entry = statistics.as_dict()
-        self.sessions.statistics(entry)
-        self.stream.statistics(entry)
-        self.viewer.show_statistics(statistics.gauges(), statistics.time_ns)
+        self._note(statistics)
 
 
 def _recorded_configuration(config: Config) -> dict[str, str]:

@@ -19,6 +19,7 @@ from groundstation.links.event import LinkEvent
 from groundstation.recording.mcap_schemas import SAMPLE_FIELDS
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.statistics import LinkStatistics
 
 if TYPE_CHECKING:
     from groundstation.twin.twin import Shown
@@ -135,39 +136,39 @@ class Stream:
         for subscriber in self._subscribers:
             subscriber.put_samples(batch)
 
-    def table(self, rows: LogTable) -> None:
-        """Log variables of a craft, at moments of their own."""
-        entry = {
-            "name": rows.name,
-            "at_s": time.monotonic(),
-            "time_s": np.round(rows.time_s, 4).tolist(),
-            "columns": {
-                name: [None if np.isnan(one) else round(float(one), 6) for one in values]
-                for name, values in rows.columns.items()
-            },
-        }
+    def note(self, note: LinkEvent | LinkStatistics | LogTable | Shown) -> None:
+        kind, entry = _entry(note)
         for subscriber in self._subscribers:
-            subscriber.put_note("table", entry)
+            subscriber.put_note(kind, entry)
 
-    def event(self, event: LinkEvent) -> None:
-        for subscriber in self._subscribers:
-            subscriber.put_note("event", asdict(event))
+    def split(self) -> None:
+        """Each batch says which segment it is of."""
 
-    def twin(self, shown: Shown) -> None:
-        """The gap of half a second of flight."""
-        gap = [None if np.isnan(each) else round(float(each), 3) for each in shown.gap]
-        entry = {
-            "segment": shown.segment,
-            "begin_s": float(shown.time_s[0]),
-            "end_s": float(shown.time_s[-1]),
-            "gap": dict(zip(CHANNELS, gap, strict=True)),
-        }
-        for subscriber in self._subscribers:
-            subscriber.put_note("twin", entry)
 
-    def statistics(self, entry: dict[str, Any]) -> None:
-        for subscriber in self._subscribers:
-            subscriber.put_note("statistics", entry)
+def _entry(note: LinkEvent | LinkStatistics | LogTable | Shown) -> tuple[str, dict[str, Any]]:
+    """How the stream calls a note, and what it says of it."""
+    match note:
+        case LinkEvent():
+            return "event", asdict(note)
+        case LinkStatistics():
+            return "statistics", note.as_dict()
+        case LogTable():
+            return "table", {
+                "name": note.name,
+                "at_s": time.monotonic(),
+                "time_s": np.round(note.time_s, 4).tolist(),
+                "columns": {
+                    name: [None if np.isnan(one) else round(float(one), 6) for one in values]
+                    for name, values in note.columns.items()
+                },
+            }
+    gap = [None if np.isnan(each) else round(float(each), 3) for each in note.gap]
+    return "twin", {
+        "segment": note.segment,
+        "begin_s": float(note.time_s[0]),
+        "end_s": float(note.time_s[-1]),
+        "gap": dict(zip(CHANNELS, gap, strict=True)),
+    }
 
 
 def thinned(batch: SampleBatch, rows_hz: float) -> SampleBatch:

@@ -98,6 +98,9 @@ class TwinService:
             self.dropped += len(oldest)
         self._something.set()
 
+    def note(self, note: object) -> None:
+        """Samples are all that it looks at."""
+
     @property
     def fullness(self) -> float:
         """How full the queue is, 0..1."""

@@ -28,6 +28,7 @@ from groundstation.links.event import LinkEvent
 from groundstation.rerun_log.installed import require_rerun
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.statistics import LinkStatistics
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
     MAX_ROWS,
@@ -136,36 +137,19 @@ class Viewer:
         self._state = "starting"
         self._task = asyncio.create_task(self._supervise(), name="viewer")
 
-    def show_samples(self, batch: SampleBatch) -> None:
+    def samples(self, batch: SampleBatch) -> None:
         """Queue samples for the next message; never blocks."""
         if self._task is not None:
             self._outbox.put_samples(batch)
 
-    def show_event(self, event: LinkEvent) -> None:
-        """Add a line to the event log; never blocks."""
+    def note(self, note: LinkEvent | LinkStatistics | LogTable | Shown) -> None:
+        """A line of the event log, statistics and a craft's own log as plots, the twin's
+        predictions beside what was measured; never blocks."""
         if self._task is not None:
-            self._outbox.put_note(EventMessage(asdict(event)))
+            self._outbox.put_note(_message(note))
 
-    def show_twin(self, shown: Shown) -> None:
-        """Plot predictions beside what was measured, and the gap; never blocks."""
-        if self._task is not None:
-            note = TwinMessage.of(
-                shown.segment, shown.time_s, shown.measured, shown.predicted, shown.gap
-            )
-            self._outbox.put_note(note)
-
-    def show_table(self, rows: LogTable) -> None:
-        """Plot what a craft logs besides its telemetry; never blocks."""
-        if self._task is not None:
-            self._outbox.put_note(TableMessage.of(rows))
-
-    def show_statistics(self, values: dict[str, float], time_ns: int) -> None:
-        """Plot link statistics valid at Unix time ``time_ns``; never blocks.
-
-        ``channels.STATISTICS`` names those that can be plotted.
-        """
-        if self._task is not None:
-            self._outbox.put_note(StatisticsMessage({"time_ns": time_ns, **values}))
+    def split(self) -> None:
+        """Each batch says which segment it is of."""
 
     def status(self) -> dict[str, Any]:
         """state: off, starting, serving, restarting or failed (still retried, but look at it)."""
@@ -439,3 +423,16 @@ async def _until(condition: Callable[[], bool], timeout_s: float) -> None:
     deadline = asyncio.get_running_loop().time() + timeout_s
     while not condition() and asyncio.get_running_loop().time() < deadline:
         await asyncio.sleep(0.01)
+
+
+def _message(
+    note: LinkEvent | LinkStatistics | LogTable | Shown,
+) -> EventMessage | StatisticsMessage | TableMessage | TwinMessage:
+    match note:
+        case LinkEvent():
+            return EventMessage(asdict(note))
+        case LinkStatistics():
+            return StatisticsMessage({"time_ns": note.time_ns, **note.gauges()})
+        case LogTable():
+            return TableMessage.of(note)
+    return TwinMessage.of(note.segment, note.time_s, note.measured, note.predicted, note.gap)

@@ -7,6 +7,8 @@ from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.sessions import Sessions
+from groundstation.telemetry.decoder import Decoder
+from groundstation.telemetry.statistics import LinkMeter
 from support.packets import COPIES, assert_same_samples, flight
 
 METADATA = {"vehicle": {"profile": "crazyflie1"}, "configuration": {"speed": "1.0"}}
@@ -45,8 +47,9 @@ def test_everything_goes_into_the_file_of_the_moment(sessions):
     path = sessions.start("stand-in")
     sessions.raw(raw)
     sessions.samples(samples)
-    sessions.event(LinkEvent(5, "stand-in", "silent", "nothing", {"for_s": 2}))
-    sessions.statistics({"time_ns": 6, "lost": 0})
+    sessions.note(LinkEvent(5, "stand-in", "silent", "nothing", {"for_s": 2}))
+    statistics = LinkMeter(0).close_window(6, Decoder().counts())
+    sessions.note(statistics)
     sessions.command({"time_ns": 7, "thrust": 1})
     status = sessions.stop()
     sessions.samples(samples)
@@ -54,7 +57,7 @@ def test_everything_goes_into_the_file_of_the_moment(sessions):
     recording = open_recording(path, raw=True)
     assert_same_samples(recording.samples, samples)
     assert recording.events[0]["details"] == {"for_s": 2}
-    assert recording.statistics == [{"time_ns": 6, "lost": 0}]
+    assert recording.statistics == [statistics.as_dict()]
     assert recording.commands == [{"time_ns": 7, "thrust": 1}]
     assert recording.metadata["session"]["link"] == "stand-in"
     assert {name: recording.metadata[name] for name in METADATA} == METADATA

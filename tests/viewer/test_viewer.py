@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -21,8 +22,10 @@ from groundstation.links.event import LinkEvent
 from groundstation.recording.rrd import read_rrd
 from groundstation.recording.rrd_columns import read_columns
 from groundstation.rerun_log.channels import SCALARS
+from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch
+from groundstation.telemetry.statistics import LinkMeter
 from groundstation.viewer.viewer import Viewer, ViewerMode, rerun_program
 from support.programs import Program, run_program
 from support.waiting import eventually
@@ -67,7 +70,7 @@ class Session:
         await self.viewer.stop()
 
     def show(self, rows):
-        self.viewer.show_samples(self._wobble(rows, self.shown))
+        self.viewer.samples(self._wobble(rows, self.shown))
         self.shown += rows
 
     async def serving(self):
@@ -99,14 +102,15 @@ def test_what_another_viewer_saves_is_what_was_streamed(session, wobble, tmp_pat
     async def stream(programs):
         async with session() as s:
             await s.serving()
-            s.viewer.show_event(LinkEvent(int(wobble(1).host_time_ns[0]), "usb", "lost", "gone"))
+            s.viewer.note(LinkEvent(int(wobble(1).host_time_ns[0]), "usb", "lost", "gone"))
             for _ in range(100):
                 s.show(10)
             times_ns = wobble(3).host_time_ns
-            s.viewer.show_table(LogTable("log", times_ns, times_ns * 1e-9, {"pm.state": RISING}))
-            s.viewer.show_statistics(
-                {"loss_pct": 1.5, "rate_hz": 498.0}, int(wobble(1, 999).host_time_ns[0])
+            s.viewer.note(LogTable("log", times_ns, times_ns * 1e-9, {"pm.state": RISING}))
+            quiet = LinkMeter(0).close_window(
+                int(wobble(1, 999).host_time_ns[0]), Decoder().counts()
             )
+            s.viewer.note(replace(quiet, loss_pct=1.5, rate_hz=498.0))
             # a viewer that comes late gets everything from the server's buffer
             command = [
                 rerun_program(), f"rerun+http://127.0.0.1:{s.port}/proxy", "--save", saved,
@@ -210,7 +214,7 @@ def test_a_stalled_feeder_costs_samples_but_neither_time_nor_memory(session, wob
             memory = psutil.Process().memory_info().rss
             for _ in range(2000):  # an hour's worth before anybody notices
                 for _ in range(2):
-                    s.viewer.show_samples(batch)
+                    s.viewer.samples(batch)
                 await asyncio.sleep(0)
             await eventually(lambda: s.viewer.status()["restarts"] == 1, "noticed")
             assert psutil.Process().memory_info().rss - memory < 20e6
@@ -394,8 +398,8 @@ def test_off_means_off(session, wobble):
 
     async def stream():
         async with session(ViewerMode.OFF) as s:
-            s.viewer.show_samples(wobble(10))
-            s.viewer.show_statistics({"rate_hz": 1.0}, 0)
+            s.viewer.samples(wobble(10))
+            s.viewer.note(LinkMeter(0).close_window(1, Decoder().counts()))
             assert s.viewer.status() == {
                 "state": "off", "sent": 0, "dropped": 0, "restarts": 0, "urls": [],
                 "viewers": 0, "behind_s": 0.0,

@@ -1,0 +1,27 @@
+"""Who takes what a station receives: a list of consumers, each with the same three methods."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from groundstation.links.event import LinkEvent
+from groundstation.telemetry.log_table import LogTable
+from groundstation.telemetry.samples import SampleBatch
+from groundstation.telemetry.statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
+
+
+class Consumer(Protocol):
+    """Recorder, viewer, stream, twin. None waits: what takes time has a queue with a bound."""
+
+    def samples(self, batch: SampleBatch) -> None:
+        """Decoded rows, one at least."""
+
+    def note(self, note: LinkEvent | LinkStatistics | LogTable | Shown) -> None:
+        """What there is beside samples: an event, the link's last second, log variables of a
+        craft at moments of their own, half a second of the twin's predictions."""
+
+    def split(self) -> None:
+        """What follows comes from another link."""
