@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from firmware_sim.craft import StandIn
 from firmware_sim.effects.catalogue import EFFECTS, draw
 from firmware_sim.physics import craft_of
 from firmware_sim.present import present_effects
-from firmware_sim.settings import load_settings, parse_settings
+from firmware_sim.settings import StandInSettings, load_settings, parse_settings
 from groundstation.text import printable
 
 HIDEABLE = tuple(
@@ -27,6 +28,10 @@ HIDEABLE = tuple(
 )
 """Effects that any ordinary flight shows at every size drawn; neighbours are unlike each other,
 so that one seed after the other is another story."""
+DRAWS = 20
+"""Times that sizes are drawn for one with which the craft still flies on its own gains."""
+FLOWN_S, LEAN_DEG, RATE_DPS = 20.0, 60.0, 800.0
+"""It flies: for so long of its programme it leans and turns less than this."""
 
 EXAMPLE = """example:
   python -m firmware_sim.hide --settings craft.toml --seed 3 -o sealed.toml
@@ -84,17 +89,35 @@ def _sealed(settings: Path, seed: int, count: int) -> str:
         )
     text = settings.read_text(encoding="utf-8")
     table = "stand_in.effects" if "stand_in" in tomllib.loads(text) else "effects"
-    lines = []
-    for name in names:
-        values = draw(name, generator)
-        lines += ["", f"[{table}.{name}]"]
-        lines += [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
-    sealed = "\n".join([text.rstrip(), *lines, ""])
-    try:
-        parse_settings(sealed.encode())
-    except ValueError as error:
-        raise ValueError(f"{settings}: no table can be added to it: {error}") from error
-    return sealed
+    for _ in range(DRAWS):
+        lines = []
+        for name in names:
+            values = draw(name, generator)
+            lines += ["", f"[{table}.{name}]"]
+            lines += [f"{key} = {float(f'{value:.4g}')!r}" for key, value in values.items()]
+        sealed = "\n".join([text.rstrip(), *lines, ""])
+        try:
+            hidden = parse_settings(sealed.encode())
+        except ValueError as error:
+            raise ValueError(f"{settings}: no table can be added to it: {error}") from error
+        if _flies(hidden):
+            return sealed
+    raise ValueError(
+        f"{settings}: with what seed {seed} hides this craft does not fly; give another seed"
+    )
+
+
+def _flies(settings: StandInSettings) -> bool:
+    """On its own gains; what falls down nobody can learn."""
+    craft = StandIn(settings)
+    for time_s in np.arange(0.1, FLOWN_S, 0.1):
+        craft.advance(float(time_s))
+        state = craft.state()
+        if max(map(abs, state.angles_deg[:2])) > LEAN_DEG:
+            return False
+        if max(map(abs, state.gyro_dps)) > RATE_DPS:
+            return False
+    return True
 
 
 if __name__ == "__main__":

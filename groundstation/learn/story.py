@@ -361,7 +361,12 @@ def read_found(path: Path) -> DiscrepancyReport:
 
 def named_effects(found: DiscrepancyReport) -> list[EffectFound]:
     """Effects that were found and are worth a name."""
-    return [one for one in found.effects if _size(one) >= WORTH]
+    return [one for one in found.effects if not _corrects(one) and _size(one) >= WORTH]
+
+
+def _corrects(found: EffectFound) -> bool:
+    """Whether it only says anew a constant of the model, which was fitted to this very craft."""
+    return found.name in EFFECTS and EFFECTS[found.name].renames is not None
 
 
 def _size(found: EffectFound) -> float:
@@ -401,9 +406,13 @@ def _found_line(found: DiscrepancyReport) -> str:
     gap = found.gap.validation
     after = gap.before if gap.after is None else gap.after
     open_ones = open_names(found)
-    hardly = sorted({one.name for one in found.effects} - {o.name for o in named_effects(found)})
+    corrected = [one for one in found.effects if _corrects(one)]
+    hardly = sorted({one.name for one in found.effects}
+                    - {one.name for one in (*corrected, *named_effects(found))})  # fmt: skip
     told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
     told += f" noise before and {after:.2f} times after"
+    for one in corrected:
+        told += f"; the fit's constants are corrected by {said_effect(one.name, one.parameters)}"
     if hardly:
         told += f"; {', '.join(hardly)} too small to be named"
     for name, others in open_ones.items():

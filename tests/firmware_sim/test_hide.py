@@ -1,7 +1,10 @@
 """``python -m firmware_sim.hide``: what a seed hides, and where it shows."""
 
+import msgspec
+import numpy as np
 import pytest
 
+from firmware_sim.craft import StandIn
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.hide import HIDEABLE, main
 from firmware_sim.settings import load_settings
@@ -75,3 +78,25 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path, capsys):
     assert main([*arguments, "-o", str(tmp_path / "sealed2.toml")]) == 1
     assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "sealed2.toml").read_bytes() == before
+
+
+def test_with_what_is_hidden_the_craft_still_flies_on_its_own_gains(tmp_path):
+    settings = tmp_path / "craft.toml"
+    settings.write_text('[stand_in]\nplant = "reduced"\ncraft = "crazyflie1"\n')
+    sealed = tmp_path / "sealed.toml"
+    assert (
+        main(["--settings", str(settings), "--seed", "3", "--effects", "3", "-o", str(sealed)]) == 0
+    )
+    hidden = load_settings(sealed)
+    slow = {"gyro_low_pass": {"bandwidth_hz": 14.0}}  # as the seed's first sizes had it
+    assert farthest_lean_deg(hidden) < 45.0
+    assert farthest_lean_deg(msgspec.structs.replace(hidden, effects=hidden.effects | slow)) > 90.0
+
+
+def farthest_lean_deg(settings):
+    craft = StandIn(settings)
+    leans = []
+    for k in range(1, 200):
+        craft.advance(0.1 * k)
+        leans.append(np.abs(craft.state().angles_deg[:2]).max())
+    return max(leans)
