@@ -12,7 +12,6 @@ from groundstation.control.linear_loop import axis_plant, run_direct
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.thesis_loop import (
     SUPPLY_MV,
-    body_of,
     counts_per_control,
     motors_and_body,
     run_whole,
@@ -53,7 +52,7 @@ def reason_not_followed(
     three = [scaled(gains, counts) if one == axis else PidGains(0.0) for one in AXES]
     reference = np.zeros((rows, 3))
     reference[:, index] = WHOLE_STEP_RAD
-    flown = run_whole(model, three, reference, body_of(model), delay=delay, supply_mv=supply_mv)
+    flown = run_whole(model, three, reference, delay=delay, supply_mv=supply_mv)
     behind = flown.angles[:, index] / WHOLE_STEP_RAD
     plant = axis_plant(model, axis, delay)
     free = run_direct(plant, gains, np.ones(round(STEADY_S / plant.ts)))

@@ -26,7 +26,7 @@ from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import Plant, plant_of_model
-from groundstation.control.thesis_loop import body_of, run_whole, whole_loop
+from groundstation.control.thesis_loop import run_whole, whole_loop
 from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
@@ -133,17 +133,16 @@ def _direct(
 def _whole(
     model: Model, gains: Mapping[str, PidGains], seconds: float, delay: int | None
 ) -> list[AxisResult]:
-    body = body_of(model)
     found = []
     for axis, one in gains.items():
         index = AXES.index(axis)
         reference = np.zeros((round(max(seconds, STEADY_S) / SAMPLE_PERIOD_S), 3))
         reference[:, index] = WHOLE_STEP_RAD
         others = [gains.get(name, PidGains(0.0)) for name in AXES]
-        long = run_whole(model, others, reference, body, delay=delay).angles[:, index]
+        long = run_whole(model, others, reference, delay=delay).angles[:, index]
         y = long[: round(seconds / SAMPLE_PERIOD_S)]
         stable = calms(long / WHOLE_STEP_RAD)
-        loop = whole_loop(model, one, axis, body, delay)
+        loop = whole_loop(model, one, axis, delay)
         found.append(
             AxisResult(
                 axis,

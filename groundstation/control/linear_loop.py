@@ -1,7 +1,7 @@
 """The direct loop: a PID whose output is u' itself, on a linear model of one axis.
 
 This is the loop on which the thesis's printed gains act (u' in (rev/s)^2 per rad); it has no
-motors, no battery and no limits. The other loops are in ``whole.py`` and ``cascade.py``.
+motors, no battery and no limits. The other loops are in ``thesis_loop`` and ``firmware_loop``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.metrics import StepMetrics, step_metrics
-from groundstation.control.pid import AXES, AntiWindup, PidGains
+from groundstation.control.pid import AXES, PidGains
 from groundstation.dynamics.arx import angle_polynomial
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.sensors import delay_of_model
@@ -70,17 +70,8 @@ def axis_plant(model: Model, axis: str, delay: int | None = None) -> ArxAxis:
     return ArxAxis(plant.na, plant.nb, nk, plant.a, plant.b, plant.ts)
 
 
-def run_direct(
-    plant: ArxAxis,
-    gains: PidGains,
-    reference: ArrayLike,
-    limit: float = math.inf,
-    anti_windup: AntiWindup = AntiWindup.NONE,
-) -> DirectResponse:
-    """Close the loop around an axis and follow a reference (k,) in rad.
-
-    limit: of |u'|, none by default; anti_windup matters only where there is one.
-    """
+def run_direct(plant: ArxAxis, gains: PidGains, reference: ArrayLike) -> DirectResponse:
+    """Close the loop around an axis and follow a reference (k,) in rad."""
     from groundstation.control.linear_loop_kernels import direct_run
 
     wanted = np.ascontiguousarray(reference, np.float64)
@@ -91,8 +82,6 @@ def run_direct(
         plant.nk,
         np.array(gains.as_tuple()),
         plant.ts,
-        limit,
-        anti_windup is AntiWindup.CONDITIONAL,
         wanted,
         y,
         u,

@@ -57,15 +57,13 @@ def direct_run(
     delay: int,
     gains: Any,
     period: float,
-    limit: float,
-    conditional: bool,
     reference: Any,
     y: Any,
     u: Any,
 ) -> None:
     """PID on A(q) y = q^-delay B(q) u: fills outputs and inputs, as long as the reference.
 
-    a: (na,) from a1. b: (nb,) from b0. gains: kp, ki, kd. limit: of the output, inf for none.
+    a: (na,) from a1. b: (nb,) from b0. gains: kp, ki, kd.
     """
     kp, ki, kd = gains[0], gains[1], gains[2] / period
     integral, before = 0.0, 0.0
@@ -80,12 +78,9 @@ def direct_run(
                 value += b[i] * u[at]
         y[k] = value
         error = reference[k] - value
-        wanted = kp * error + ki * integral + kd * (error - before)
-        given = min(max(wanted, -limit), limit)
-        if not (conditional and wanted != given and ki * error * wanted > 0.0):
-            integral += period * error
+        u[k] = kp * error + ki * integral + kd * (error - before)
+        integral += period * error
         before = error
-        u[k] = given
 
 
 @kernel
@@ -180,7 +175,7 @@ def judge_many(
                 out[m, i] = math.inf
             continue
         out[m, 4] = sensitivity_peak(plant, z, gains, period)
-        direct_run(a, b, delay, gains, period, math.inf, False, reference, y, u)
+        direct_run(a, b, delay, gains, period, reference, y, u)
         measure(y, period, BAND, out[m])
         out[m, 5] = 0.0
         for k in range(rows):

@@ -12,22 +12,12 @@ K_D (1 - z^-1) / Ts. P, PI and PD are PIDs with gains of zero.
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 
 import msgspec
 
 from groundstation.errors import BadInputError
 
 AXES = ("roll", "pitch", "yaw")
-
-
-class AntiWindup(IntEnum):
-    """What the integral does while the output is limited."""
-
-    NONE = 0
-    """It goes on: the thesis's controllers."""
-    CONDITIONAL = 1
-    """It stands still while it would drive the output further into the limit."""
 
 
 class PidGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

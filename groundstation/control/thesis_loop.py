@@ -4,16 +4,14 @@ the angles.
 Reference, PIDs, their saturation at +-4096 PWM counts, power distribution (8.3), output stage
 with the battery (8.2.6), four motors (3.82), mixer (7.19), body, measurement delay. Gains are
 PWM counts per rad here. The printed gains are not: they act on u' in (rev/s)^2, on the loop of
-``direct.py``; a saturation at +-4096 does not go with them.
+``linear_loop``; a saturation at +-4096 does not go with them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
-import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,7 +19,7 @@ from groundstation.control.firmware_loop import hold_response, rate_per_pwm
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.linear_loop import axis_plant, controller, frequency_response, grid
 from groundstation.control.margins import LoopResponse
-from groundstation.control.pid import AXES, AntiWindup, PidGains
+from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
 from groundstation.dynamics.arx import angle_polynomial, stacked
 from groundstation.dynamics.arx_period import at_period
@@ -33,17 +31,6 @@ from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 Array = NDArray[np.float64]
 
 SUPPLY_MV = 3700.0
-
-
-class Body(IntEnum):
-    """Which model turns u' into angles."""
-
-    ARX = 0
-    """The model's polynomials, with the delay that is in them."""
-    GREY_BOX = 1
-    """Three decoupled double integrators (thesis 3.58-3.60, 7.12-7.14)."""
-    RIGID = 2
-    """The rigid body with the model's effects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,28 +46,25 @@ def run_whole(
     model: Model,
     gains: Sequence[PidGains],
     reference: ArrayLike,
-    body: Body = Body.ARX,
     *,
     delay: int | None = None,
-    thrust: ArrayLike | None = None,
     supply_mv: ArrayLike = SUPPLY_MV,
-    saturation: float = PWM_FULL,
-    anti_windup: AntiWindup = AntiWindup.NONE,
 ) -> WholeResponse:
     """Follow a reference (k, 3) in rad, one row per 2 ms, from a level hover.
 
-    gains: for roll, pitch, yaw. delay: samples of measurement delay; by default what the model
-    says (the ARX's nk, or its dead time). thrust: PWM counts, by default what carries the craft.
+    The model's polynomials turn the craft where it has them, otherwise its rigid body with its
+    effects. gains: for roll, pitch, yaw. delay: samples of measurement delay; by default what the
+    model says (the polynomials' nk, or its dead time).
 
-    Raises BadInputError for a model without the body asked for.
+    Raises BadInputError for a model without a body, or with polynomials of some axes only.
     """
     from groundstation.control.thesis_loop_kernel import whole_run
 
-    if body is Body.ARX and (model.arx is None or any(axis not in model.arx for axis in AXES)):
+    if model.arx is not None and any(axis not in model.arx for axis in AXES):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
     plant = motors_and_body(model)
     a, b, nk = np.zeros((3, 1)), np.zeros((3, 1)), np.zeros(3, np.int64)
-    if body is Body.ARX:
+    if model.arx is not None:
         model = at_period(model, SAMPLE_PERIOD_S)
         a, b, nk = stacked([angle_polynomial(model, axis) for axis in AXES])
         nk = np.maximum(nk, 1) if delay is None else np.full(3, delay)  # speeds act after a row
@@ -88,9 +72,7 @@ def run_whole(
     rows = len(wanted)
     # new arrays: numba compiles the kernel anew, half a minute, for one that is read-only
     supply = np.full(rows, supply_mv, np.float64)
-    if thrust is None:
-        thrust = plant.hover_duty(supply) * PWM_FULL
-    lift = np.full(rows, thrust, np.float64)
+    lift = np.array(plant.hover_duty(supply) * PWM_FULL)
     own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S)
     angles, controls, pwm = np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros((rows, 4))
     whole_run(
@@ -100,10 +82,8 @@ def run_whole(
         a,
         b,
         nk,
-        int(body),
+        model.arx is not None,
         np.array([one.as_tuple() for one in gains]),
-        saturation,
-        anti_windup is AntiWindup.CONDITIONAL,
         lift,
         supply,
         wanted,
@@ -130,7 +110,6 @@ def whole_loop(
     model: Model,
     gains: PidGains,
     axis: str,
-    body: Body = Body.ARX,
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> LoopResponse:
@@ -138,7 +117,7 @@ def whole_loop(
     something where it is stable."""
     omega = grid(SAMPLE_PERIOD_S)
     z = np.exp(1j * omega * SAMPLE_PERIOD_S)
-    driven = counts_response(model, axis, omega, body, delay, supply_mv)
+    driven = counts_response(model, axis, omega, delay, supply_mv)
     return LoopResponse(omega, driven * controller(gains, z, SAMPLE_PERIOD_S))
 
 
@@ -146,16 +125,15 @@ def counts_response(
     model: Model,
     axis: str,
     omega: Array,
-    body: Body = Body.ARX,
     delay: int | None = None,
     supply_mv: float = SUPPLY_MV,
 ) -> NDArray[np.complex128]:
     """Angle in rad per PWM count of an axis around hover, motors included, at omega (n,) rad/s.
 
-    The rigid body with its model's damping and rotor torques; of the others, the settled motors'
-    slope and their lag before the body.
+    The rigid body with its model's damping and rotor torques; of polynomials, the settled motors'
+    slope and their lag before them.
     """
-    if body is Body.RIGID:
+    if model.arx is None:
         # its controller's output is PWM
         plant = replace(motors_and_body(model), firmware=RELEASE_2014)
         own = round(float(plant.sensor[0]["delay"]) / SAMPLE_PERIOD_S) if delay is None else delay
@@ -163,19 +141,11 @@ def counts_response(
         late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
         rate = rate_per_pwm(plant, AXES.index(axis), s, supply_mv)
         return np.asarray(FULL / PWM_FULL * rate / s * late)
-    if body is not Body.ARX:
-        model = msgspec.structs.replace(model, arx=None)
-        delay = None if delay is None else delay + 1  # the held double integrator's own
     polynomials = axis_plant(at_period(model, SAMPLE_PERIOD_S), axis, delay)
     pole = model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
     return np.asarray(frequency_response(polynomials, np.exp(1j * omega * polynomials.ts)) * motor)
-
-
-def body_of(model: Model) -> Body:
-    """What the whole loop flies of a model: its polynomials where it has them."""
-    return Body.ARX if model.arx is not None else Body.RIGID
 
 
 def motors_and_body(model: Model) -> Plant:

@@ -7,9 +7,9 @@ import pytest
 
 from groundstation.control.actuators import most_control, reason_not_followed
 from groundstation.control.pid import PidGains
-from groundstation.control.thesis_loop import Body, counts_per_control, run_whole
-from groundstation.dynamics.mixer import PWM_FULL
+from groundstation.control.thesis_loop import counts_per_control, motors_and_body
 from groundstation.dynamics.model import load_model
+from groundstation.dynamics.motor import steady_rev_s
 
 MODEL = load_model(Path(__file__).parent / "data" / "body.json")
 
@@ -38,14 +38,10 @@ def test_gains_that_no_motor_follows_are_told_with_what_they_ask_and_what_there_
 
 
 def test_the_most_control_is_what_full_motors_on_one_side_give():
-    speeds = []
-    for thrust in (PWM_FULL, None):
-        kept = run_whole(
-            MODEL, [PidGains(0.0)] * 3, np.zeros((2000, 3)), Body.RIGID, thrust=thrust
-        ).pwm[-1, 0]
-        a0, a1, a2 = (getattr(MODEL.motor, name) for name in ("a0", "a1", "a2"))
-        speeds.append(np.roots([a2, a1, -a0 * 3700.0 * kept / PWM_FULL]).max())
-    full, hover = speeds
+    full, hover = (
+        float(steady_rev_s(MODEL.motor, np.array([3700.0 * duty]))[0])
+        for duty in (1.0, float(motors_and_body(MODEL).hover_duty(3700.0)))
+    )
     expected = 2 * min(full**2 - hover**2, hover**2)
     assert most_control(MODEL, "roll") == pytest.approx(expected, rel=0.02)
     assert most_control(MODEL, "yaw") == pytest.approx(2 * expected, rel=0.02)

@@ -11,7 +11,7 @@ from groundstation.control.gain_conversion import convert_gains
 from groundstation.control.linear_loop import axis_plant, direct_loop
 from groundstation.control.pid import PidGains, gain_unit
 from groundstation.control.plant import plant_of_model
-from groundstation.control.thesis_loop import Body, whole_loop
+from groundstation.control.thesis_loop import whole_loop
 from groundstation.dynamics.model import load_model
 from groundstation.errors import BadInputError
 
@@ -43,7 +43,7 @@ def test_a_gain_has_the_unit_of_its_loops_output(loop, units):
 def test_the_stock_cascade_and_its_pid_are_the_same_loop(axis):
     """But for the delays of the firmware's two loops and of whole samples."""
     whole = convert_gains(STOCK, "firmware", "whole", MODEL)
-    ours = at(whole_loop(MODEL, whole[axis], axis, Body.RIGID))
+    ours = at(whole_loop(MODEL, whole[axis], axis))
     plant = plant_of_model(MODEL, fusion=False)
     flown = loop_response(plant, STOCK, axis, OMEGA)
     apart = flown / ours
@@ -66,9 +66,7 @@ def test_on_settled_motors_counts_are_the_control_they_make():
     whole = convert_gains(gains, "direct", "whole", MODEL)["roll"]
     body_only = MODEL.__class__(vehicle=MODEL.vehicle, motor=MODEL.motor, body=MODEL.body)
     slow = np.geomspace(0.1, 0.3, 5)
-    one = at(whole_loop(body_only, whole, "roll", Body.GREY_BOX), slow)
-    rigid = at(whole_loop(body_only, whole, "roll", Body.RIGID), slow)
-    np.testing.assert_allclose(np.abs(rigid / one), 1.0, rtol=0.01)
+    one = at(whole_loop(body_only, whole, "roll"), slow)
     other = at(direct_loop(axis_plant(body_only, "roll"), gains["roll"]), slow)
     np.testing.assert_allclose(np.abs(one / other), 1.0, rtol=0.01)
 

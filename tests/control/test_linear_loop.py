@@ -18,7 +18,7 @@ from groundstation.control.linear_loop import (
     step_direct,
 )
 from groundstation.control.metrics import step_metrics
-from groundstation.control.pid import AntiWindup, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.thesis_tables import (
     GAINS,
     ROUNDED_ROLL,
@@ -132,20 +132,6 @@ def test_yaw_as_printed_is_met_at_no_delay_but_by_digits_that_round_to_it():
 def test_no_digits_that_round_to_the_printed_roll_bear_four_samples():
     for corner in rounding_corners(axis_plant(THESIS, "roll", 4)):
         assert not all(is_stable(corner, GAINS[name]["roll"]) for name in GAINS)
-
-
-def test_an_integral_that_waits_overshoots_less():
-    plant = axis_plant(THESIS, "roll", 2)
-    gains = PidGains(1.05e6, 6e6, 9e3)
-    reference = np.full(1000, 0.6)
-    limit = 1.2e5
-    free = run_direct(plant, gains, reference, limit)
-    waits = run_direct(plant, gains, reference, limit, AntiWindup.CONDITIONAL)
-    assert np.abs(free.u).max() == np.abs(waits.u).max() == limit
-    high = [step_metrics(r.y, TS, 0.6).overshoot_pct for r in (free, waits)]
-    assert high[1] < 0.8 * high[0]
-    unlimited = run_direct(plant, gains, reference, anti_windup=AntiWindup.CONDITIONAL)
-    np.testing.assert_array_equal(unlimited.y, run_direct(plant, gains, reference).y)
 
 
 def test_metrics_of_a_known_response():

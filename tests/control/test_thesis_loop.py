@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from groundstation.control.linear_loop import axis_plant, run_direct
-from groundstation.control.pid import AntiWindup, PidGains
+from groundstation.control.pid import PidGains
 from groundstation.control.plant import plant_of_model
-from groundstation.control.thesis_loop import (
-    Body,
-    counts_per_control,
-    run_whole,
-    whole_loop,
-)
+from groundstation.control.thesis_loop import counts_per_control, run_whole, whole_loop
 from groundstation.dynamics.arx import simulate_arx
 from groundstation.dynamics.model import THESIS, Model
 from groundstation.dynamics.motor import simulate_motor
@@ -19,6 +14,7 @@ from groundstation.errors import BadInputError
 from support.equations import distribute, mix, output_stage
 
 TS = 0.002
+BODY_ONLY = Model(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
 GAINS = [PidGains(2000.0, 400.0, 350.0), PidGains(2000.0, 400.0, 350.0), PidGains(4000.0, 0, 900.0)]
 
 
@@ -30,7 +26,7 @@ def steps(size=0.1, rows=400):
 
 def test_its_blocks_are_those_of_the_dynamics_package():
     """PWM to voltages to rotors to u' to ARX, each by the package's own function."""
-    response = run_whole(THESIS, GAINS, steps(), Body.ARX, delay=2)
+    response = run_whole(THESIS, GAINS, steps(), delay=2)
     thrust = response.pwm[0].mean()
     np.testing.assert_allclose(
         response.pwm, distribute(np.full(400, thrust), response.controls), atol=1e-9
@@ -47,23 +43,13 @@ def test_its_blocks_are_those_of_the_dynamics_package():
 def test_the_printed_gains_saturate_it_at_once():
     """They act on u': with +-4096 counts there is nothing between the stops."""
     gains = [PidGains(1530000.0, 0.0, 10200.0)] * 3
-    controls = run_whole(THESIS, gains, steps(), Body.ARX, delay=2).controls
+    controls = run_whole(THESIS, gains, steps(), delay=2).controls
     assert (np.abs(controls[60:, 0]) == 4096).mean() > 0.9
-
-
-def test_grey_box_and_rigid_body_agree_for_small_angles():
-    calm = [PidGains(100.0, 0.0, 30.0)] * 2 + [PidGains(400.0, 0.0, 150.0)]
-    small = [run_whole(THESIS, calm, steps(0.001), body).angles for body in (1, 2)]
-    assert np.abs(small[0]).max() > 5e-4
-    assert np.abs(small[0] - small[1]).max() < 2e-5
-    large = [run_whole(THESIS, calm, steps(0.5), body).angles for body in (1, 2)]
-    assert np.abs(large[0] - large[1]).max() > 500 * np.abs(small[0] - small[1]).max()
 
 
 def test_a_delay_is_whole_samples_between_body_and_controller():
     reference = steps(0.05, 90)
-    prompt = run_whole(THESIS, GAINS, reference, Body.GREY_BOX, delay=0)
-    late = run_whole(THESIS, GAINS, reference, Body.GREY_BOX, delay=5)
+    prompt, late = (run_whole(BODY_ONLY, GAINS, reference, delay=rows) for rows in (0, 5))
     moved = [int(np.flatnonzero(r.angles[:, 0])[0]) for r in (prompt, late)]
     assert moved[1] - moved[0] == 5
 
@@ -86,38 +72,25 @@ def test_slow_motors_apart_it_is_the_direct_loop():
     assert np.abs(whole.angles[:, 0] - direct.y).max() < 0.1e-3
 
 
-def test_a_waiting_integral_helps_in_saturation():
-    gains = [PidGains(4000.0, 9000.0, 500.0), PidGains(0.0), PidGains(0.0)]
-    reference = np.zeros((1500, 3))
-    reference[:, 0] = 0.6
-    runs = [
-        run_whole(THESIS, gains, reference, Body.RIGID, saturation=300.0, anti_windup=mode)
-        for mode in AntiWindup
-    ]
-    assert max(np.abs(run.controls).max() for run in runs) == 300.0
-    assert runs[1].angles[:, 0].max() < 0.95 * runs[0].angles[:, 0].max()
-
-
 def test_its_margin_is_the_delay_it_bears():
     gains = PidGains(100.0, 0.0, 30.0)
-    model = THESIS.__class__(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
-    margin = whole_loop(model, gains, "roll", Body.GREY_BOX, delay=2).margins.delay_s
+    margin = whole_loop(BODY_ONLY, gains, "roll", delay=2).margins.delay_s
     reference = np.zeros((4000, 3))
     reference[:, 0] = 0.001
 
     def grows(samples):
         three = [gains, PidGains(0.0), PidGains(0.0)]
-        y = run_whole(model, three, reference, Body.GREY_BOX, delay=2 + samples).angles[:, 0]
+        y = run_whole(BODY_ONLY, three, reference, delay=2 + samples).angles[:, 0]
         return np.ptp(y[-1000:]) > np.ptp(y[-2000:-1000])
 
     assert not grows(int(0.85 * margin / TS))
     assert grows(int(1.15 * margin / TS) + 1)
 
 
-def test_a_model_without_the_body_asked_for_is_refused():
+def test_a_model_without_a_body_is_refused():
     only_arx = Model(vehicle="crazyflie1", motor=THESIS.motor, arx=THESIS.arx)
     with pytest.raises(BadInputError, match="no body constants"):
         plant_of_model(only_arx)
-    only_body = Model(vehicle="crazyflie1", motor=THESIS.motor, body=THESIS.body)
-    with pytest.raises(BadInputError, match="no ARX"):
-        run_whole(only_body, GAINS, steps(), Body.ARX)
+    only_roll = Model(vehicle="crazyflie1", motor=THESIS.motor, arx={"roll": THESIS.arx["roll"]})
+    with pytest.raises(BadInputError, match="no ARX polynomials for roll, pitch and yaw"):
+        run_whole(only_roll, GAINS, steps())
