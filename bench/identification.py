@@ -13,7 +13,6 @@ from bench.table import Row
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR, MotorConstants
 from groundstation.identification.body.fit import fit_body
-from groundstation.identification.body.validation import fit_free_run
 from groundstation.identification.motor.fit import bench_run, fit_motor
 from groundstation.identification.motor.supply import undo_supply
 from groundstation.identification.runs import Run, runs_of
@@ -75,7 +74,7 @@ def _body_accuracy() -> Iterator[Row]:
     )
     for label, effects, supplied in cases:
         plant = label.partition(",")[0]
-        errors, inside, naive, delays = [], [], [], []
+        errors, inside, delays = [], [], []
         for seed in range(SEEDS):
             motor, covariance = THESIS_MOTOR, None
             if "bench" in label:
@@ -92,14 +91,9 @@ def _body_accuracy() -> Iterator[Row]:
             interval = fit.estimates.interval()[place]
             errors.append(fit.estimates.values[place] / BODY_TRUE - 1)
             inside.append((interval[:, 0] <= BODY_TRUE) & (interval[:, 1] >= BODY_TRUE))
-            naive.append(fit_free_run(stretches, VEHICLE) / BODY_TRUE[:3] - 1)
             true = craft.truth()["sensor_age_s"][3000:].mean() + DLPF_LAG_S
             delays.append(fit.delay_s - true)
         yield from _accuracy_rows(f"{label}, {SEEDS} flights", errors, inside, label != "faithful")
-        if label in ("reduced", "faithful"):
-            for i, name in enumerate(CONSTANTS[:3]):
-                worst = 100 * np.abs(np.array(naive)[:, i]).max()
-                yield Row(f"{label}: worst error of {name}, naive free run", worst, None, "%")
         if effects:
             worst = 1e3 * float(np.abs(delays).max())
             yield Row(f"{label}: worst error of the delay", worst, None, "ms", most=2.0)

@@ -190,19 +190,6 @@ def _held_out(page: Page, account: dict[str, Any]) -> None:
             ],
             "RMS of the angles in free runs from measured rates and angles.",
         )
-    if "naive_free_run" in account:
-        page.table(
-            ["constant", "this fit", "naive fit of a free run"],
-            [
-                [name, float(value), account["naive_free_run"].get(name)]
-                for name, value in zip(
-                    account["estimates"]["names"], account["estimates"]["values"], strict=True
-                )
-                if name in account["naive_free_run"]
-            ],
-            "What fitting a free simulation to the flight would have found: in closed loop it"
-            " takes the controller's answer for the cause.",
-        )
 
 
 def _tables(page: Page, account: dict[str, Any]) -> None:

@@ -88,9 +88,8 @@ class BodyFit:
 
     estimates: c0, c1, c2, thrust_per_mass and one ``effect.parameter`` for each effect.
     nuisances: what was fitted along and is not in the model, by key, with standard errors.
-    setup, free: predict with the fit. motor_share: (p,) of each estimate's
-    variance that comes from the motor's. pace: by which a0, a1, a2 were multiplied, and its
-    relative standard error. shown: effects that the data clearly show and that are left out.
+    setup, free: predict with the fit. pace: by which a0, a1, a2 were multiplied, and its relative
+    standard error. shown: effects that the data clearly show and that are left out.
     """
 
     body: BodyConstants
@@ -99,7 +98,6 @@ class BodyFit:
     nuisances: Mapping[str, tuple[float, float]]
     setup: Setup
     free: FreeFit
-    motor_share: Array
     warnings: tuple[str, ...]
     not_identified: Mapping[str, str]
     shown: tuple[str, ...] = ()
@@ -316,7 +314,6 @@ def _outcome(
     for key in missed.keys() & {*keys}:
         covariance[keys.index(key), keys.index(key)] += (missed[key] * point[key]) ** 2
     covariance[size, size] = thrust_error**2
-    own = np.diag(covariance).copy()
     if motor_covariance is not None and not setup.problem.flights[0].rotor_measured:
         slopes = _by_motor(setup, free)
         covariance += slopes @ motor_covariance @ slopes.T
@@ -329,7 +326,6 @@ def _outcome(
     covariance = covariance[np.ix_(reported, reported)] * np.outer(scale, scale)
     rows = sum(f.last - f.first for f in setup.problem.flights)
     estimates = Estimates(names, found, covariance, rows - size)
-    share = 1.0 - own[reported] * scale**2 / np.maximum(np.diag(covariance), 1e-300)
     c2, reasons = point["c2"], untold(estimates, moves, setup.problem.flights)
     if "c2" in reasons:
         c2 = setup.problem.frame.vehicle.body_constants[2]
@@ -340,7 +336,6 @@ def _outcome(
         nuisances,
         setup,
         replace(free, point={**point, "thrust_per_mass": thrust}),
-        share,
         (
             *(
                 f"{key} is not identified, because {reason}; the model has the profile's"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.vehicle import Vehicle
 from groundstation.identification.body.fit import BodyFit, vertical
 from groundstation.identification.body.foretelling import foretold, learnt
 from groundstation.identification.body.setup import Setup, on_other
@@ -79,16 +78,6 @@ def predicted_rates(
     return found
 
 
-def prediction_errors(
-    stretches: Sequence[Stretch], fit: BodyFit, values: Mapping[str, float], horizon_s: float = 0.0
-) -> Array:
-    """RMS errors (3,) in rad/s of ``predicted_rates`` with some values of a fit replaced."""
-    setup = on_other(fit.setup, stretches)
-    pairs = predicted_rates(fit, setup, {**fit.point, **values}, horizon_s)
-    errors = [measured - predicted for measured, predicted in pairs]
-    return np.sqrt(np.mean(np.square(np.vstack(errors)), axis=0))
-
-
 def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
     """One-step errors (n, 3) of a fit, whitened by the mean spectrum of the flights it was made
     on, in standard deviations; the first rows are NaN."""
@@ -99,23 +88,6 @@ def prediction_residuals(stretch: Stretch, fit: BodyFit) -> Array:
         white = np.convolve(left[:, axis], whitener, "valid")
         out[len(left) - len(white) :, axis] = white
     return out
-
-
-def fit_free_run(stretches: Sequence[Stretch], vehicle: Vehicle) -> Array:
-    """c0, c1, c2 by simulating whole stretches and matching the rates: what not to do.
-
-    Kept to be shown beside ``fit_body``: every torque disturbance stays in the integral for ever,
-    and in closed loop the controller's answer to it is taken for the cause.
-    """
-    top, bottom = np.zeros(3), np.zeros(3)
-    for stretch in stretches:
-        torque = stretch.squares.mixed(vehicle.configuration)[stretch.rows]
-        simulated = np.cumsum(torque, axis=0) * stretch.run.period_s
-        rate = stretch.run.gyro[stretch.rows]
-        simulated, rate = simulated - simulated.mean(axis=0), rate - rate.mean(axis=0)
-        top += (simulated * rate).sum(axis=0)
-        bottom += (simulated**2).sum(axis=0)
-    return np.asarray(top / bottom)
 
 
 def _means(values: Array, rows: int) -> Array:

@@ -19,9 +19,7 @@ from groundstation.identification.body.fit import BodyFit, fit_body, vertical
 from groundstation.identification.body.setup import FIT_WITH, SUPPLY_EFFECTS, on_other
 from groundstation.identification.body.validation import (
     SHAKEN_S,
-    fit_free_run,
     predicted_rates,
-    prediction_errors,
     prediction_residuals,
     validate_body,
 )
@@ -123,12 +121,9 @@ def identify_body(
         "left_out": _left_out(fit),
         "motor_pace": _stated(*fit.pace),
         "not_identified": fit.not_identified,
-        "variance_share_of_motor": fit.motor_share.tolist(),
         "identification": validate_body(fit_on, fit),
         "validation": validate_body(validate_on, fit),
-        "roll_and_pitch_swapped": _swapped(validate_on, fit),
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
-        "naive_free_run": _naive(fit_on, vehicle),
         "supply": [one.as_dict() for one in supplies],
         "warnings": warnings,
     }
@@ -224,10 +219,6 @@ def _free_run_angles(
     return found
 
 
-def _naive(stretches: Sequence[Stretch], vehicle: Vehicle) -> dict[str, float]:
-    return dict(zip(("c0", "c1", "c2"), fit_free_run(stretches, vehicle).tolist(), strict=True))
-
-
 def _stated(value: float, stderr: float) -> dict[str, float]:
     return {"value": value, "stderr": stderr}
 
@@ -295,13 +286,6 @@ def _terms(fit: BodyFit) -> list[EffectTerm]:
             term = EffectTerm(term.name, {"rotor": rotor, **term.parameters})
         found.append(term)
     return found
-
-
-def _swapped(stretches: Sequence[Stretch], fit: BodyFit) -> dict[str, float]:
-    """RMS 20 ms ahead (rad/s) of roll's constant on pitch data and the reverse (Table 7.2)."""
-    values = {"c0": fit.point["c1"], "c1": fit.point["c0"]}
-    errors = prediction_errors(stretches, fit, values, AHEAD_S)
-    return {"roll_model_on_pitch": float(errors[1]), "pitch_model_on_roll": float(errors[0])}
 
 
 def _pictures(
