@@ -13,8 +13,7 @@ from bench.results import read_results
 EXAMPLE = """example:
   python -m bench.fleet --sound 20 --ill 10 --results results
 
-results.jsonl has a line for each fleet; a run that was stopped goes on there. On other machines:
---scheduler tcp://HOST:PORT, begun in a checkout, as its workers: python -m dask scheduler|worker.
+results.jsonl has a line for each fleet; a run that was stopped goes on there.
 """
 
 
@@ -30,7 +29,6 @@ def main() -> int:
     parser.add_argument("--ill", type=int, default=10, help="fleets in which crafts wear and age")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="where seeds begin")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--scheduler", metavar="tcp://HOST:PORT")
     parser.add_argument("--results", type=Path, default=Path("fleet-results"))
     options = parser.parse_args()
     seeds = range(options.first, options.first + max(options.sound, options.ill))
@@ -40,7 +38,7 @@ def main() -> int:
         for ill, count in ((True, options.ill), (False, options.sound))
         if seed - options.first < count
     ]
-    for line in run(cases, options.results, options.workers, options.scheduler):
+    for line in run(cases, options.results, options.workers):
         said = "; ".join(one["text"] for one in line.get("findings", ())) or "nothing"
         said = line.get("error", said)
         print(f"{line['case']}: {said}", file=sys.stderr, flush=True)

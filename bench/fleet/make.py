@@ -177,9 +177,9 @@ def _fly_all(options: argparse.Namespace, crafts: list[Vehicle], fates: list[Fat
                 path = names[craft.settings.seed]
                 write_npz(path, *craft.advance(options.seconds), options.craft)
 
-            crafts = [StandIn(one) for one in settings]
+            ready = [StandIn(one) for one in settings]
             with ThreadPoolExecutor(os.cpu_count()) as pool:  # kernels hold no interpreter lock
-                list(pool.map(fly, crafts))
+                list(pool.map(fly, ready))
 
 
 def _file(flight: int) -> str:

@@ -35,15 +35,13 @@ class FleetCase:
         return f"{'ill' if self.ill else 'sound'}:{self.seed}"
 
 
-def run(
-    cases: Sequence[FleetCase], results: Path, workers: int, scheduler: str | None
-) -> Iterator[dict[str, Any]]:
+def run(cases: Sequence[FleetCase], results: Path, workers: int) -> Iterator[dict[str, Any]]:
     """The line of every case that ``results`` does not hold yet, appended there; what failed is
     tried again."""
     results.mkdir(parents=True, exist_ok=True)
     done = judged(results)
     left = [case for case in cases if case.name not in done]
-    for case, line in carried_out(told, left, workers=workers, scheduler=scheduler, largest=1):
+    for case, line in carried_out(told, left, workers=workers, largest=1):
         kept = line or {"case": case.name, "error": "its process dies, again and again"}
         append(results, kept)
         yield kept
