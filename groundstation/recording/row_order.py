@@ -106,6 +106,11 @@ def _unwrapped(ticks: NDArray[np.int64], tick_s: float) -> tuple[NDArray[np.int6
         high = np.maximum(ticks[jumps], ticks[jumps + 1])
         here = jumps[(low >= 0) & (low <= near) & (high < turn) & (turn - high <= near)]
         added[here + 1] = -np.sign(steps[here]) * turn
+    turned = 0
+    for row in np.flatnonzero(added):
+        if turned + added[row] < 0:  # nothing came round before: a pause of nearly a turn
+            added[row] = 0
+        turned += int(added[row])
     return (ticks + np.cumsum(added), int(np.sign(added).sum())) if len(jumps) else (ticks, 0)
 
 

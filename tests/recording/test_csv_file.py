@@ -234,11 +234,6 @@ def test_a_file_that_is_no_such_table_is_refused_in_one_line(tmp_path, content, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_one_line(tmp_path):
-    with pytest.raises(RecordingError, match=r"nowhere\.csv: cannot be read: No such file"):
-        read_csv(tmp_path / "nowhere.csv")
-
-
 def test_a_header_alone_is_an_empty_recording(tmp_path):
     recording = read_csv(written(tmp_path, HEADER + "\n"))
     assert len(recording.samples) == 0

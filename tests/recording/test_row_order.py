@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from groundstation.recording.recording_file import write_mcap
-from groundstation.recording.row_order import order_of
+from groundstation.recording.row_order import WRAPS_S, order_of
 
 MS = 1e-3
 COUNTERS = [(bits, unit_s) for bits in (24, 32) for unit_s in (1e-3, 1e-6)]
@@ -95,3 +95,11 @@ def test_a_file_says_what_became_of_its_rows_and_a_recording_made_of_it_too(tmp_
         report = inspect_recording(one)
         assert (report["samples"], report["duplicates"], report["out_of_order"]) == (100, 1, 1)
         assert (report["segments"], report["lost_samples"], report["repeated_times"]) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("turn_s", WRAPS_S)
+def test_a_pause_of_nearly_a_counter_s_turn_is_a_pause(turn_s):
+    ticks = np.array([0, round(turn_s * 1e6) - 900_000])
+    order = put(ticks, 1e-6)
+    assert order.ticks.tolist() == ticks.tolist()
+    assert order.notes == {}

@@ -117,11 +117,6 @@ def test_a_full_disk_is_one_clear_line_and_leaves_nothing(wobble, tmp_path):
         run_program(["umount", str(disk)], check=True)
 
 
-def test_a_missing_file_is_bad_input(tmp_path):
-    with pytest.raises(BadInputError, match=r"none\.rrd is not a file"):
-        read_rrd(tmp_path / "none.rrd")
-
-
 def test_an_rrd_of_another_program_is_refused_in_one_line(tmp_path):
     import rerun as rr
 
