@@ -16,6 +16,7 @@ FORMER = {
     " (POST /jobs/start, GET /jobs)",
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
     " 'groundstation link stand-in:ID' flies one, POST /models/watch watches with one",
+    "recordings": "'groundstation inspect FOLDER' lists a folder of recordings",
 }
 """Commands and options of earlier versions, and what does their work now."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation.cli import config, motors, page, recordings
+from groundstation.cli import config, motors, page
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.progress import own_terminal
@@ -40,7 +40,6 @@ def add_commands(app: typer.Typer) -> None:
     app.command("link")(link)
     app.add_typer(record, name="record")
     motors.add_commands(app)
-    recordings.add_commands(app)
     page.add_commands(app)
     config.add_commands(app)
 

@@ -9,6 +9,7 @@ import typer
 
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.progress import shown, spoken
+from groundstation.cli.recordings import list_folder
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
 from groundstation.text import printable
@@ -45,7 +46,9 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def inspect(
-    file: Path = typer.Argument(help="A recording, or another program's log."),
+    file: Path = typer.Argument(
+        help="A recording, another program's log, or a folder of recordings, which is listed."
+    ),
     columns: str | None = COLUMNS,
     thumbnail: Path | None = typer.Option(None, help="A new small SVG picture of the flight."),
     as_json: bool = AS_JSON,
@@ -56,6 +59,11 @@ def inspect(
     """
     from groundstation.recording.quality import inspect_recording
 
+    if file.is_dir():
+        if columns is not None or thumbnail is not None:
+            raise BadInputError(f"{file}: is a folder; --columns and --thumbnail are for one file")
+        list_folder(file, as_json)
+        return
     if thumbnail is not None:
         require_new(thumbnail)
     recording = _open(file, columns)

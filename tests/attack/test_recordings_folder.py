@@ -63,7 +63,7 @@ def test_no_flipped_bit_hides_a_folder(recorded):
     (recorded / "two.mcap").write_bytes(good)
     (recorded / "one.mcap").write_bytes(good[:-20] + b"\xff" * 12 + good[-8:])
     assert [entry.state for entry in catalogue(recorded)] == ["damaged", "finished"]
-    listed = groundstation("recordings", recorded)
+    listed = groundstation("inspect", recorded)
     assert listed.returncode == 0, listed.stderr
     assert "damaged; see 'groundstation recover'" in listed.stdout
 

@@ -42,10 +42,12 @@ def evil(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "lines"), [("inspect", None), ("recordings", 1), ("recover", 1), ("convert", None)]
+    ("command", "lines"), [("inspect", None), ("folder", 1), ("recover", 1), ("convert", None)]
 )
 def test_a_recording_cannot_command_the_terminal(evil, command, lines):
-    target = evil.parent if command == "recordings" else evil
+    target = evil
+    if command == "folder":
+        command, target = "inspect", evil.parent
     more = [evil.with_name(f"{EVIL[:9]}.csv")] if command == "convert" else []
     result = groundstation(command, target, *more)
     assert result.returncode in (0, 1)

@@ -164,6 +164,7 @@ def test_an_option_of_one_value_that_is_given_twice_is_refused(tmp_path, command
         (["jobs", "list"], "POST /jobs/start"),
         (["models", "watch", "ID"], "POST /models/watch"),
         (["config", "--reload"], "the next start"),
+        (["recordings"], "inspect FOLDER"),
     ],
 )
 def test_what_is_gone_is_refused_with_what_does_its_work_now(words, successor):

@@ -174,7 +174,7 @@ def test_the_story_of_getting_started_goes_as_printed(folder, larder, with_stati
                     folder /= command.removeprefix("cd ")
                     os.chdir(folder)
                     continue
-                if command == "groundstation recordings sessions":
+                if command == "groundstation inspect sessions":
                     assert ".mcap" in carry_out(command, folder)
                     continue
                 told = carry_out(command, folder) or ""
