@@ -2,13 +2,12 @@
 
 A gate is a question that is asked at one stage of the procedure (``search.py``), a threshold with
 its source, and the reason that a refused candidate carries. Adding a gate is one function and one
-line of ``GATES``, or of ``LASTING_GATES`` and ``SHAKEN_GATES`` for what has no column and only
-lasts, or turns with a rotor.
+line of ``GATES``, or of ``SHAKEN_GATES`` for what has no column and turns with a rotor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TypeVar
@@ -75,19 +74,6 @@ class Trial:
     removal: float = np.inf
     open_s: float = 0.0
     scored: Scored | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Lasting:
-    """An effect that noise drives, on its way through its gates.
-
-    t: standard errors of the surest channel, or of all together. drop: of -2 log L.
-    """
-
-    effect: Effect
-    parameters: Mapping[str, Estimate]
-    t: float
-    drop: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,17 +175,22 @@ def negligible(trial: Trial) -> str:
     return f"{fitted}: {effect.because}" if size < effect.negligible else ""
 
 
-def chance_does_it(found: Lasting | Shaken) -> str:
-    """Means of half seconds agree no better, or windows of spectra."""
-    enough = found.t >= LEAST_T and found.drop >= LEAST_DROP
-    return "" if enough else f"not significant: {found.t:.1f} standard errors"
+def is_significant(t: float, drop: float) -> bool:
+    """Whether chance hardly does it: standard errors, and the drop of -2 log L, of one variance."""
+    return t >= LEAST_T and drop >= LEAST_DROP
 
 
-def implausible_spread(found: Lasting | Shaken) -> str:
-    """No air moves a small craft so, no rotor shakes one so."""
-    if found.effect.plausible({name: one.value for name, one in found.parameters.items()}):
+def chance_shakes(shaken: Shaken) -> str:
+    """Windows of spectra agree no better by chance."""
+    enough = is_significant(shaken.t, shaken.drop)
+    return "" if enough else f"not significant: {shaken.t:.1f} standard errors"
+
+
+def implausible_shaking(shaken: Shaken) -> str:
+    """No rotor shakes a small craft so."""
+    if shaken.effect.plausible({name: one.value for name, one in shaken.parameters.items()}):
         return ""
-    return f"not plausible: {_in_words(found.parameters)}"
+    return f"not plausible: {_in_words(shaken.parameters)}"
 
 
 def shakes_no_more(shaken: Shaken) -> str:
@@ -231,43 +222,30 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
-LASTING_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Lasting], str]], ...] = (
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
+SHAKEN_GATES: tuple[tuple[Reason, Callable[[Shaken], str]], ...] = (
+    (Reason.INSIGNIFICANT, chance_shakes),
+    (Reason.NOT_ALONE, shakes_no_more),
+    (Reason.RECORDINGS_DISAGREE, flights_disagree),
+    (Reason.IMPLAUSIBLE, implausible_shaking),
 )
-"""The same for what noise drives."""
-SHAKEN_GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Shaken], str]], ...] = (
-    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, chance_does_it),
-    ((Stage.WEIGHED,), Reason.NOT_ALONE, shakes_no_more),
-    ((Stage.WEIGHED,), Reason.RECORDINGS_DISAGREE, flights_disagree),
-    ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible_spread),
-)
-"""The same for what turns with a rotor."""
+"""The same for what turns with a rotor, asked once."""
 
 
 def refusal(stage: Stage, trial: Trial) -> Refusal | None:
     """Why a candidate does not pass a stage; None where it does."""
-    return _refusal(GATES, stage, trial)
+    asked = ((reason, question) for where, reason, question in GATES if stage in where)
+    return _first(asked, trial)
 
 
-def lasting_refusal(stage: Stage, lasting: Lasting) -> Refusal | None:
-    """The same of what noise drives."""
-    return _refusal(LASTING_GATES, stage, lasting)
-
-
-def shaken_refusal(stage: Stage, shaken: Shaken) -> Refusal | None:
+def shaken_refusal(shaken: Shaken) -> Refusal | None:
     """The same of what turns with a rotor."""
-    return _refusal(SHAKEN_GATES, stage, shaken)
+    return _first(SHAKEN_GATES, shaken)
 
 
-def _refusal(
-    gates: Sequence[tuple[tuple[Stage, ...], Reason, Callable[[Asked], str]]],
-    stage: Stage,
-    asked: Asked,
-) -> Refusal | None:
-    for where, reason, question in gates:
-        if stage in where and (words := question(asked)):
-            return Refusal(reason, words)
-    return None
+def _first(gates: Iterable[tuple[Reason, Callable[[Asked], str]]], asked: Asked) -> Refusal | None:
+    return next(
+        (Refusal(why, words) for why, question in gates if (words := question(asked))), None
+    )
 
 
 def _in_words(parameters: Mapping[str, Estimate]) -> str:

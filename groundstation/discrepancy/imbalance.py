@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.acceptance import LEAST_DROP, Shaken, Stage, shaken_refusal
+from groundstation.discrepancy.acceptance import LEAST_DROP, Shaken, shaken_refusal
 from groundstation.discrepancy.findings import Candidate, Findings, Refusal, with_last
 from groundstation.discrepancy.vibration import (
     IMBALANCE,
@@ -46,7 +46,7 @@ def with_imbalance(findings: Findings, problem: Problem, point: Point) -> Findin
     if not fitted:
         return findings
     asked = shaken_most(fitted)
-    why = shaken_refusal(Stage.WEIGHED, asked)
+    why = shaken_refusal(asked)
     found = replace(findings, candidates=(*findings.candidates, _candidate(asked, why)))
     return found if why else _joined(found, asked)
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from groundstation.comparison.comparison import Comparison
-from groundstation.discrepancy.acceptance import Stage, lasting_refusal
 from groundstation.discrepancy.findings import Predicted
 from groundstation.discrepancy.proof import WORSE_ANYWHERE, FittedRows
 from groundstation.discrepancy.slow_disturbance import (
@@ -79,4 +78,4 @@ def to_follow(fitted: Comparison) -> Slow | None:
     if is_followed(fitted.model):
         return None
     slow = slow_part(fitted.errors)
-    return None if lasting_refusal(Stage.WEIGHED, slow.asked()) else best_followed(slow, fitted)
+    return best_followed(slow, fitted) if slow.is_there else None

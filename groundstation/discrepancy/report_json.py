@@ -17,7 +17,7 @@ from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
 from groundstation.discrepancy.findings import Alternative, Candidate, Findings, NotShown, Reason
-from groundstation.discrepancy.proof import Explained, Proof, what_is_left
+from groundstation.discrepancy.proof import Explained, Left, Proof, what_is_left
 from groundstation.dynamics.model import Disturbance, Estimate
 
 WORST = 10
@@ -94,16 +94,6 @@ class EffectFound(msgspec.Struct, frozen=True):
     weight: float | None = None
 
 
-class LeftOver(msgspec.Struct, frozen=True):
-    """What is left in a channel: gap, the band with most of it, that band's share of the rest."""
-
-    channel: str
-    gap: float
-    band_hz: tuple[float, float]
-    share: float
-    words: str
-
-
 class Changed(msgspec.Struct, frozen=True):
     """A constant of the given model that the search changed; null: zero before, or not known."""
 
@@ -172,7 +162,7 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     gap: Gap
     residual: Literal["white", "structured"]
     residual_detail: ResidualDetail
-    left: list[LeftOver]
+    left: list[Left]
     candidates: list[CandidateTried]
     not_shown: list[NotShown]
     lost: dict[str, str]
@@ -317,10 +307,7 @@ def discrepancy_report(
         residual_detail=ResidualDetail(
             left.channel, list(left.frequencies_hz), left.signal, left.excess
         ),
-        left=[
-            LeftOver(one.channel, one.gap, one.band_hz, one.share, one.words)
-            for one in what_is_left(proof.after)
-        ],
+        left=what_is_left(proof.after),
         candidates=[
             CandidateTried(
                 *(c.name, c.score, c.t, c.held_out, c.accepted, _reason(c, findings)),

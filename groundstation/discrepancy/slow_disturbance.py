@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.acceptance import Lasting, Stage, lasting_refusal
+from groundstation.discrepancy.acceptance import is_significant
 from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import DISTURBANCE
@@ -88,16 +88,17 @@ class Slow:
             pace.name: Estimate(self.time_s, max(2.0 * error, 0.5) * self.time_s, pace.unit),
         }
 
-    def asked(self) -> Lasting:
-        """What its gate is asked of."""
-        return Lasting(DISTURBANCE, self.parameters, self.t, self.drop)
+    @property
+    def is_there(self) -> bool:
+        """Whether white noise hardly explains the means as well."""
+        return is_significant(self.t, self.drop)
 
 
 def with_disturbance(model: Model, fitted: Comparison) -> Model:
     """A model with the slow forces and moments that it leaves in fitted samples, none where white
     noise explains these as well. fitted: the model on them."""
     slow = slow_part(fitted.errors)
-    if lasting_refusal(Stage.WEIGHED, slow.asked()) is not None:
+    if not slow.is_there:
         return model
     trims = np.array([*trim_of(model_vehicle(model)), 0.0, 0.0, LIFT_SHARE * STANDARD_GRAVITY])
     return with_term(model, best_followed(slow, fitted).with_trims(trims))

@@ -126,10 +126,10 @@ def test_a_model_that_has_it_already_keeps_it(bent):
 
 def test_what_shakes_no_more_than_the_others_is_refused_with_the_rotor_that_does_most():
     shaken = most(36, {"propeller_imbalance": {"rotor": 1.0}})
-    from groundstation.discrepancy.acceptance import Stage, shaken_refusal
+    from groundstation.discrepancy.acceptance import shaken_refusal
 
-    assert shaken_refusal(Stage.WEIGHED, shaken) is None
-    refused = shaken_refusal(Stage.WEIGHED, replace(shaken, alone=2.0))
+    assert shaken_refusal(shaken) is None
+    refused = shaken_refusal(replace(shaken, alone=2.0))
     assert refused.reason is Reason.NOT_ALONE
     assert "rotor 1" in refused.words
     assert np.isfinite(shaken.recordings).all()

@@ -8,7 +8,6 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
 from groundstation.comparison.comparison import compare
-from groundstation.discrepancy.acceptance import Stage, lasting_refusal
 from groundstation.discrepancy.slow_disturbance import (
     slow_part,
     standard_errors,
@@ -86,7 +85,7 @@ def test_what_is_a_little_in_every_channel_passes_its_gate():
     slow = slow_part([half_seconds(swaying + generator.normal(0.0, 1.0, (100, 6)))])
     assert 1 <= np.count_nonzero(slow.spread) < 6
     assert slow.t > 4.5
-    assert lasting_refusal(Stage.WEIGHED, slow.asked()) is None
+    assert slow.is_there
 
 
 def half_seconds(missing):
