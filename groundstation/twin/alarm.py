@@ -118,10 +118,6 @@ class Judge:
         self._until = (0.0, 0)  # device time and arrival of the last row judged
         self.floor: Array | None = None
         """Variance (9,) of the innovations, None until it is known."""
-        self.sums = np.zeros(len(KINDS))
-        """The largest sum (s,) over the windows, signed, after the last block."""
-        self.statistics = np.zeros(len(KINDS))
-        """The same with every block at its full weight and nothing taken off."""
 
     def take(self, block: Block) -> list[Episode]:
         """Episodes that this block begins (``end_s`` None) or ends."""
@@ -154,7 +150,6 @@ class Judge:
         self._open, self._waiting = {}, []
         self._past.clear()
         self._meant[:], self._mixed[:] = 0.0, 0.0
-        self.sums = np.zeros(len(KINDS))
         return ended
 
     @property
@@ -176,8 +171,6 @@ class Judge:
                 self._meant[k] -= self._past[-1 - count].meant
                 self._mixed[k] -= self._past[-1 - count].mixed
         sums, whole, windows = self._sums()
-        self.sums = sums
-        self.statistics = whole
         told = []
         families = np.array([FAMILIES[kind.place.channel] for kind in KINDS])
         for family in dict.fromkeys(families.tolist()):
