@@ -13,7 +13,6 @@ from groundstation.cli.model_files import (
     fitted_model,
     require_new,
     runs_from,
-    say_written,
     told_turning,
     write_table,
 )
@@ -57,7 +56,6 @@ def simulate(
     ),
     attitude: str | None = ATTITUDE,
     supply_v: float = typer.Option(3.7, help="Along a reference: steady supply voltage."),
-    html: Path | None = typer.Option(None, "--html", help="A new page with figures."),
     as_json: bool = AS_JSON,
 ) -> None:
     """Fly the identified model, with its effects, and write what it would have reported.
@@ -66,7 +64,7 @@ def simulate(
     kept in the air by a simple controller that knows the true state.
 
     Example: [bold]groundstation simulate --model body.json --recording flight.mcap
-    -o simulated.csv --html simulated.html[/bold]
+    -o simulated.csv[/bold]
 
     Example: [bold]groundstation simulate --model body.json --reference doublet -o made.csv[/bold]
     """
@@ -75,14 +73,12 @@ def simulate(
     if not 2.0 <= supply_v <= 10.0:
         raise BadInputError(f"--supply-v {supply_v:g}: must be 2..10 V")
     require_new(output)
-    if html is not None:
-        require_new(html)
     loaded = fitted_model(model)
     turning = told_turning(loaded, attitude)
     if recording is not None:
-        report = _on_recording(loaded, Path(model).name, recording, output, window, turning, html)
+        report = _on_recording(loaded, recording, output, window, turning)
     else:
-        report = _along_reference(loaded, str(reference), output, supply_v, turning, html)
+        report = _along_reference(loaded, str(reference), output, supply_v, turning)
     if as_json:
         show_json(report)
         return
@@ -90,27 +86,18 @@ def simulate(
     show(f"{output}: {report['rows']} rows, {report['what']}; effects: {effects}")
     for name, value in report["rms"].items():
         show(f"  RMS error {name:<20}{value:10.3f}")
-    say_written(html)
 
 
 def _on_recording(
     model: Model,
-    name: str,
     recording: Path,
     output: Path,
     window: float,
     turning: Turning,
-    html: Path | None,
 ) -> dict[str, Any]:
     import numpy as np
 
-    from groundstation.identification.replayed import simulate_run
-    from groundstation.identification.replayed_report import (
-        channels_of,
-        errors_of,
-        replay_page,
-        rms_of,
-    )
+    from groundstation.identification.replayed import channels_of, errors_of, rms_of, simulate_run
 
     runs = runs_from([recording])
     done = [simulate_run(model, run, window, turning) for run in runs]
@@ -131,9 +118,6 @@ def _on_recording(
             " simulate (another vehicle's model?)"
         )
     write_table(output, HEAD, np.vstack(table))
-    if html is not None:
-        title = f"{recording.name} simulated by {name}"
-        replay_page(title, runs, done, window).write(html)
     return {
         "what": f"fresh start every {window:g} s",
         "rows": len(error),
@@ -151,12 +135,11 @@ def _along_reference(
     output: Path,
     supply_v: float,
     turning: Turning,
-    html: Path | None,
 ) -> dict[str, Any]:
     import numpy as np
 
     from groundstation.dynamics.reference import load_reference
-    from groundstation.identification.replayed_report import channels_of, reference_page
+    from groundstation.identification.replayed import channels_of
     from groundstation.prediction.reference_flight import fly_reference
 
     reference = load_reference(source)
@@ -174,8 +157,6 @@ def _along_reference(
     )
     more = "duty1,duty2,duty3,duty4,battery_v,reference_roll_deg,reference_pitch_deg"
     write_table(output, f"{HEAD},{more},reference_yaw_deg", table)
-    if html is not None:
-        reference_page(f"{reference.name}: simulated", made).write(html)
     error = np.degrees(np.angle(np.exp(1j * (made.reference - made.attitude))))
     rms = np.sqrt(np.mean(np.square(error), axis=0))
     return {

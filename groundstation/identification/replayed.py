@@ -17,8 +17,15 @@ from groundstation.identification.arx.flight import with_arx_attitude
 from groundstation.identification.runs import Run, require_known
 from groundstation.prediction.prediction import SETTLE_S, fly_ahead, observe_run
 from groundstation.report.result import Result
+from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]
+
+CHANNELS = (
+    *(f"gyro {axis} (deg/s)" for axis in "xyz"),
+    *(f"accelerometer {axis} (g)" for axis in "xyz"),
+    *(f"{axis} (deg)" for axis in ("roll", "pitch", "yaw")),
+)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -99,3 +106,30 @@ def angle_rms(model: Model, runs: Sequence[Run], window_s: float) -> Array:
     if not len(every):
         raise BadInputError("by the model's thrust the craft never leaves the ground")
     return np.asarray(np.sqrt(np.mean(np.square(every), axis=0)))
+
+
+def channels_of(gyro: Array, accelerometer: Array, attitude: Array) -> Array:
+    """(n, 9) in the units of ``CHANNELS``."""
+    return np.column_stack(
+        [np.degrees(gyro), accelerometer / STANDARD_GRAVITY, np.degrees(attitude)]
+    )
+
+
+def errors_of(run: Run, done: Replayed) -> Array:
+    """Measured less modelled, (n, 9) in the units of ``CHANNELS``; angles wrapped.
+
+    NaN in rows that were not simulated.
+    """
+    error = channels_of(run.gyro, run.accelerometer, run.attitude)
+    error -= channels_of(done.gyro, done.accelerometer, done.attitude)
+    error[:, 6:] = (error[:, 6:] + 180.0) % 360.0 - 180.0
+    error[~done.flown] = np.nan
+    return error
+
+
+def rms_of(errors: Array) -> Array:
+    """Root mean square per channel over what is known, NaN where nothing is."""
+    known = np.isfinite(errors)
+    count = known.sum(axis=0)
+    square = np.where(known, errors, 0.0) ** 2
+    return np.where(count, np.sqrt(square.sum(axis=0) / np.maximum(count, 1)), np.nan)

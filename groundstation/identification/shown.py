@@ -9,10 +9,11 @@ import numpy as np
 
 from groundstation.identification.advice import good_for
 from groundstation.identification.fit_record import Identified
-from groundstation.identification.replayed import Replayed
-from groundstation.identification.replayed_report import overlay
+from groundstation.identification.replayed import CHANNELS, Replayed, channels_of
 from groundstation.identification.report import certainty, residual, steps, trace
+from groundstation.report.figure import figure, thinned
 from groundstation.report.result import Shown
+from groundstation.report.theme import MEASURED, MODELLED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -56,4 +57,22 @@ def replayed(one: Replayed) -> Shown:
     columns["flown"] = one.flown
     first = int(np.argmax(one.flown))
     rows = slice(first, first + round(SHOWN_S / run.period_s))
-    return Shown(repr(one), columns, (), {"channels": partial(overlay, run, one, rows)})
+    return Shown(repr(one), columns, (), {"channels": partial(_overlay, one, rows)})
+
+
+def _overlay(done: Replayed, rows: slice) -> Figure:
+    """Measured and simulated, nine channels."""
+    run = done.run
+    measured = channels_of(run.gyro, run.accelerometer, run.attitude)[rows]
+    modelled = channels_of(done.gyro, done.accelerometer, done.attitude)[rows]
+    time = run.time_s[rows] - run.recording_start_s
+    drawn, axes = figure(9.5, 7.0, rows=3, columns=3, sharex=True)
+    for i, name in enumerate(CHANNELS):
+        t, one, other = thinned(time, measured[:, i], modelled[:, i])
+        axes[i].plot(t, one, color=MEASURED, label="measured")
+        axes[i].plot(t, other, color=MODELLED, label="simulated")
+        axes[i].set_title(name)
+    for axis in axes[6:]:
+        axis.set_xlabel("time, s")
+    drawn.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return drawn
