@@ -70,7 +70,7 @@ function showRecording(recording, link) {
 
 /** From its name, in ms; null where it says nothing. */
 export function begunAt(file) {
-  const found = /^(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)-(\d{3})Z/.exec(file ?? "");
+  const found = /(?:^|\/)(\d{4}-\d\d-\d\d)T(\d\d)-(\d\d)-(\d\d)-(\d{3})Z/.exec(file ?? "");
   return found && Date.parse(`${found[1]}T${found[2]}:${found[3]}:${found[4]}.${found[5]}Z`);
 }
 
