@@ -170,14 +170,6 @@ FAULTS = (
         (f"{_GATE_TESTS}::test_what_the_others_do_as_well_without_leaves",),
     ),
     Fault(
-        "gate-below-the-residual",
-        "a hundredth of what is wrong is given a name",
-        _GATES,
-        'return "small beside a structure that nothing explains" if small else ""',
-        'return ""',
-        (f"{_GATE_TESTS}::test_a_name_for_a_hundredth_of_what_is_wrong_is_no_explanation",),
-    ),
-    Fault(
         "gap-of-the-mean",
         "one channel that is predicted badly does not show in the gap",
         "groundstation/comparison/gap.py",

@@ -91,7 +91,7 @@ def where(
         for channel, name in enumerate(CHANNELS):
             mine, noise, count = 0.0, 0.0, 0
             for (error, floor), mask in zip(energy, held, strict=True):
-                known = mask & np.isfinite(error[:, channel])
+                known = mask & np.isfinite(error[:, channel]) & np.isfinite(floor[:, channel])
                 mine += float(error[known, channel].sum())
                 noise += float(floor[known, channel].sum())
                 count += int(known.sum())

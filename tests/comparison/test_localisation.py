@@ -1,9 +1,11 @@
 """The places where model and flight disagree lead to what was hidden."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from groundstation.comparison.localisation import over_time, spectrum_of, worst_stretch
+from groundstation.comparison.localisation import over_time, spectrum_of, where, worst_stretch
 from support.flights import MEDIUM, hidden, judged
 
 
@@ -55,3 +57,20 @@ def test_the_spectrum_of_a_slow_push_rises_above_noise_at_low_frequency_only():
     ratio = shown.error / shown.expected
     assert ratio[1] > 5.0
     assert np.median(ratio[shown.frequency_hz > 50.0]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_rows_of_which_nothing_foretells_the_noise_count_in_no_place():
+    found = judged(effects=hidden("yaw_damping", MEDIUM["yaw_damping"]))
+    whole = {(one.channel, one.regime): one.expected_rms for one in found.places}
+    floors = [
+        dataclasses.replace(one, horizons=[half_known(values) for values in one.horizons])
+        for one in found.floors
+    ]
+    for place in where(found.errors, floors):
+        assert 0.2 < place.expected_rms / whole[place.channel, place.regime] < 5.0
+
+
+def half_known(values):
+    known = values.copy()
+    known[len(values) // 2 : len(values) // 2 + 50] = np.nan
+    return known
