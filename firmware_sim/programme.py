@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -118,41 +118,56 @@ def load_programme(source: str) -> Programme:
     return programme
 
 
+class _Held(NamedTuple):
+    """A segment's running number, the tick of its first row, and its rows (n, 7)."""
+
+    number: int
+    start: int
+    table: NDArray[np.float64]
+
+    @property
+    def end(self) -> int:
+        return self.start + len(self.table)
+
+
 class Sticks:
-    """The rows of a programme, computed segment by segment as the flight goes on."""
+    """The rows of a programme, computed segment by segment as the flight goes on; two are held,
+    for the craft asks for rows a little ahead of those it has flown."""
 
     def __init__(self, programme: Programme, seed: int) -> None:
         self._programme = programme
         self._seed = seed
-        self._begin(0, 0)
+        self._held = [self._segment(0, 0)]
 
     def rows(self, first: int, count: int) -> NDArray[np.float64]:
         """Rows ``first`` to ``first + count`` (10 ms each, from power-on), shape (count, 7)."""
-        if first < self._start:
-            self._begin(0, 0)
+        if first < self._held[0].start:  # the craft was powered on anew
+            self._held = [self._segment(0, 0)]
         parts, end = [], first + count
         while first < end:
-            while first >= self._start + len(self._table):
-                self._begin(self._number + 1, self._start + len(self._table))
-            parts.append(self._table[first - self._start : end - self._start])
+            last = self._held[-1]
+            if first >= last.end:
+                self._held = [last, self._segment(last.number + 1, last.end)]
+                continue
+            held = next(one for one in self._held if first < one.end)
+            parts.append(held.table[first - held.start : end - held.start])
             first += len(parts[-1])
         return np.concatenate(parts)
 
-    def _begin(self, number: int, start: int) -> None:
+    def _segment(self, number: int, start: int) -> _Held:
         """The segment of that running number, which counts repetitions on, from a tick on. Behind
         the last of all the motors are off, for an hour at a time."""
-        self._number, self._start = number, start
         segments, repeat = self._programme.segment, self._programme.repeat
         if number >= len(segments) and repeat is None:
-            self._table = _idle(round(3600.0 / TICK_S))
-            return
+            return _Held(number, start, _idle(round(3600.0 / TICK_S)))
         if number >= len(segments):
             repeat = repeat or 0
             segment = segments[repeat + (number - len(segments)) % (len(segments) - repeat)]
         else:
             segment = segments[number]
         generator = np.random.default_rng((self._seed, number))
-        self._table = _segment_rows(segment, round(segment.seconds / TICK_S), generator)
+        table = _segment_rows(segment, round(segment.seconds / TICK_S), generator)
+        return _Held(number, start, table)
 
 
 _COLUMN = {

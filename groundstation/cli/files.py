@@ -58,8 +58,9 @@ def inspect(
     Example: [bold]groundstation inspect recordings/thesis_excerpt.csv[/bold]
     """
     from groundstation.recording.quality import inspect_recording
+    from groundstation.recording.ros_bag import is_bag_folder
 
-    if file.is_dir():
+    if file.is_dir() and not is_bag_folder(file):
         if columns is not None or thumbnail is not None:
             raise BadInputError(f"{file}: is a folder; --columns and --thumbnail are for one file")
         list_folder(file, as_json)

@@ -74,7 +74,7 @@ class Parts:
         wanted = newest.keys() if keys is None else newest.keys() & set(keys)
         if len(table) == len(wanted) and len(old) <= 2 + 2 * (len(table) // PART_ROWS):
             return
-        table = table.take(sorted(newest[key] for key in wanted))
+        table = table.take(pa.array(sorted(newest[key] for key in wanted), pa.int64()))
         first = self._next()
         numbers = range(first, first - (-len(table) // PART_ROWS))
         try:

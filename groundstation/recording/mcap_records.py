@@ -31,7 +31,7 @@ def parsed(kind: type[Kind], body: bytes | memoryview) -> Kind:
     stream = _Strict(BytesIO(body))
     try:
         record: Kind = kind.read(stream)
-    except (EndOfFile, struct.error, UnicodeDecodeError) as error:
+    except (EndOfFile, OverflowError, struct.error, UnicodeDecodeError) as error:
         raise ValueError("a record's parts are longer than the record") from error
     if stream.count != len(body):
         raise ValueError("a record is longer than its parts")

@@ -78,9 +78,9 @@ class _Server(uvicorn.Server):
 
 def control_app(station: Station) -> Starlette:
     """The routes; every answer is JSON, errors as ``{"error": text}``: status 400 for what the
-    station refuses, 403 for a token that is not in force, 404 and 405 for what there is not, 409
-    for what another client holds, 413 and 429 beyond the limits, 500 for a fault of its own,
-    which is an event too."""
+    station refuses, 403 for a token that is not in force and for web pages, 404 and 405 for what
+    there is not, 409 for what another client holds, 413 and 429 beyond the limits, 500 for a fault
+    of its own, which is an event too."""
     table = operations(station)
     rate = RateLimit(REQUESTS_HZ, REQUESTS_BURST)
 
@@ -92,6 +92,8 @@ def control_app(station: Station) -> Starlette:
                 if limited and not rate.allows():
                     station.turned_away += 1
                     return _refusal(429, f"more than {REQUESTS_HZ:g} requests a second")
+                if "origin" in request.headers:  # through a port that leads here, a browser's page
+                    return _refusal(403, "web pages are not answered here: use the daemon's own")
                 return await work(request)
             except _TooLargeError as error:
                 return _refusal(413, error)

@@ -50,7 +50,7 @@ class TestStandIn(MadeByTheFactory, LinkContract):
         ("stand-in", {"effects": {"phlogiston": {}}}, "phlogiston"),
         ("stand-in", {"speed": 0.0}, "greater than 0"),
         ("stand-in:2", {}, "stand-in:2"),
-        ("teleport", {}, "stand-in:MODEL, replay:FILE"),
+        ("teleport", {}, "replay:FILE"),
     )
 
 

@@ -175,3 +175,21 @@ def test_ctrl_c_that_comes_while_an_answer_is_closed_is_not_dropped(serve, path,
                 client.ask("GET", "/status")
 
     serve(conversation)
+
+
+def test_what_a_web_page_asks_is_refused_though_a_port_leads_here(serve, path):
+    def conversation():
+        with socket.socket(socket.AF_UNIX) as asking:
+            asking.settimeout(20)
+            asking.connect(str(path))
+            asking.sendall(
+                b"POST /command/stop HTTP/1.1\r\nHost: 127.0.0.1:8000\r\n"
+                b"Origin: https://elsewhere.example\r\nContent-Length: 0\r\n\r\n"
+            )
+            answer = HTTPResponse(asking)
+            answer.begin()
+            return answer.status, answer.read()
+
+    status, text = serve(conversation)
+    assert status == 403
+    assert b"web pages" in text
