@@ -16,7 +16,7 @@ LINKS = {
 }
 """Form -> module of ``groundstation.links``, whose ``make(options)`` gives the link."""
 KINDS = ", ".join(LINKS)
-CRAFT = ("radio://", "usb://", "udp://")
+CRAFT = tuple(form[: form.index("://") + 3] for form in LINKS if "://" in form)
 """Links to a craft that speaks for itself."""
 STAND_IN = "stand-in"
 

@@ -5,6 +5,7 @@ import functools
 import msgspec
 import numpy as np
 
+from bench.sealed.flights import CARRY as CARRYING_GAINS
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.comparison.comparison import compare
 from groundstation.dynamics.model import EffectTerm, Estimate, Model, vehicle_model
@@ -15,15 +16,6 @@ from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch
 from groundstation.twin.twin import episodes_of
 
-CARRYING_GAINS = {
-    "pid_rate.roll_kp": 30.0,
-    "pid_rate.pitch_kp": 30.0,
-    "pid_attitude.roll_kp": 3.0,
-    "pid_attitude.pitch_kp": 3.0,
-    "pid_attitude.roll_ki": 3.0,
-    "pid_attitude.pitch_ki": 3.0,
-}
-"""Gains that carry effects of every size (docs/stand_in.md)."""
 BASE = vehicle_model(BUILT_IN["crazyflie1"])
 MEDIUM = {
     "dead_time": {"delay_s": 0.0057},

@@ -117,25 +117,31 @@ def write_ulog(
     path.write_bytes(b"".join(out))
 
 
+def _imu(named, header, samples, row, attitude=(1.0, 0.0, 0.0, 0.0)):
+    """sensor_msgs/Imu of one row. attitude: w, x, y, z."""
+    vector = named["geometry_msgs/msg/Vector3"]
+    w, x, y, z = attitude
+    return named["sensor_msgs/msg/Imu"](
+        header,
+        named["geometry_msgs/msg/Quaternion"](x, y, z, w),
+        np.zeros(9),
+        vector(*map(float, samples.gyro[row])),
+        np.zeros(9),
+        vector(*map(float, samples.accelerometer[row])),
+        np.zeros(9),
+    )
+
+
 def write_ros1(path, samples):
     """A bag of ROS 1 with one IMU."""
     types = get_typestore(Stores.ROS1_NOETIC)
     named = types.types
-    vector = named["geometry_msgs/msg/Vector3"]
     with Writer1(path) as bag:
         imu = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=types)
         for row, time_s in enumerate(samples.time_s):
             stamp_ns = UNIX_NS + round(time_s * 1e9)
             stamp = named["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
-            one = named["sensor_msgs/msg/Imu"](
-                named["std_msgs/msg/Header"](row, stamp, "body"),
-                named["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
-                np.zeros(9),
-                vector(*map(float, samples.gyro[row])),
-                np.zeros(9),
-                vector(*map(float, samples.accelerometer[row])),
-                np.zeros(9),
-            )
+            one = _imu(named, named["std_msgs/msg/Header"](row, stamp, "body"), samples, row)
             bag.write(imu, stamp_ns, types.serialize_ros1(one, imu.msgtype))
 
 
@@ -145,7 +151,6 @@ def write_service_events(path, samples):
 
     types = get_typestore(Stores.ROS2_HUMBLE)
     named = types.types
-    vector = named["geometry_msgs/msg/Vector3"]
     definition, _ = types.generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)
     event = "int8 REQUEST=0\n===\nMSG: my_interfaces/srv/Arm_Event\nthis is : none\n---\nbool ok"
     with path.open("wb") as file:
@@ -160,15 +165,7 @@ def write_service_events(path, samples):
         ]
         for row, time_s in enumerate(samples.time_s):
             stamp_ns = UNIX_NS + round(time_s * 1e9)
-            one = named["sensor_msgs/msg/Imu"](
-                _header(named, stamp_ns),
-                named["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
-                np.zeros(9),
-                vector(*map(float, samples.gyro[row])),
-                np.zeros(9),
-                vector(*map(float, samples.accelerometer[row])),
-                np.zeros(9),
-            )
+            one = _imu(named, _header(named, stamp_ns), samples, row)
             data = bytes(types.serialize_cdr(one, "sensor_msgs/msg/Imu"))
             bag.add_message(channels[0], stamp_ns, data, stamp_ns)
         bag.add_message(channels[1], stamp_ns, b"\0\1\0\0\0", stamp_ns)
@@ -182,7 +179,6 @@ def write_ros2(folder, samples, storage):
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     roll, pitch, yaw = samples.attitude.astype(np.float64).T
     attitude = quaternion_of(roll, pitch, yaw)
-    vector = named["geometry_msgs/msg/Vector3"]
     with Writer(folder, version=9, storage_plugin=plugin) as bag:
         imu = bag.add_connection("/drone/imu", "sensor_msgs/msg/Imu", typestore=types)
         battery = bag.add_connection("/drone/bat", "sensor_msgs/msg/BatteryState", typestore=types)
@@ -190,17 +186,8 @@ def write_ros2(folder, samples, storage):
         for row, time_s in enumerate(samples.time_s):
             stamp_ns = UNIX_NS + round(time_s * 1e9)
             late_ns = stamp_ns + 1_000_000 * (row % 7)
-            w, x, y, z = attitude[row]
             header = _header(named, stamp_ns)
-            one = named["sensor_msgs/msg/Imu"](
-                header,
-                named["geometry_msgs/msg/Quaternion"](x, y, z, w),
-                np.zeros(9),
-                vector(*map(float, samples.gyro[row])),
-                np.zeros(9),
-                vector(*map(float, samples.accelerometer[row])),
-                np.zeros(9),
-            )
+            one = _imu(named, header, samples, row, attitude[row])
             bag.write(imu, late_ns, types.serialize_cdr(one, imu.msgtype))
             if row % 500 == 0:
                 nan, none = float("nan"), np.zeros(0, np.float32)
