@@ -10,7 +10,7 @@ import time
 import pytest
 
 from support.programs import Program
-from support.waiting import HeldUp, children, in_real_time, waited_s
+from support.waiting import HeldUpError, children, in_real_time, waited_s
 
 COMPUTE = "while True: pass"
 RUNS = []
@@ -43,7 +43,7 @@ def ended(flight):
 
 def test_a_flight_that_ends_while_the_machine_holds_its_programs_up_is_told_apart():
     what = r"held python.* up for \d\.\d+ s: no telemetry"
-    with crowded() as flight, pytest.raises(HeldUp, match=what):
+    with crowded() as flight, pytest.raises(HeldUpError, match=what):
         ended(flight)
 
 
@@ -62,7 +62,7 @@ def test_a_flight_whose_program_stands_still_or_waits_fails_however_busy_the_mac
 def test_what_the_machine_ended_is_run_again():
     RUNS.append("a run")
     if len(RUNS) == 1:
-        raise HeldUp("the first time")
+        raise HeldUpError("the first time")
 
 
 def test_what_was_held_up_and_went_well_goes_on():

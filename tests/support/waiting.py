@@ -39,14 +39,14 @@ async def eventually(condition, what="what is waited for"):
         raise AssertionError(f"never happened in {PATIENCE_S:g} s: {what}") from None
 
 
-class HeldUp(AssertionError):
+class HeldUpError(AssertionError):
     """The machine did not give a test the real time that it needs: pytest runs it again, three
     times at most (``--only-rerun`` in pyproject.toml)."""
 
 
 @contextlib.contextmanager
 def in_real_time(programs=lambda: [os.getpid(), *children()]):
-    """Raises HeldUp for what fails in here where the machine held a program up before it.
+    """Raises HeldUpError for what fails in here where the machine held a program up before it.
 
     programs: their process ids; by default this one and those it started.
     """
@@ -57,7 +57,7 @@ def in_real_time(programs=lambda: [os.getpid(), *children()]):
             held_s, name = watch.longest()
             if held_s < HELD_UP_S:
                 raise
-            raise HeldUp(f"the machine held {name} up for {held_s:.2f} s: {error}"[:500]) from error
+            raise HeldUpError(f"the machine held {name} up for {held_s:.2f} s: {error}"[:500]) from error
 
 
 def waited_s(pid):
