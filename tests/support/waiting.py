@@ -57,7 +57,8 @@ def in_real_time(programs=lambda: [os.getpid(), *children()]):
             held_s, name = watch.longest()
             if held_s < HELD_UP_S:
                 raise
-            raise HeldUpError(f"the machine held {name} up for {held_s:.2f} s: {error}"[:500]) from error
+            why = f"the machine held {name} up for {held_s:.2f} s: {error}"
+            raise HeldUpError(why[:500]) from error
 
 
 def waited_s(pid):
