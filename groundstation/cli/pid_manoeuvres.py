@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 from groundstation.cli.sticks import (
@@ -31,8 +33,9 @@ DESCENT = 0.97
 DESCENT_S = 2.4
 NOMINAL_V = 3.7
 """Of a cell that is not told."""
-TOUCHED_DPS = 150.0
-"""Level flight never turns so fast: the ground has been met."""
+TOUCHED_DPS, TOUCHED, LEVEL_S = 150.0, 2.0, 1.0
+"""A craft that turns so fast while it comes down, and so many times as fast as in so long before,
+has met the ground: level flight never does, unless it shakes."""
 TAKE_OFF_S = 3.0
 NOT_TURNING = (
     "thrust is asked for and no motor turns: a craft that needs arming is armed by `groundstation"
@@ -106,6 +109,7 @@ def fly_programme(
     if all(motor == 0.0 for motor in answer["telemetry"]["motors"]):
         return NOT_TURNING
     pilot.mark(BEGINS)
+    turned: deque[float] = deque(maxlen=round(LEVEL_S * RATE_HZ))
     for roll, pitch, yaw, *above in table.tolist():
         if isinstance(sticks, CraftHeight) and above:
             sticks.above_m = above[0]
@@ -115,9 +119,12 @@ def fly_programme(
         reason = send(hands, roll, pitch, yaw)
         if reason:
             return reason
+        turned.append(_fastest_dps(answer))
         clock.wait()
     pilot.mark(LANDS)
-    return _land(pilot, sticks, clock, low, answer, firmware)
+    met_dps = max(TOUCHED_DPS, TOUCHED * max(turned, default=0.0))
+    come_down = partial(_come_down, pilot, clock, low, met_dps)
+    return _land(pilot, sticks, clock, low, answer, firmware, come_down)
 
 
 def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
@@ -156,6 +163,7 @@ def _land(
     low: LowBattery | None,
     last: dict[str, Any],
     firmware: Firmware | None,
+    come_down: Callable[[Iterable[Hands]], str],
 ) -> str:
     """A craft that holds its height is asked for less and less of it or to sink, the stand-in of
     2014's sinks at a little less thrust than hovered, a human lands by hand."""
@@ -163,9 +171,7 @@ def _land(
 
     if firmware is not None and firmware.is_today and HOLD_HEIGHT in pilot.parameters():
         sinks = [Hands(thrust=climb_thrust(-CLIMB_M_S))]
-        reason = _come_down(
-            pilot, clock, low, sinks * round((HOLD_M / CLIMB_M_S + ON_GROUND_S) * RATE_HZ)
-        )
+        reason = come_down(sinks * round((HOLD_M / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
         pilot.write({HOLD_HEIGHT: 0.0})  # with it zero thrust turns the motors
         return reason
     if firmware is not None:
@@ -175,12 +181,12 @@ def _land(
         battery_v = said["battery_v"] or NOMINAL_V
         hover = float(firmware.thrust(said["motors"], 1000.0 * battery_v).mean())
         sinking = Hands(thrust=round(DESCENT * hover))
-        return _come_down(pilot, clock, low, [sinking] * round(DESCENT_S * RATE_HZ))
+        return come_down([sinking] * round(DESCENT_S * RATE_HZ))
     if isinstance(sticks, CraftHeight):
         # to the floor even where it took off from a table: it may have drifted from there
         ticks = range(round((sticks.top_m / CLIMB_M_S + ON_GROUND_S) * RATE_HZ))
         heights = (max(sticks.top_m - CLIMB_M_S * tick / RATE_HZ, 0.0) for tick in ticks)
-        return _come_down(pilot, clock, low, (sticks.at(lower) for lower in heights))
+        return come_down(sticks.at(lower) for lower in heights)
     say("the programme is flown: land", error=True)
     while True:
         hands = sticks.read()
@@ -207,7 +213,11 @@ def _sent(
 
 
 def _come_down(
-    pilot: Pilot | SoftwareCraft, clock: Clock, low: LowBattery | None, steps: Iterable[Hands]
+    pilot: Pilot | SoftwareCraft,
+    clock: Clock,
+    low: LowBattery | None,
+    met_dps: float,
+    steps: Iterable[Hands],
 ) -> str:
     """Send one after the other until the ground is met; why it was aborted, or empty."""
     from groundstation.control.programme import LANDING, reason_to_abort
@@ -217,10 +227,15 @@ def _come_down(
         reason = reason_to_abort(answer, low, LANDING)
         if reason:
             return reason
-        if max(abs(rate) for rate in answer["telemetry"]["gyro_dps"]) > TOUCHED_DPS:
+        if _fastest_dps(answer) > met_dps:
             break
         clock.wait()
     return ""
+
+
+def _fastest_dps(answer: dict[str, Any]) -> float:
+    """How fast the craft turns about any axis."""
+    return max(abs(rate) for rate in answer["telemetry"]["gyro_dps"])
 
 
 def _firmware(pilot: Pilot) -> Firmware:

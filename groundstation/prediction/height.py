@@ -37,8 +37,9 @@ REACH_M, LANDING_DOUBT_M = 0.08, 0.01
 left of the effect there: a craft that comes down in a second is low for too short to be misjudged,
 one that hovers low for two is not."""
 IDLE_SHARE, IDLE_S = 0.4, 1.0
-"""Motors that are driven by less than this share of what they are in flight, for so long at either
-end, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535)."""
+"""Motors that are driven by less than this share of what they are in flight, for so long at the
+start, idle on the ground: a sixth of the thrust (an armed Brushless idles at 7000 of 65535). At the
+end they do however short it is: what they carry no more stands already, or falls."""
 FALL_S, FALLING, IMPACT = 0.6, 0.5, 1.0
 """How long a craft may fall once its motors have stopped, feeling less than this share of 1 g, and
 by how many g more than 1 the ground then stops it: rotors that run down are felt by less than 1."""
@@ -62,7 +63,7 @@ def lifting(driven: Array, begun: int, ended: int, period_s: float) -> tuple[int
     mean = driven[begun:ended].mean(axis=1)
     up = begun + np.flatnonzero(mean > IDLE_SHARE * np.percentile(mean, 95.0))
     first, last, idle = int(up[0]), int(up[-1]) + 1, round(IDLE_S / period_s)
-    return first if first - begun > idle else begun, last if ended - last > idle else ended
+    return first if first - begun > idle else begun, last
 
 
 def heights_of(

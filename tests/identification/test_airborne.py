@@ -60,6 +60,17 @@ def test_motors_that_idle_on_the_ground_make_no_flight_longer(run):
     np.testing.assert_allclose(height, still.height_m[still.first : still.last], atol=1e-9)
 
 
+@pytest.mark.parametrize("idle_rows", [50, 400])
+def test_motors_that_idle_on_for_a_moment_after_the_landing_carry_no_flight_on(run, idle_rows):
+    """The recording ends before the craft has lain still for as long as a rest lasts."""
+    duty = run.duty.copy()
+    duty[STOP : STOP + idle_rows] = 7000.0 / 65535.0
+    (still,), (idling,) = flights_in(run), flights_in(replace(run, duty=duty)[: STOP + idle_rows])
+    assert still.last <= idling.last <= STOP
+    ending = replace(run, duty=duty)[: STOP + max(idle_rows, 350)]
+    assert flights_in(ending)[0].last == still.last
+
+
 @pytest.mark.parametrize("rows_after_the_stop", [0, 100])
 def test_a_craft_that_strikes_the_ground_is_down_though_its_motors_turn_on(
     run, rows_after_the_stop

@@ -49,6 +49,24 @@ def test_it_flies_a_programme_stays_in_its_place_and_tells_what_was_commanded(tm
     ]
 
 
+def test_a_craft_that_shakes_is_let_down_and_not_dropped(tmp_path):
+    """Turning to and fro by hundreds of deg/s is how it flies, and not the ground."""
+    shakes = """
+    [stand_in.effects.motor_braking_asymmetry]
+    factor = 0.6075
+    [stand_in.effects.gyro_low_pass]
+    bandwidth_hz = 16.0
+    [stand_in.effects.attitude_filter_lean]
+    strength = 1.0
+    """
+    flying = SoftwareCraft(settings(tmp_path, more=shakes), CLIENT, seed=1)
+    flying.arm()
+    sticks = Onlooker(flying, 0.5, places=True)
+    plan = plan_of("hover")
+    assert fly_programme(flying, plan, sticks, tells_battery=True, clock=flying) == ""
+    assert flying.position_m[2] < 0.15
+
+
 def test_a_flight_is_the_same_for_its_seed(tmp_path):
     place = Place("software:" + settings(tmp_path), 0.5)
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
