@@ -32,8 +32,8 @@ from groundstation import (
     decode_all,
     design_cascade,
     find_discrepancy,
+    fit_body,
     flights_of,
-    identify_body,
     load_vehicle,
     open_recording,
     robustness,
@@ -64,7 +64,7 @@ def rows() -> Iterator[Row]:
     model = vehicle_model(vehicle)
     runs = runs_of(decode_all(flight)[0], "flight")
     begun_s = time.process_time()
-    body = identify_body(runs, [], model, vehicle)
+    body = fit_body(runs, [], model, vehicle)
     fit_s = time.process_time() - begun_s
     yield Row("fit body, a minute of flight", fit_s, None, "s", most=30.0)
     yield from _search(model)

@@ -145,8 +145,8 @@ def python() -> str:
         "All names are imported from `groundstation` itself. With examples: [the Python"
         " API](../python_api.md).",
     ]
-    for module, names in sorted(groundstation.PUBLIC.items()):
-        parts += [f"## {name}\n\n::: groundstation.{module}.{name}" for name in names]
+    for name, place in groundstation.PUBLIC.items():
+        parts.append(f"## {name}\n\n::: groundstation.{place}")
     return "\n\n".join(parts) + "\n"
 
 

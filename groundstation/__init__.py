@@ -1,64 +1,132 @@
 """groundstation: a hardware-in-the-loop ground station service for the Crazyflie quadrotor.
 
-Programs import what ``PUBLIC`` lists straight from here (docs/python_api.md); each name is loaded
-from its module when it is first used, so that importing the package costs nothing.
+Programs, commands and examples import what ``PUBLIC`` lists straight from here
+(docs/python_api.md). Each name is loaded when it is first used, so that importing the package costs
+nothing; a type checker reads the imports below instead.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 __version__ = "1.0.0"
 
-PUBLIC: dict[str, tuple[str, ...]] = {
-    "recording.open_recording": ("open_recording",),
-    "recording.session": ("Recording",),
-    "recording.recording_file": ("write_mcap",),
-    "telemetry.samples": ("RawBatch", "SampleBatch"),
-    "telemetry.decoder": ("decode_all",),
-    "identification.division": ("hold_out",),
-    "identification.runs": ("Run", "runs_of"),
-    "identification.segments": ("parse_selection",),
-    "identification.motor.workflow": ("identify_motor",),
-    "identification.body.workflow": ("identify_body",),
-    "identification.arx.fit": ("Criterion",),
-    "identification.arx.workflow": ("identify_arx",),
-    "identification.replayed": ("simulate_run",),
-    "dynamics.model": ("Model", "load_model", "save_model", "vehicle_model"),
-    "dynamics.vehicle": ("Vehicle", "load_vehicle"),
-    "dynamics.reference": ("load_reference",),
-    "prediction.reference_flight": ("fly_reference",),
-    "prediction.prediction": ("predict_ahead",),
-    "attitude.filters": ("complementary", "kalman"),
-    "attitude.sensors": ("rest_bias",),
-    "attitude.axis_check": ("check_axes",),
-    "control.pid": ("PidGains",),
-    "control.evaluate": ("evaluate",),
-    "control.firmware_design": ("cascade_limits", "design_cascade", "robustness"),
-    "control.gains_file": ("gains_text", "load_gains"),
-    "identification.recordings": ("flights_of",),
-    "comparison.comparison": ("compare",),
-    "discrepancy.engine": ("find_discrepancy",),
-    "service.client": ("Client", "Pilot", "live"),
-    "service.config": ("socket_path",),
-    "errors": ("BadInputError", "GroundStationError"),
+if TYPE_CHECKING:
+    from groundstation.attitude.axis_check import check_axes as check_axes
+    from groundstation.attitude.filters import complementary as complementary
+    from groundstation.attitude.filters import kalman as kalman
+    from groundstation.attitude.sensors import rest_bias as rest_bias
+    from groundstation.comparison.comparison import compare as compare
+    from groundstation.control.evaluate import evaluate as evaluate
+    from groundstation.control.firmware_design import cascade_limits as cascade_limits
+    from groundstation.control.firmware_design import design_cascade as design_cascade
+    from groundstation.control.firmware_design import robustness as robustness
+    from groundstation.control.gains_file import gains_text as gains_text
+    from groundstation.control.gains_file import load_gains as load_gains
+    from groundstation.control.pid import PidGains as PidGains
+    from groundstation.discrepancy.engine import find_discrepancy as find_discrepancy
+    from groundstation.dynamics.model import Model as Model
+    from groundstation.dynamics.model import load_model as load_model
+    from groundstation.dynamics.model import save_model as save_model
+    from groundstation.dynamics.model import vehicle_model as vehicle_model
+    from groundstation.dynamics.reference import load_reference as load_reference
+    from groundstation.dynamics.vehicle import Vehicle as Vehicle
+    from groundstation.dynamics.vehicle import load_vehicle as load_vehicle
+    from groundstation.errors import BadInputError as BadInputError
+    from groundstation.errors import GroundStationError as GroundStationError
+    from groundstation.identification.arx.fit import Criterion as Criterion
+    from groundstation.identification.arx.workflow import identify_arx as identify_arx
+    from groundstation.identification.body.workflow import identify_body as identify_body
+    from groundstation.identification.division import hold_out as hold_out
+    from groundstation.identification.motor.workflow import identify_motor as identify_motor
+    from groundstation.identification.recordings import flights_of as flights_of
+    from groundstation.identification.replayed import simulate_run as simulate_run
+    from groundstation.identification.runs import Run as Run
+    from groundstation.identification.runs import runs_of as runs_of
+    from groundstation.identification.segments import parse_selection as parse_selection
+    from groundstation.prediction.prediction import predict_ahead as predict_ahead
+    from groundstation.prediction.reference_flight import fly_reference as fly_reference
+    from groundstation.recording.open_recording import open_recording as open_recording
+    from groundstation.recording.recording_file import write_mcap as write_mcap
+    from groundstation.recording.session import Recording as Recording
+    from groundstation.service.client import Client as Client
+    from groundstation.service.client import Pilot as Pilot
+    from groundstation.service.client import live as live
+    from groundstation.service.config import socket_path as socket_path
+    from groundstation.telemetry.decoder import decode_all as decode_all
+    from groundstation.telemetry.samples import RawBatch as RawBatch
+    from groundstation.telemetry.samples import SampleBatch as SampleBatch
+
+    fit_arx = identify_arx
+    fit_body = identify_body
+    fit_motor = identify_motor
+
+PUBLIC = {
+    "BadInputError": "errors.BadInputError",
+    "Client": "service.client.Client",
+    "Criterion": "identification.arx.fit.Criterion",
+    "GroundStationError": "errors.GroundStationError",
+    "Model": "dynamics.model.Model",
+    "PidGains": "control.pid.PidGains",
+    "Pilot": "service.client.Pilot",
+    "RawBatch": "telemetry.samples.RawBatch",
+    "Recording": "recording.session.Recording",
+    "Run": "identification.runs.Run",
+    "SampleBatch": "telemetry.samples.SampleBatch",
+    "Vehicle": "dynamics.vehicle.Vehicle",
+    "cascade_limits": "control.firmware_design.cascade_limits",
+    "check_axes": "attitude.axis_check.check_axes",
+    "compare": "comparison.comparison.compare",
+    "complementary": "attitude.filters.complementary",
+    "decode_all": "telemetry.decoder.decode_all",
+    "design_cascade": "control.firmware_design.design_cascade",
+    "evaluate": "control.evaluate.evaluate",
+    "find_discrepancy": "discrepancy.engine.find_discrepancy",
+    "fit_arx": "identification.arx.workflow.identify_arx",
+    "fit_body": "identification.body.workflow.identify_body",
+    "fit_motor": "identification.motor.workflow.identify_motor",
+    "flights_of": "identification.recordings.flights_of",
+    "fly_reference": "prediction.reference_flight.fly_reference",
+    "gains_text": "control.gains_file.gains_text",
+    "hold_out": "identification.division.hold_out",
+    "kalman": "attitude.filters.kalman",
+    "live": "service.client.live",
+    "load_gains": "control.gains_file.load_gains",
+    "load_model": "dynamics.model.load_model",
+    "load_reference": "dynamics.reference.load_reference",
+    "load_vehicle": "dynamics.vehicle.load_vehicle",
+    "open_recording": "recording.open_recording.open_recording",
+    "parse_selection": "identification.segments.parse_selection",
+    "predict_ahead": "prediction.prediction.predict_ahead",
+    "rest_bias": "attitude.sensors.rest_bias",
+    "robustness": "control.firmware_design.robustness",
+    "runs_of": "identification.runs.runs_of",
+    "save_model": "dynamics.model.save_model",
+    "simulate_run": "identification.replayed.simulate_run",
+    "socket_path": "service.config.socket_path",
+    "vehicle_model": "dynamics.model.vehicle_model",
+    "write_mcap": "recording.recording_file.write_mcap",
 }
-"""Module below this package -> the names that programs may rely on."""
+"""Names that programs may rely on -> where below this package each is."""
 
-_MODULES = {name: module for module, names in PUBLIC.items() for name in names}
+FORMER = {
+    "identify_arx": "fit_arx",
+    "identify_body": "fit_body",
+    "identify_motor": "fit_motor",
+}
+"""Names of 1.0, understood until 2.0 -> today's."""
 
-__all__ = sorted(_MODULES)  # noqa: PLE0605
+if not TYPE_CHECKING:  # a checker would take every name for one that there is
+    __all__ = sorted(PUBLIC)  # noqa: PLE0605
 
+    def __getattr__(name):
+        from importlib import import_module
 
-def __getattr__(name: str) -> Any:
-    from importlib import import_module
+        try:
+            module, _, found = PUBLIC[FORMER.get(name, name)].rpartition(".")
+        except KeyError:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
+        return getattr(import_module(f"{__name__}.{module}"), found)
 
-    try:
-        module = _MODULES[name]
-    except KeyError:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None
-    return getattr(import_module(f"{__name__}.{module}"), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    def __dir__():
+        return [*globals(), *__all__]

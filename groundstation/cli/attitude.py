@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
     HTML,
@@ -17,7 +18,6 @@ from groundstation.cli.model_files import (
     write_table,
 )
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
     from groundstation.attitude.filters import KalmanNoise
@@ -118,7 +118,8 @@ def axes(
 
     Example: [bold]groundstation axes turned.mcap --html axes.html[/bold]
     """
-    from groundstation.attitude.axis_check import attitude_against_gyro, check_axes
+    from groundstation import check_axes
+    from groundstation.attitude.axis_check import attitude_against_gyro
 
     if html is not None:
         require_new(html)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError, GroundStationError, Pilot, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.commanding import (
     await_connection,
@@ -21,9 +22,6 @@ from groundstation.cli.fit import fit_motor
 from groundstation.cli.model_files import AS_JSON, HTML, MASS, VEHICLE, require_new
 from groundstation.cli.pid_manoeuvres import SetpointClock, stop_motors
 from groundstation.cli.terminal import say, show, show_json
-from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.client import Pilot
-from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
     from groundstation.control.thrust_profile import ThrustProfile

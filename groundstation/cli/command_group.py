@@ -7,8 +7,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from groundstation import BadInputError
 from groundstation.cli.progress import watched
-from groundstation.errors import BadInputError
 
 FORMER = {
     "config --reload": "a change takes effect with the next start of the daemon",

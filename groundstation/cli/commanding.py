@@ -11,9 +11,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from groundstation import BadInputError, GroundStationError, Pilot
 from groundstation.cli.terminal import require_yes, say
-from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.client import Pilot, ask
+from groundstation.service.client import ask
 from groundstation.service.motor_stop import BY_OPERATOR
 
 LEAST_REST_V = 3.5

@@ -61,7 +61,7 @@ def compare(
     """
     import msgspec
 
-    from groundstation.comparison.comparison import compare as judge
+    from groundstation import compare as judge
     from groundstation.discrepancy.report_json import CompareReport, gap_of, stretch_report
 
     if html is not None:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import Client, socket_path
 from groundstation.cli import config, motors, page
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import show, show_json
 from groundstation.links.names import KINDS
-from groundstation.service.client import Client, ask
-from groundstation.service.config import socket_path
+from groundstation.service.client import ask
 from groundstation.text import printable
 
 if TYPE_CHECKING:

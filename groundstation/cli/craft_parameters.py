@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from groundstation import GroundStationError, Pilot, socket_path
 from groundstation.cli.left_changed import Written, forget_changes, note_changes
 from groundstation.cli.terminal import say
-from groundstation.errors import GroundStationError
-from groundstation.service.client import Pilot
-from groundstation.service.config import socket_path
 from groundstation.service.motor_stop import BY_OPERATOR
 
 if TYPE_CHECKING:

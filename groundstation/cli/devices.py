@@ -10,9 +10,10 @@ from typing import Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, TakenError
+from groundstation.errors import TakenError
 
 
 def add_commands(app: typer.Typer) -> None:

@@ -25,9 +25,9 @@ from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
+    from groundstation import Model
     from groundstation.discrepancy.engine import Discrepancy
     from groundstation.discrepancy.report_json import DiscrepancyReport
-    from groundstation.dynamics.model import Model
     from groundstation.identification.likelihood.parameters import Variant
 
 VALIDATE = typer.Option(
@@ -87,8 +87,7 @@ def discrepancy(
     """
     import msgspec
 
-    from groundstation import __version__
-    from groundstation.discrepancy.engine import find_discrepancy
+    from groundstation import __version__, find_discrepancy
     from groundstation.discrepancy.report_json import discrepancy_report
 
     printed = json == STDOUT
@@ -138,10 +137,10 @@ def _own(path: Path | None) -> list[Variant]:
 def _write(files: _Outputs, found: Discrepancy, report: DiscrepancyReport) -> None:
     import msgspec
 
-    from groundstation.errors import BadInputError
+    from groundstation import BadInputError
 
     if files.model is not None:
-        from groundstation.dynamics.model import save_model
+        from groundstation import save_model
 
         save_model(_improved(found.findings.model, report), files.model)
     if files.json is not None:

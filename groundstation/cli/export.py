@@ -7,10 +7,10 @@ from pathlib import Path
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import require_new
 from groundstation.cli.terminal import show
-from groundstation.errors import BadInputError
 
 export = Commands(
     help="Files for whoever writes firmware or other programs."

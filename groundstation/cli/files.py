@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import AS_JSON, require_new, write_new
 from groundstation.cli.progress import shown, spoken
 from groundstation.cli.recordings import list_folder
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError, DamagedRecordingError, RecordingError
+from groundstation.errors import DamagedRecordingError, RecordingError
 from groundstation.text import printable
 
 if TYPE_CHECKING:
-    from groundstation.recording.session import Recording
+    from groundstation import Recording
 
 GAPS_SHOWN = 5
 TABLE_WIDTH = 72
@@ -175,7 +176,7 @@ def _give_supply(recording: Recording, supply_v: float) -> None:
 
 
 def _open(path: Path, columns: str | None) -> Recording:
-    from groundstation.recording.open_recording import open_recording
+    from groundstation import open_recording
 
     with shown(f"reading {path}"):
         return open_recording(path, raw=True, column_map=columns)

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+import groundstation
+from groundstation import BadInputError
 from groundstation.cli.command_group import Commands
 from groundstation.cli.flights import require_apart
 from groundstation.cli.model_files import (
@@ -28,16 +30,12 @@ from groundstation.cli.model_files import (
 )
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
 from groundstation.paths import digest
 
 if TYPE_CHECKING:
-    from groundstation.dynamics.model import Model
-    from groundstation.dynamics.vehicle import Vehicle
+    from groundstation import Model, Recording, Run, Vehicle
     from groundstation.identification.fit_record import Evidence, Identified, Progress
-    from groundstation.identification.runs import Run
     from groundstation.identification.segments import Selection
-    from groundstation.recording.session import Recording
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
 VALIDATE = typer.Option(
@@ -88,10 +86,9 @@ def fit_motor(
     Example: [bold]groundstation fit motor bench.mcap -o motor.json
     --with battery_reading_lag,supply_sag[/bold]
     """
-    from groundstation.identification.motor.workflow import identify_motor
 
     def identify(task: _Task, progress: Progress) -> Identified:
-        return identify_motor(
+        return groundstation.fit_motor(
             *(task.runs, task.held, task.before, task.vehicle),
             effect_names(effects),
             motor - 1,
@@ -129,10 +126,9 @@ def fit_body(
     Example: [bold]groundstation fit body flight1.mcap flight2.mcap --model motor.json
     -o body.json --with dead_time,rotor_acceleration_torque[/bold]
     """
-    from groundstation.identification.body.workflow import identify_body
 
     def identify(task: _Task, progress: Progress) -> Identified:
-        return identify_body(
+        return groundstation.fit_body(
             *(task.runs, task.held, task.before, task.vehicle),
             effect_names(effects),
             tie,
@@ -175,8 +171,8 @@ def fit_arx(
 
     Example: [bold]groundstation fit arx flight.mcap -o arx.json --gyro --html arx.html[/bold]
     """
-    from groundstation.identification.arx.fit import Criterion, parse_orders
-    from groundstation.identification.arx.workflow import identify_arx
+    from groundstation import Criterion
+    from groundstation.identification.arx.fit import parse_orders
 
     chosen = criterion or ("prediction" if gyro else "free_run")
     if chosen not in tuple(Criterion):
@@ -185,7 +181,7 @@ def fit_arx(
     orders = parse_orders(order or ())
 
     def identify(task: _Task, progress: Progress) -> Identified:
-        return identify_arx(
+        return groundstation.fit_arx(
             *(task.runs, task.held, task.before, task.vehicle),
             Criterion(chosen),
             "gyro" if gyro else "attitude",
@@ -230,8 +226,8 @@ def _carry_out(
     segment: list[str] | None,
     read: Callable[[Sequence[Recording]], list[Run]] = runs_in,
 ) -> None:
-    from groundstation.dynamics.model import load_model, model_vehicle
-    from groundstation.identification.segments import parse_selection
+    from groundstation import load_model, parse_selection
+    from groundstation.dynamics.model import model_vehicle
     from groundstation.recording.craft_family import vehicle_of
     from groundstation.recording.plausibility import require_possible
 
@@ -274,8 +270,7 @@ def _doubts(found: Identified, task: _Task, recordings: Sequence[Recording]) -> 
 def _finish(found: Identified, files: _Files, progress: Progress) -> None:
     import msgspec
 
-    from groundstation import __version__
-    from groundstation.dynamics.model import save_model
+    from groundstation import __version__, save_model
     from groundstation.dynamics.origin import origin_notes
 
     given = [_fingerprint(path) for path in files.validate]

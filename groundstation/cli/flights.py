@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import fitted_model, open_one
-from groundstation.errors import BadInputError
 from groundstation.paths import digest
 
 if TYPE_CHECKING:
+    from groundstation import Model, Run
     from groundstation.comparison.stretches import Marked
-    from groundstation.dynamics.model import Model
-    from groundstation.identification.runs import Run
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 VEHICLE = typer.Option(
@@ -34,7 +33,8 @@ def model_for(source: str, vehicle: str | None) -> Model:
     """The model, made sure to be one of this vehicle. Raises BadInputError otherwise."""
     import msgspec
 
-    from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
+    from groundstation import load_vehicle
+    from groundstation.dynamics.vehicle import BUILT_IN
     from groundstation.recording.craft_family import other_vehicle
 
     model = fitted_model(source)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import typer
 
+from groundstation import GroundStationError
 from groundstation.cli.command_group import Commands
 from groundstation.cli.install_service import service
-from groundstation.errors import GroundStationError
 
 RULE_FILE = Path("/etc/udev/rules.d/70-groundstation.rules")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from groundstation.errors import GroundStationError
+from groundstation import GroundStationError
 
 UNIT_FILE = Path("/etc/systemd/system/groundstation.service")
 

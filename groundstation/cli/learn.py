@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation import BadInputError, GroundStationError
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.terminal import require_yes, show, show_json
-from groundstation.errors import BadInputError, GroundStationError
 
 if TYPE_CHECKING:
     from groundstation.cli.learn_flights import Place
@@ -173,7 +173,7 @@ def _same(begun: Task, asked: Task) -> Task:
 
 def _craft_text(link: str) -> str:
     """Settings of the software craft, for the folder. Raises BadInputError."""
-    from groundstation.dynamics.vehicle import load_vehicle
+    from groundstation import load_vehicle
 
     source = link.partition(":")[2]
     if not source.endswith(".toml"):

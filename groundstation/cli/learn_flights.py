@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from groundstation import GroundStationError, Pilot, socket_path
 from groundstation.cli.commanding import (
     await_connection,
     begin_recording,
@@ -24,9 +25,6 @@ from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
 from groundstation.control.programme import GRAVITY
-from groundstation.errors import GroundStationError
-from groundstation.service.client import Pilot
-from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from groundstation.errors import BadInputError
+from groundstation import BadInputError
 
 
 def notes_path() -> Path:

@@ -9,8 +9,8 @@ import warnings
 from types import FrameType
 from typing import NoReturn
 
+from groundstation import GroundStationError
 from groundstation.allocator import keep_freed
-from groundstation.errors import GroundStationError
 from groundstation.text import printable
 
 

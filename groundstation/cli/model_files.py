@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.terminal import show
-from groundstation.errors import BadInputError
 from groundstation.paths import taken
 
 if TYPE_CHECKING:
+    from groundstation import Model, Recording, Run
     from groundstation.dynamics.arx import Turning
-    from groundstation.dynamics.model import Model
-    from groundstation.identification.runs import Run
-    from groundstation.recording.session import Recording
 
 HTML = typer.Option(None, "--html", help="Write a report with figures to this new file.")
 AS_JSON = typer.Option(False, "--json", help="Print JSON for programs.")
@@ -39,7 +37,7 @@ MASS_RANGE = 5.0
 
 
 def open_one(path: Path) -> Recording:
-    from groundstation.recording.open_recording import open_recording
+    from groundstation import open_recording
 
     return open_recording(path)
 
@@ -49,7 +47,7 @@ def runs_from(paths: Sequence[Path]) -> list[Run]:
 
 
 def runs_in(recordings: Sequence[Recording]) -> list[Run]:
-    from groundstation.identification.runs import runs_of
+    from groundstation import runs_of
 
     return [run for one in recordings for run in runs_of(one.samples, one.path.name)]
 
@@ -74,7 +72,7 @@ def fitted_model(source: str, *, attitude: bool = False) -> Model:
 
     Raises BadInputError for a body of a profile.
     """
-    from groundstation.dynamics.model import load_model
+    from groundstation import load_model
     from groundstation.dynamics.origin import origin_notes, require_fitted_body
 
     model = load_model(source)
@@ -113,8 +111,9 @@ def model_before(model: Model | None, vehicle: str | None, mass_kg: float | None
     """
     import msgspec
 
-    from groundstation.dynamics.model import model_vehicle, vehicle_model
-    from groundstation.dynamics.vehicle import BUILT_IN, load_vehicle
+    from groundstation import load_vehicle, vehicle_model
+    from groundstation.dynamics.model import model_vehicle
+    from groundstation.dynamics.vehicle import BUILT_IN
 
     if vehicle is not None:
         profile = load_vehicle(vehicle)

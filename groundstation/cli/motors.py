@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import typer
 
+from groundstation import GroundStationError, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import require_yes, show, show_json
-from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
-from groundstation.service.config import socket_path
 from groundstation.service.motor_stop import STOPPED
 
 motors = Commands(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import typer
 
+from groundstation import socket_path
 from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.terminal import show, show_json
 from groundstation.service.client import ask
-from groundstation.service.config import socket_path
 
 
 def add_commands(app: typer.Typer) -> None:

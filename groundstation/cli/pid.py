@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli import pid_design, pid_fly
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import (
@@ -19,10 +20,9 @@ from groundstation.cli.model_files import (
 )
 from groundstation.cli.pid_design import DELAY, FIRMWARE, release_of, turned_model
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
-    from groundstation.control.pid import PidGains
+    from groundstation import PidGains
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -62,10 +62,10 @@ def evaluate(
     Example: [bold]groundstation pid evaluate --model body.json --gains gains.toml
     --html pid.html[/bold]
     """
+    from groundstation import PidGains, load_gains
+    from groundstation import evaluate as evaluate_gains
     from groundstation.control.evaluate import LOOPS
-    from groundstation.control.evaluate import evaluate as evaluate_gains
-    from groundstation.control.gains_file import load_gains, loop_of_gains, require_gains_of
-    from groundstation.control.pid import PidGains
+    from groundstation.control.gains_file import loop_of_gains, require_gains_of
     from groundstation.control.report import (
         METRICS_HEAD,
         evaluation_page,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
     ATTITUDE,
@@ -20,15 +21,13 @@ from groundstation.cli.model_files import (
 )
 from groundstation.cli.progress import shown
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
+    from groundstation import Model, PidGains
     from groundstation.control.design import Design
     from groundstation.control.firmware_design import AxisDesign, Robustness
     from groundstation.control.firmwares import Release
-    from groundstation.control.pid import PidGains
     from groundstation.dynamics.arx import Turning
-    from groundstation.dynamics.model import Model
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
@@ -64,6 +63,7 @@ def design(
     Example: [bold]groundstation pid design --model body.json -o gains.toml
     --html design.html[/bold]
     """
+    from groundstation import gains_text
     from groundstation.control.pid import AXES
 
     for path in (output, html):
@@ -85,7 +85,6 @@ def design(
         report, gains, page = _design_thesis(
             loaded, axes, sensitivity, spare_ms / 1e3, delay, rounding, seed, model
         )
-    from groundstation.control.gains_file import gains_text
 
     if output is not None:
         write_new(output, gains_text(gains, release))
@@ -132,8 +131,8 @@ def _design_firmware(
     seed: int,
     name: str,
 ) -> tuple[dict[str, Any], dict[str, float], Any]:
+    from groundstation import cascade_limits, design_cascade, robustness
     from groundstation.control.design_report import firmware_page, firmware_report
-    from groundstation.control.firmware_design import cascade_limits, design_cascade, robustness
 
     with shown("designing") as show:
         progress = _of_axes(axes, lambda share, what: show(0.9 * share, what))
@@ -244,15 +243,10 @@ def convert(
     Example: [bold]groundstation pid convert whole.toml --model body.json --to firmware
     -o gains.toml[/bold]
     """
+    from groundstation import PidGains, gains_text, load_gains
     from groundstation.control.gain_conversion import FORMS as KNOWN
     from groundstation.control.gain_conversion import convert_gains
-    from groundstation.control.gains_file import (
-        gains_text,
-        load_gains,
-        loop_of_gains,
-        require_gains_of,
-    )
-    from groundstation.control.pid import PidGains
+    from groundstation.control.gains_file import loop_of_gains, require_gains_of
 
     require_new(output)
     if to not in KNOWN:

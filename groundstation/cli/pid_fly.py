@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError, GroundStationError, Pilot, socket_path
 from groundstation.cli.commanding import (
     await_connection,
     begin_recording,
@@ -44,15 +45,12 @@ from groundstation.cli.pid_manoeuvres import (
 )
 from groundstation.cli.sticks import StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
-from groundstation.errors import BadInputError, GroundStationError
-from groundstation.service.client import Pilot
-from groundstation.service.config import socket_path
 
 if TYPE_CHECKING:
+    from groundstation import Recording
     from groundstation.control.firmwares import Release
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
-    from groundstation.recording.session import Recording
 
 CLIENT = "pid fly"
 
@@ -137,9 +135,8 @@ def fly(
 
 def _firmware_gains(path: Path) -> dict[str, float]:
     """The firmware's gains of a file. Raises BadInputError for others, which cannot be flown."""
+    from groundstation import PidGains, load_gains
     from groundstation.control.firmware_loop import require_gains
-    from groundstation.control.gains_file import load_gains
-    from groundstation.control.pid import PidGains
 
     wanted: dict[str, float] = {}
     for name, value in load_gains(path).items():
@@ -184,9 +181,10 @@ class _Whose:
         Raises BadInputError where gains or model are another's: the same parameters mean other
         numbers there.
         """
+        from groundstation import load_model
         from groundstation.control.firmwares import firmware_of_vehicle, require_release
         from groundstation.control.gains_file import require_gains_of
-        from groundstation.dynamics.model import load_model, model_vehicle
+        from groundstation.dynamics.model import model_vehicle
 
         if not (craft or self.said):
             if self.gains is None and self.model is None:
@@ -359,9 +357,8 @@ def _judge(
     """Metrics of the recording, beside the model's."""
     flown: Flown | None = None
     if programme.shape != "level":
+        from groundstation import load_model, open_recording
         from groundstation.control.step_recording import analyse_recording
-        from groundstation.dynamics.model import load_model
-        from groundstation.recording.open_recording import open_recording
 
         if not Path(report["recording"]).exists():
             raise BadInputError(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
+from groundstation import GroundStationError, Pilot
 from groundstation.cli.sticks import (
     CLIMB_M_S,
     HOLD_M,
@@ -18,8 +19,6 @@ from groundstation.cli.sticks import (
     climb_thrust,
 )
 from groundstation.cli.terminal import say
-from groundstation.errors import GroundStationError
-from groundstation.service.client import Pilot
 from groundstation.service.motor_stop import STILL_TURN, STOPPED
 
 if TYPE_CHECKING:
@@ -240,8 +239,8 @@ def _fastest_dps(answer: dict[str, Any]) -> float:
 
 def _firmware(pilot: Pilot) -> Firmware:
     """That of the craft, which knows what thrust is behind what its motors get."""
+    from groundstation import load_vehicle
     from groundstation.control.firmwares import firmware_of_vehicle
-    from groundstation.dynamics.vehicle import load_vehicle
 
     vehicle = load_vehicle(pilot.ask("GET", "/status")["vehicle"])
     return firmware_of_vehicle(vehicle, pilot.lease["firmware"] or None)

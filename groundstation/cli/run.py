@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from groundstation import BadInputError, GroundStationError
 from groundstation.cli.config import assignments
 from groundstation.cli.progress import own_terminal
 from groundstation.cli.signals import stopped_by_signals
 from groundstation.cli.terminal import say
-from groundstation.errors import BadInputError, GroundStationError
 from groundstation.links.names import KINDS, split_name
 from groundstation.viewer.mode import ViewerMode
 
@@ -107,8 +107,8 @@ def run(
 
 
 async def _serve(config: Config, duration_s: float | None) -> None:
+    from groundstation import socket_path
     from groundstation.allocator import limit_arenas
-    from groundstation.service.config import socket_path
     from groundstation.service.control import ControlServer
     from groundstation.service.control_socket import ControlSocket
     from groundstation.service.station import Station

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
     ATTITUDE,
@@ -17,11 +18,10 @@ from groundstation.cli.model_files import (
     write_table,
 )
 from groundstation.cli.terminal import show, show_json
-from groundstation.errors import BadInputError
 
 if TYPE_CHECKING:
+    from groundstation import Model
     from groundstation.dynamics.arx import Turning
-    from groundstation.dynamics.model import Model
 
 HEAD = (
     "time_s,rotor1_rev_s,rotor2_rev_s,rotor3_rev_s,rotor4_rev_s,"
@@ -97,7 +97,8 @@ def _on_recording(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from groundstation.identification.replayed import channels_of, errors_of, rms_of, simulate_run
+    from groundstation import simulate_run
+    from groundstation.identification.replayed import channels_of, errors_of, rms_of
 
     runs = runs_from([recording])
     done = [simulate_run(model, run, window, turning) for run in runs]
@@ -138,9 +139,8 @@ def _along_reference(
 ) -> dict[str, Any]:
     import numpy as np
 
-    from groundstation.dynamics.reference import load_reference
+    from groundstation import fly_reference, load_reference
     from groundstation.identification.replayed import channels_of
-    from groundstation.prediction.reference_flight import fly_reference
 
     reference = load_reference(source)
     made = fly_reference(model, reference, supply_v, turning)

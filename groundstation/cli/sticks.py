@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from groundstation.errors import BadInputError
+from groundstation import BadInputError
 from groundstation.links.command import HEIGHT_MOST_M
 
 THRUST_MOST = 55000

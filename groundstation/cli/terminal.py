@@ -9,8 +9,8 @@ from typing import Any
 
 import typer
 
+from groundstation import BadInputError
 from groundstation.cli.progress import own_terminal, spoken
-from groundstation.errors import BadInputError
 from groundstation.text import printable
 
 _CLEAR = "\r\033[K"

@@ -6,6 +6,7 @@ from graphlib import CycleError, TopologicalSorter
 
 import pytest
 
+import groundstation
 from groundstation.dynamics.registry import EFFECTS
 from support import ROOT
 
@@ -75,6 +76,13 @@ def test_a_pure_package_does_not_touch_the_world(package):
 def test_small_modules_import_nothing_of_ours_but_each_other():
     for name in SMALL:
         assert set(ours(ROOT / "groundstation" / f"{name}.py")) <= SMALL, name
+
+
+def test_only_commands_use_the_public_names_which_lead_everywhere():
+    for path in sources(""):
+        if path.parent.name != "cli":
+            taken = set(named(path)) & {f"groundstation.{name}" for name in groundstation.__all__}
+            assert not taken, f"{path.relative_to(ROOT)} takes {sorted(taken)}"
 
 
 def test_no_way_leads_back_to_the_package_where_it_began():

@@ -40,6 +40,28 @@ def test_the_public_names_are_there_and_are_those_that_the_page_lists():
     assert set(groundstation.__all__) <= set(dir(groundstation))
 
 
+def test_names_of_the_first_version_are_those_of_today():
+    for former, name in groundstation.FORMER.items():
+        assert getattr(groundstation, former) is getattr(groundstation, name)
+
+
+def test_a_type_checker_sees_what_each_public_name_is(tmp_path):
+    names = [*groundstation.__all__, *groundstation.FORMER]
+    program = tmp_path / "program.py"
+    program.write_text(
+        f"from groundstation import {', '.join(names)}, nonsense\n"
+        + "".join(f"reveal_type({name})\n" for name in names)
+        + "with Client(socket_path()) as client:\n    reveal_type(client)\n"
+    )
+    told = run_program([sys.executable, "-m", "mypy", program], cwd=ROOT).stdout
+    *types, client = re.findall(r'Revealed type is "(.*)"', told)
+    assert len(types) == len(names), told
+    assert all(one.startswith("def (") for one in types), told
+    assert client == "groundstation.service.client.Client"
+    assert 'has no attribute "nonsense"' in told
+    assert told.count("error:") == 1, told
+
+
 def test_a_name_that_is_not_public_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         groundstation.nonsense  # noqa: B018

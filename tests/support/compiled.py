@@ -21,7 +21,7 @@ def craft():
         RawBatch,
         complementary,
         decode_all,
-        identify_motor,
+        fit_motor,
         kalman,
         load_vehicle,
         runs_of,
@@ -36,7 +36,7 @@ def craft():
         samples, _ = decode_all(raw)
         if settings.program == "motor_bench":
             vehicle = load_vehicle("crazyflie1")
-            identify_motor(runs_of(samples, "bench"), [], vehicle_model(vehicle), vehicle)
+            fit_motor(runs_of(samples, "bench"), [], vehicle_model(vehicle), vehicle)
     fly(*plant(), 0.01)
     slopes(*plant())
     kalman(samples.time_s, samples.gyro, samples.accelerometer)
@@ -49,10 +49,10 @@ def models():
         Criterion,
         compare,
         find_discrepancy,
+        fit_arx,
+        fit_body,
         flights_of,
         fly_reference,
-        identify_arx,
-        identify_body,
         load_reference,
         load_vehicle,
         open_recording,
@@ -67,8 +67,8 @@ def models():
     model = vehicle_model(vehicle)
     warm_up(model)
     runs, flights = runs_of(samples, "flight"), flights_of(samples, "flight")
-    identify_body(runs, [], model, vehicle, effects=())
-    identify_arx(runs, [], model, vehicle, Criterion.PREDICTION, channel="gyro", decimate=4)
+    fit_body(runs, [], model, vehicle, effects=())
+    fit_arx(runs, [], model, vehicle, Criterion.PREDICTION, channel="gyro", decimate=4)
     simulate_run(model, runs[0], window_s=0.5)
     fly_reference(model, load_reference("doublet"))
     compare(flights, model)
