@@ -57,14 +57,15 @@ def config(
 
 def assignments(given: list[str]) -> dict[str, Any]:
     """``KEY=VALUE`` of the command line as key -> value. Raises a usage error for another form."""
-    from groundstation.service.config import FORMER, Config, former
+    from groundstation.service.config import FORMER, former, keys, todays_name
 
-    known = {each.name for each in settings(Config())} - {"stand_in"}
+    known = keys()
     values: dict[str, Any] = {}
     for text in given:
         key, equals, value = text.partition("=")
         if key in FORMER:
             raise typer.BadParameter(former(key), param_hint="'--set'")
+        key = todays_name(key, "--set ")
         if not equals or key not in known:
             raise typer.BadParameter(
                 f"{text!r}: give KEY=VALUE with a KEY of 'groundstation config --show'",

@@ -150,7 +150,7 @@ def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
     if why in (STOPPED, STILL_TURN):
         return MOTORS_OFF if why == STOPPED else f"motors were {STILL_TURN}"
     return (
-        f"nothing says that the motors stopped ({why}): the daemon's dead man asks for it where it"
+        f"nothing says that the motors stopped ({why}): the daemon's failsafe asks for it where it"
         " still reaches the craft, whose own firmware stops them 2 s after the last setpoint"
     )
 

@@ -98,7 +98,7 @@ class CommandStatus(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """The command link. firmware: whose loops the craft flies, empty where it does not say.
     client: who commands. armed: what the craft last said, None where it does not say. hindrance:
     what, as the craft says, keeps it from flying, or empty. crashed: whether it calls itself that.
-    held_level: by the operator. interventions: of the dead man. out_of_reach: why the craft that is
+    held_level: by the operator. interventions: of the failsafe. out_of_reach: why the craft that is
     heard cannot be stopped from here, or empty."""
 
     uri: str

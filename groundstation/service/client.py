@@ -113,10 +113,10 @@ def ask(path: Path, method: str, route: str, body: dict[str, Any] | None = None)
 class Pilot(Client):
     """The one client that commands, from entering the context until leaving it.
 
-    client: a name for people. lease: token, the dead man's limits (``lease_s``, ``level_s``,
+    client: a name for people. lease: token, the failsafe's limits (``lease_s``, ``level_s``,
     ``stop_s``), and the command link's ``uri`` and ``state``.
 
-    Leaving stops motors that still run. A process that dies instead leaves it to the dead man.
+    Leaving stops motors that still run. A process that dies instead leaves it to the failsafe.
     """
 
     def __init__(self, path: Path, client: str) -> None:

@@ -25,10 +25,10 @@ from groundstation.links.command import LIFE_S, CommandLink, CommandState
 from groundstation.links.supervisor import Supervisor
 from groundstation.service.arming import Asking, ask_to_arm, ask_to_recover
 from groundstation.service.command_connection import CommandConnection
-from groundstation.service.config import DeadManConfig
-from groundstation.service.dead_man import watch
+from groundstation.service.config import FailsafeConfig
+from groundstation.service.failsafe import watch
 from groundstation.service.freshness import Freshness
-from groundstation.service.lease import DEAD_MAN, Lease, Leases
+from groundstation.service.lease import FAILSAFE, Lease, Leases
 from groundstation.service.limits import RateLimit
 from groundstation.service.motor_stop import (
     BY_OPERATOR,
@@ -46,16 +46,16 @@ from groundstation.service.requests import Lease as Granted
 SETPOINTS_HZ, SETPOINTS_BURST = 110.0, 100.0
 """100 Hz; a client that was held up for a second may catch up, for the newest replaces the rest."""
 WATCH_S, IDLE_S = 0.05, 0.25
-"""How often the dead man looks, and repeats what it sends; where there is no command link."""
+"""How often the failsafe looks, and repeats what it sends; where there is no command link."""
 OPERATOR = "operator"
 
 
 class Commander:
     """The command link and the lease on it. What does not wait is safe to call from any thread:
-    the dead man looks from one of its own, whatever holds the event loop up.
+    the failsafe looks from one of its own, whatever holds the event loop up.
 
     link: None where the daemon was given no command link.
-    note: told (kind, text) of leases and of the dead man, from any thread.
+    note: told (kind, text) of leases and of the failsafe, from any thread.
     telemetry: state of the telemetry link; why no craft can be commanded with it, or empty.
     motors: what the telemetry says of those of a link's craft, None where it does not.
     clock: monotonic, s.
@@ -68,7 +68,7 @@ class Commander:
     def __init__(
         self,
         link: CommandLink | None,
-        limits: DeadManConfig,
+        limits: FailsafeConfig,
         *,
         note: Note,
         telemetry: Callable[[], tuple[LinkState, str]],
@@ -317,7 +317,7 @@ class Commander:
             await self.link.close()
 
     async def watch(self) -> None:
-        """The dead man and the standing still of this loop, for as long as the daemon runs."""
+        """The failsafe and the standing still of this loop, for as long as the daemon runs."""
 
         def every_s() -> float:
             return WATCH_S if self.link is not None else IDLE_S
@@ -341,7 +341,7 @@ class Commander:
                 lease.levelled = True
                 self._note("dead man", f"no setpoint from {lease.client}: level attitude")
             until_s = lease.setpoint_s + self.limits.stop_s
-            send_level(link, lease.thrust, DEAD_MAN, lease.height_m, until_s)
+            send_level(link, lease.thrust, FAILSAFE, lease.height_m, until_s)
 
     async def close(self) -> None:
         """Stop motors that still run, and disconnect; nobody commands after this. Safe to call
@@ -350,7 +350,7 @@ class Commander:
             self._closing = True
             self._asking.end()
             text = f"the daemon ends: {self.client} commands no more"
-            self.leases.leave(text, DEAD_MAN, why="the daemon ends")
+            self.leases.leave(text, FAILSAFE, why="the daemon ends")
         link = self.link
         if link is not None:
             while link.state is CommandState.CONNECTED and self._stopping.goes_on(self._clock()):

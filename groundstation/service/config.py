@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from groundstation.documents import decode_toml, explained, read_document
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.links.names import KINDS, STAND_IN
+from groundstation.text import printable
 
 MEBIBYTE = 1 << 20
 DEFAULT_VEHICLE = "crazyflie1"
@@ -125,7 +127,7 @@ class LogConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     format: Annotated[Literal["text", "json"], _key("text, or json: one object a line")] = "text"
 
 
-class DeadManConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FailsafeConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What happens when a client that commands falls silent."""
 
     level_s: Annotated[
@@ -161,7 +163,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     twin: TwinConfig = TwinConfig()
     control: ControlConfig = ControlConfig()
     log: LogConfig = LogConfig()
-    dead_man: DeadManConfig = DeadManConfig()
+    failsafe: FailsafeConfig = FailsafeConfig()
     stand_in: Annotated[
         dict[str, Any], _key("settings of the software craft, see docs/stand_in.md")
     ] = {}
@@ -172,6 +174,9 @@ FORMER = {
     " port, 'ssh -N -L PORT:SOCKET HOST' leads to it",
 }
 """Keys of earlier versions, and what does their work now."""
+
+RENAMED = {"dead_man": "failsafe"}
+"""Tables of 1.0 -> their names of today. Until 2.0 the old one is read, with a warning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,28 +213,53 @@ class ConfigSource:
         for name in FORMER:
             if ENVIRONMENT + _variable(name) in self.environment:
                 raise BadInputError(f"{ENVIRONMENT}{_variable(name)}: {former(name)}")
-        for setting in settings(Config()):
-            value = self.environment.get(ENVIRONMENT + _variable(setting.name))
-            if value is not None and setting.name != "stand_in":
-                yield setting.name, value
+        for name in keys():
+            for one in (*_earlier_names(name), name):
+                value = self.environment.get(ENVIRONMENT + _variable(one))
+                if value is not None:
+                    yield todays_name(one, f"{ENVIRONMENT}{_variable(one)}: "), value
 
 
 def load_config(path: Path | None) -> Config:
     """Read the file, or the defaults when there is none. Errors name the key."""
     if path is None:
         return Config()
+    where = f"configuration {path}: "
     try:
-        return decode_toml(read_document(path), Config)
+        tables = decode_toml(read_document(path), dict[str, Any])
+        for name in RENAMED.keys() & tables.keys():
+            if RENAMED[name] in tables:
+                raise ValueError(f"{name} is {RENAMED[name]} now, and both are given: keep one")
+            tables[todays_name(name, where)] = tables.pop(name)
+        return msgspec.convert(tables, Config)
     except OSError as error:
-        raise BadInputError(f"configuration {path}: {error.strerror or error}") from error
+        raise BadInputError(f"{where}{error.strerror or error}") from error
+    except msgspec.ValidationError as error:
+        said = next((former(name) for name in FORMER if _is_about(error, name)), None)
+        raise BadInputError(f"{where}{said or explained(error, Config)}") from error
     except ValueError as error:
-        said = next((former(name) for name in FORMER if _is_about(error, name)), error)
-        raise BadInputError(f"configuration {path}: {said}") from error
+        raise BadInputError(f"{where}{error}") from error
 
 
 def former(name: str) -> str:
     """What a user of a former key is told."""
     return f"{name} is no key any more: {FORMER[name]}"
+
+
+def todays_name(name: str, where: str) -> str:
+    """A key's, or table's, name of today; one of an earlier version is warned of on stderr."""
+    table, dot, key = name.partition(".")
+    if table not in RENAMED:
+        return name
+    today = f"{RENAMED[table]}{dot}{key}"
+    text = f"{where}{name} is called {today} now; the old name is read until version 2.0"
+    print(printable(text), file=sys.stderr)
+    return today
+
+
+def keys() -> list[str]:
+    """What one value each can be given for: every key but the software craft's table."""
+    return [each.name for each in settings(Config()) if each.name != "stand_in"]
 
 
 def settings(config: Config) -> list[Setting]:
@@ -243,8 +273,8 @@ def require_sense(config: Config) -> None:
         load_vehicle(config.vehicle or DEFAULT_VEHICLE)
     except BadInputError as error:
         raise BadInputError(f"setting vehicle: {error}") from error
-    if config.dead_man.stop_s <= config.dead_man.level_s:
-        raise BadInputError("setting dead_man.stop_s: must be greater than dead_man.level_s")
+    if config.failsafe.stop_s <= config.failsafe.level_s:
+        raise BadInputError("setting failsafe.stop_s: must be greater than failsafe.level_s")
     viewer = config.viewer
     if viewer.mode != "off" and viewer.port == viewer.web_port:
         raise BadInputError(
@@ -294,7 +324,12 @@ def _changed(config: Config, changes: Mapping[str, Any], where: str, *, strict: 
         raise BadInputError(f"{where}: {explained(error, Config)}") from error
 
 
-def _is_about(error: ValueError, name: str) -> bool:
+def _earlier_names(name: str) -> list[str]:
+    table, dot, key = name.partition(".")
+    return [f"{old}{dot}{key}" for old, today in RENAMED.items() if dot and today == table]
+
+
+def _is_about(error: Exception, name: str) -> bool:
     """Whether a document was refused for this unknown key."""
     table, _, key = name.rpartition(".")
     return f"unknown field `{key}` - at `$.{table}`" in str(error)

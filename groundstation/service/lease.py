@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from groundstation.errors import NotAuthorisedError, TakenError
-from groundstation.service.config import DeadManConfig
+from groundstation.service.config import FailsafeConfig
 from groundstation.service.motor_stop import Note, Stop
 
-DEAD_MAN = "dead man"
+FAILSAFE = "dead man"
+"""The author of the failsafe's setpoints and events, as recordings of every version call it."""
 
 
 @dataclass(slots=True)
@@ -28,7 +29,7 @@ class Lease:
     thrust: int = 0
     height_m: float | None = None
     levelled: bool = False
-    """By the dead man."""
+    """By the failsafe."""
     held_level: bool = False
     """By the operator."""
     flew: bool = False
@@ -53,15 +54,15 @@ class Lease:
     def is_of(self, token: str) -> bool:
         return hmac.compare_digest(self.token.encode(), token.encode())
 
-    def wants_level(self, now_s: float, limits: DeadManConfig) -> bool:
+    def wants_level(self, now_s: float, limits: FailsafeConfig) -> bool:
         """Whether its client was silent in flight for too long to be leant on."""
         return self.flies and now_s - self.setpoint_s >= limits.level_s
 
-    def has_vanished(self, now_s: float, limits: DeadManConfig) -> bool:
+    def has_vanished(self, now_s: float, limits: FailsafeConfig) -> bool:
         """Whether its client was silent in flight for so long that motors must stop."""
         return self.flies and now_s - self.setpoint_s >= limits.stop_s
 
-    def has_lapsed(self, now_s: float, limits: DeadManConfig) -> bool:
+    def has_lapsed(self, now_s: float, limits: FailsafeConfig) -> bool:
         """Whether its client was silent on the ground for too long to keep others out."""
         return not self.flies and now_s - self.heard_s >= limits.lease_s
 
@@ -111,21 +112,21 @@ class Leases:
         is_last = self.present is None and former is not None and former.is_of(token)
         return former if is_last else None
 
-    def expire(self, now_s: float, limits: DeadManConfig) -> None:
+    def expire(self, now_s: float, limits: FailsafeConfig) -> None:
         """End the lease in force where its time is over, whoever notices first."""
         lease = self.present
         if lease is None:
             return
         if lease.has_vanished(now_s, limits):
             self.vanished += 1
-            lease.stop = self._stop(DEAD_MAN)
+            lease.stop = self._stop(FAILSAFE)
             self.end(
                 f"{lease.client} has vanished: its motors are asked to stop", kind="fault",
-                why="no setpoint came in time: the dead man has asked the motors to stop",
+                why="no setpoint came in time: the failsafe has asked the motors to stop",
             )  # fmt: skip
         elif lease.has_lapsed(now_s, limits):
             text = f"{lease.client} was silent for {limits.lease_s:g} s: its lease is over"
-            self.leave(text, DEAD_MAN, why=text)
+            self.leave(text, FAILSAFE, why=text)
 
     def leave(self, text: str, client: str, *, why: str = "the lease is over") -> None:
         """End the lease in force and, in the name of ``client``, stop what runs for it or goes on

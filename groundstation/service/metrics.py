@@ -52,7 +52,7 @@ _COUNTERS = (
     ("twin_dropped", "Samples that the twin was too slow for", "twin.dropped"),
     ("command_setpoints", "Setpoints of clients", "command.setpoints"),
     ("command_refused", "Requests to command that were refused", "command.refused"),
-    ("command_interventions", "Times the dead man stopped the motors", "command.interventions"),
+    ("command_interventions", "Times the failsafe stopped the motors", "command.interventions"),
     ("command_superseded", "Setpoints replaced by a newer one", "command.superseded"),
     ("control_turned_away", "Requests beyond the API's limits", "turned_away"),
     ("faults", "Faults of the program, survived", "faults"),

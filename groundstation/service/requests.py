@@ -149,7 +149,7 @@ class PageAddress(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Lease(msgspec.Struct, frozen=True, kw_only=True):
-    """token: for every request that commands. lease_s, level_s, stop_s: the dead man's limits.
+    """token: for every request that commands. lease_s, level_s, stop_s: the failsafe's limits.
     uri, state: of the command link. firmware: whose loops the craft flies, 2014 or 2.x; empty where
     it does not say. holds_height: whether it takes a height in the place of thrust."""
 

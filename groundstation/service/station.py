@@ -137,7 +137,7 @@ class Station:
     def _commanding(self, link: Link) -> Commander:
         return Commander(
             command_link(self.config, link, self.clock),
-            self.config.dead_man,
+            self.config.failsafe,
             note=lambda kind, text: self._in_the_loop(
                 lambda: self.journal.note(kind, text, source=self.craft.command_uri or "command")
             ),
@@ -280,7 +280,7 @@ class Station:
         self._in_the_loop(lambda: self.sessions.command(entry))
 
     def _in_the_loop(self, tell: Callable[[], None]) -> None:
-        """What the dead man tells from its own thread."""
+        """What the failsafe tells from its own thread."""
         if self._loop is None or self._thread == threading.get_ident():
             tell()
         elif not self._loop.is_closed():

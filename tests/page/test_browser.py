@@ -63,7 +63,7 @@ def test_a_stopped_daemon_is_told_as_an_alarm_and_its_rows_as_old(page_daemon, v
 def test_motors_are_stopped_with_a_key_wherever_the_cursor_is(page_daemon, visit, tmp_path):
     (tmp_path / "waiting.toml").write_text(
         "[stand_in]\ncraft = 'crazyflie21'\nprogram = 'wait'\naltitude_hold = true\n"
-        "[dead_man]\nlevel_s = 0.5\nstop_s = 2.0\n"
+        "[failsafe]\nlevel_s = 0.5\nstop_s = 2.0\n"
     )
     daemon = page_daemon("--config", "waiting.toml")
     daemon.recording()

@@ -17,7 +17,7 @@ from groundstation.errors import GroundStationError
 from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S
 from groundstation.service.commander import WATCH_S, Commander
-from groundstation.service.config import DeadManConfig
+from groundstation.service.config import FailsafeConfig
 from groundstation.service.freshness import STOOD_S
 from groundstation.service.motor_stop import STOPPED
 from support.worlds import World
@@ -35,7 +35,7 @@ class AnyOrder(RuleBasedStateMachine):
             self.world.craft("one:1", "brushless"),
             self.world.craft("other:2", "crazyflie21"),
         ]
-        self.limits = DeadManConfig()
+        self.limits = FailsafeConfig()
         self.heard = self.crafts[0]  # whose telemetry comes in
         self.commander = Commander(
             self.heard,

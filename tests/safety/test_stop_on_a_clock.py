@@ -1,4 +1,4 @@
-"""Dead man, lease, age of setpoints and what follows a stop, on a clock that the test turns."""
+"""Failsafe, lease, age of setpoints and what follows a stop, on a clock that the test turns."""
 
 import asyncio
 import math
@@ -10,7 +10,7 @@ from groundstation.links.base import LinkState
 from groundstation.links.command import LIFE_S
 from groundstation.service.arming import CHECKS_S, STATE_S
 from groundstation.service.commander import WATCH_S, Commander
-from groundstation.service.config import DeadManConfig
+from groundstation.service.config import FailsafeConfig
 from groundstation.service.motor_stop import NOT_TOLD, STILL_TURN, STOPPED
 from support.worlds import World
 
@@ -27,7 +27,7 @@ class Flying:
         self.told = []
         self.commander = Commander(
             self.one,
-            DeadManConfig(),
+            FailsafeConfig(),
             note=lambda kind, text: self.told.append(text),
             telemetry=lambda: (LinkState.STREAMING, ""),
             motors=lambda link: link.motors(),
@@ -39,7 +39,7 @@ class Flying:
         return self.world.run_until_complete(work)
 
     def wait(self, seconds):
-        """As the daemon does: the loop turns, the dead man looks."""
+        """As the daemon does: the loop turns, the failsafe looks."""
 
         async def turning():
             end_s = self.world.now_s + seconds

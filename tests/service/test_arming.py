@@ -104,7 +104,7 @@ def test_firmware_of_2014_has_nothing_to_recover_from():
         asyncio.run(scenario(craft))
 
 
-def test_a_dead_man_goes_on_where_the_craft_does_not_know_its_height_any_more():
+def test_the_failsafe_goes_on_where_the_craft_does_not_know_its_height_any_more():
     """Nothing may keep him from stopping the motors then."""
 
     async def scenario(craft):

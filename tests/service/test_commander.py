@@ -17,7 +17,7 @@ from groundstation.service import commander, freshness
 from groundstation.service.client import Client, Pilot, ask, live
 from groundstation.service.config import (
     Config,
-    DeadManConfig,
+    FailsafeConfig,
     LinkConfig,
     RecordingConfig,
 )
@@ -29,7 +29,7 @@ from support.waiting import until
 
 HOVER = 40000
 PATIENT = {"level_s": 1.0, "stop_s": 4.0}
-"""The dead man's limits where a loaded machine must not meet them."""
+"""The failsafe's limits where a loaded machine must not meet them."""
 FRESH_S = 10.0
 """Nor the age at which a setpoint is refused."""
 
@@ -57,13 +57,13 @@ def fly(tmp_path, path, crafts, stations, monkeypatch):
     for module in (commander, freshness):
         monkeypatch.setattr(module, "LIFE_S", FRESH_S)
 
-    def flying(conversation, stand_in=None, **dead_man):
+    def flying(conversation, stand_in=None, **failsafe):
         config = Config(
             link=LinkConfig(name="stand-in"),
             command=f"udp://127.0.0.1:{free_port()}",
             stand_in={"program": "wait", "altitude_hold": True} if stand_in is None else stand_in,
             recording=RecordingConfig(folder=str(tmp_path / "sessions"), low_space_mb=0),
-            dead_man=DeadManConfig(**dead_man),
+            failsafe=FailsafeConfig(**failsafe),
         )
 
         def connected(station):
@@ -294,10 +294,10 @@ def test_an_operator_holds_the_craft_level_and_leaves_the_thrust_to_the_client(f
 
 
 def test_a_daemon_that_stood_still_in_flight_takes_no_stale_setpoint(fly, path, stations):
-    """The dead man does not wait for the loop that stands still: level, then off."""
+    """The failsafe does not wait for the loop that stands still: level, then off."""
 
     async def stand_still(commander, token):
-        until(lambda: commander.client is None, "the dead man has ended the lease")  # blocks
+        until(lambda: commander.client is None, "the failsafe has ended the lease")  # blocks
         with pytest.raises(NotAuthorisedError, match="no setpoint came in time"):
             commander.setpoint(token, 0.0, 0.0, 0.0, HOVER)
 

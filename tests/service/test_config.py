@@ -80,6 +80,26 @@ def test_the_socket_is_the_configured_one_then_the_environments_then_the_users(m
     assert str(socket_path()).count("groundstation-") == 1
 
 
+@pytest.mark.parametrize("way", ["file", "environment"])
+def test_a_table_of_the_first_version_is_read_with_a_warning_that_says_its_name_of_today(
+    tmp_path, capsys, way
+):
+    if way == "file":
+        source = ConfigSource(written(tmp_path, "[dead_man]\nlevel_s = 0.3\n"), {}, {})
+    else:
+        source = ConfigSource(environment={"GROUNDSTATION_DEAD_MAN_LEVEL_S": "0.3"})
+    assert source.load().failsafe.level_s == 0.3
+    (warned,) = capsys.readouterr().err.splitlines()
+    assert "is called failsafe" in warned
+    assert "2.0" in warned
+
+
+def test_a_table_under_both_its_names_is_refused(tmp_path):
+    path = written(tmp_path, "[dead_man]\nlevel_s = 0.3\n[failsafe]\nstop_s = 1.0\n")
+    with pytest.raises(BadInputError, match="keep one"):
+        load_config(path)
+
+
 def test_every_key_is_explained():
     assert [one.name for one in settings(Config()) if not one.text] == []
 

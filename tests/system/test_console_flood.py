@@ -50,6 +50,6 @@ def test_text_without_a_line_end_costs_no_more_the_longer_it_lasts(tmp_path):
             pilot.setpoint(0.0, 0.0, 0.0, 10000)
             until(
                 lambda: any("has vanished" in e["text"] for e in daemon.ask("GET", "/events")),
-                "the dead man acts",
+                "the failsafe acts",
             )
         assert daemon.stop() == 0

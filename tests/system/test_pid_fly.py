@@ -157,7 +157,7 @@ def test_a_killed_flight_ends_with_motors_off_and_the_next_tells_what_it_left(st
     until(
         lambda: any("motors stopped, " in e["text"] for e in ask(
             station.daemon.socket, "GET", "/events")),
-        "the dead man has stopped the motors",
+        "the failsafe has stopped the motors",
     )  # fmt: skip
     time.sleep(1.0)
     recorded = Path(ask(station.daemon.socket, "POST", "/record/stop")["file"])
@@ -289,7 +289,7 @@ def test_the_lease_lasts_while_a_human_thinks(tmp_path, port):
     settings.write_text(
         f'command = "udp://127.0.0.1:{port}"\n'
         '[link]\nname = "stand-in"\n[stand_in]\nprogram = "wait"\n'
-        "[recording]\nenabled = false\n[dead_man]\nlease_s = 1.0\n"
+        "[recording]\nenabled = false\n[failsafe]\nlease_s = 1.0\n"
     )
     with Daemon(tmp_path, "--config", settings) as daemon:
         daemon.status_when(connected, "the command link is connected")

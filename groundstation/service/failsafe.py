@@ -1,4 +1,4 @@
-"""The dead man's clock: it does not depend on the load of the loop that it watches."""
+"""The failsafe's clock: it does not depend on the load of the loop that it watches."""
 
 from __future__ import annotations
 
