@@ -62,7 +62,7 @@ def _asked_by(count: int, bare: Path, shown: Path, process: psutil.Process) -> I
     without, with_page, itself = (list(column) for column in zip(*shares, strict=True))
     more = [b - a for a, b in zip(without, with_page, strict=True)]
     what = f"browsers at 10 Hz: {count}; the daemon (one without a page)"
-    most = 0.1 if count == 1 else None
+    most = 0.05 if count == 1 else None
     yield Row(what, statistics.median(with_page), statistics.median(without), "core")
     yield Row(f"{what}: more, window by window", statistics.median(more), None, "core", most=0.01)
     yield Row("the same: its spread", _spread(more), None, "core")

@@ -20,7 +20,7 @@ import { View, viewTools } from "./view.js";
 const ASK_MS = 100; // ten times a second
 const HIDDEN_MS = 1000;
 const PATIENCE_MS = 10000;
-const DRAW_MS = 150; // plots; the craft is drawn more often
+const DRAW_MS = 200; // plots and numbers; the craft is drawn more often
 const SCAN_MS = 30000;
 const SHOWN_AFTER_S = 0.2; // the craft is drawn where it was then: rows come ten times a second
 const DRIFT = 2e-4; // by which two clocks may part, of the time
@@ -82,7 +82,6 @@ function take(found, askedMs) {
   clockS = Math.abs(answeredS - clockS) > 60 ? answeredS : Math.max(slippedS, answeredS);
   clockAskedMs = askedMs;
   store.add(found.tables);
-  showNewest();
 }
 
 function showNewest() {
@@ -107,6 +106,7 @@ function draw() {
   const live = ageS !== null && ageS <= LIVE_S;
   write("live", ageS === null ? "no rows yet" : live ? "live" : `${ageS.toFixed(0)} s behind`);
   at("live").className = `badge ${live ? "good" : ageS === null ? "" : "bad"}`;
+  showNewest();
   if (!view.fixed) charts.draw();
   setTimeout(() => requestAnimationFrame(draw), DRAW_MS); // hidden pages draw nothing
 }
