@@ -44,7 +44,7 @@ $(VENV)/.compiled: $(VENV)/.ready-dev $(shell find groundstation firmware_sim -n
 	touch $@
 
 # Needs qemu-system-x86, busybox-static, kmod and cpio.
-test-usb: $(VENV)/.ready-dev ## USB through a real kernel, in a virtual machine: ten minutes
+test-usb: $(VENV)/.ready-dev ## USB through a real kernel, in a virtual machine: five minutes
 	$(BIN)/pytest tests/usb_vm -s -v -o faulthandler_timeout=0 $(ARGS)
 
 # A folder with usd_card/, imrc/, imrc_brushed/, imrc_payload/ and nanobench/, or some of them. What

@@ -131,27 +131,6 @@ def test_the_vehicle_is_the_one_that_recordings_name_unless_the_user_does(files,
     assert load_model(tmp_path / "body.json").vehicle == "crazyflie1"
 
 
-def test_a_body_is_found_where_rows_were_lost(files, tmp_path):
-    samples = open_recording(files["reduced"]).samples
-    kept = np.random.default_rng(3).random(len(samples)) > 0.02
-    write_csv(Recording(tmp_path / "lossy.csv", "csv", samples[kept]), tmp_path / "lossy.csv")
-    found = []
-    for name, path in (("whole", files["reduced"]), ("lossy", tmp_path / "lossy.csv")):
-        model = tmp_path / f"{name}.json"
-        run("fit", "body", path, "-o", model)
-        found.append(load_model(model))
-    whole, lossy = found
-    for key in ("c0", "c1", "c2", "thrust_per_mass"):
-        assert getattr(lossy.body, key) == pytest.approx(getattr(whole.body, key), rel=0.005)
-    lost = (~kept).sum()
-    assert any(
-        line.startswith(f"{lost} of") and "lost, and bridged" in line
-        for line in lossy.fit["body"]["warnings"]
-    )
-    assert not any("bridged" in line for line in whole.fit["body"]["warnings"])
-    assert not any("rows a second" in line for line in whole.fit["body"]["warnings"])
-
-
 def test_arx_models_come_with_the_table_they_were_chosen_from(files, tmp_path):
     model = tmp_path / "arx.json"
     text = run("fit", "arx", files["reduced"], "-o", model)

@@ -12,9 +12,7 @@ from support.flights import MEDIUM, hidden, judged
 @pytest.mark.parametrize(
     ("name", "channels", "regimes"),
     [
-        ("inertia_coupling", ("gyro_x", "gyro_y"), ("turning about several axes",)),
         ("rotor_acceleration_torque", ("gyro_z",), ("rotors slowing down", "rotor acceleration")),
-        ("rotor_drag", ("accelerometer_x", "accelerometer_y"), ("translation",)),
         ("velocity_moment", ("gyro_x", "gyro_y"), ("translation",)),
         ("yaw_damping", ("gyro_z",), ("high yaw rate",)),
         ("ground_effect", ("accelerometer_z",), ("near ground",)),

@@ -35,9 +35,7 @@ def test_lost_rows_leave_the_gap_of_a_clean_flight_at_one():
     ("name", "channel"),
     [
         ("dead_time", "gyro_z"),
-        ("velocity_moment", "gyro_y"),
         ("supply_sag", "accelerometer_z"),
-        ("gyro_bias", "roll"),
     ],
 )
 def test_the_model_that_knows_the_effect_comes_down_to_the_floor_of_the_one_that_does_not(

@@ -18,7 +18,7 @@ from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from groundstation.recording.recording_file import RecordingFile, session_metadata
 from groundstation.telemetry.samples import SampleBatch
-from support.daemons import COMMAND, groundstation, require_failure
+from support.daemons import COMMAND, in_process, require_failure
 from support.flights import BASE, CARRYING_GAINS, recorded
 from support.programs import run_program
 
@@ -224,14 +224,14 @@ def test_a_recording_without_gyro_is_refused(refused, command):
 def test_a_refusal_is_one_line_and_exit_status_one(folder):
     write(folder / "short.mcap", flight(12.0)[:1000])
     for command in ("compare", "discrepancy"):
-        done = groundstation(command, "short.mcap", "--model", "base.json", cwd=folder)
+        done = in_process(command, "short.mcap", "--model", "base.json", cwd=folder)
         assert "at least 5 s are needed" in require_failure(done)
 
 
 def test_a_recording_too_short_to_use_is_left_out_by_name_where_another_is_not(folder):
     write(folder / "beside.mcap", flight(12.0))
     write(folder / "brief.mcap", flight(12.0)[2000:4000])
-    done = groundstation("compare", "brief.mcap", "beside.mcap", "--model", "base.json", cwd=folder)
+    done = in_process("compare", "brief.mcap", "beside.mcap", "--model", "base.json", cwd=folder)
     assert done.returncode == 0
     assert "left out: brief.mcap: the longest uninterrupted stretch lasts" in done.stderr
     assert "gap over all channels" in done.stdout
@@ -293,7 +293,7 @@ def test_a_stretch_that_was_asked_for_comes_first(folder):
 def test_a_pipe_is_refused_and_not_waited_for(folder, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for command in ("compare", "discrepancy"):
-        done = groundstation(command, tmp_path / "pipe", "--model", "thesis")
+        done = in_process(command, tmp_path / "pipe", "--model", "thesis")
         assert "not a file" in require_failure(done)
 
 

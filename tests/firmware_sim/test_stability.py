@@ -58,8 +58,8 @@ def programme(tmp_path_factory):
 
 @pytest.mark.parametrize("plant", ["faithful", "reduced"])
 @pytest.mark.parametrize("craft", ["crazyflie1", "crazyflie21", "brushless", "thesis"])
-def test_fifty_flights_go_up_stay_upright_and_come_down(programme, craft, plant):
-    for seed in range(50):
+def test_ten_flights_go_up_stay_upright_and_come_down(programme, craft, plant):
+    for seed in range(10):
         stand_in = StandIn(
             StandInSettings(
                 craft=craft, plant=plant, seed=seed, program=programme, truth=True, copies=1

@@ -23,7 +23,7 @@ from groundstation.fleet.index import (
 )
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
-from support.daemons import groundstation, require_failure
+from support.daemons import in_process, require_failure
 from support.programs import run_program
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -148,9 +148,9 @@ def test_a_catalogue_on_a_full_disk_is_one_line(small_disk, flights):
     disk = small_disk("64k")
     (disk / "something_else").write_bytes(bytes(60 * 1024))
     words = ("fleet", "index", flights, "-o", disk / "fleet", "--workers", "1")
-    assert "No space left" in require_failure(groundstation(*words))
+    assert "No space left" in require_failure(in_process(*words))
     (disk / "something_else").unlink()
-    assert "2 read, 0 unchanged" in groundstation(*words).stdout
+    assert "2 read, 0 unchanged" in in_process(*words).stdout
 
 
 @pytest.fixture
@@ -246,7 +246,7 @@ def test_a_file_that_others_put_into_a_table_is_no_part_of_it_and_stays(flights,
 
 def test_a_recording_that_is_there_twice_counts_once_and_is_told(flights, tmp_path):
     shutil.copytree(flights, flights.parent / "backup")
-    told = groundstation("fleet", "index", flights.parent, "-o", tmp_path / "fleet").stdout
+    told = in_process("fleet", "index", flights.parent, "-o", tmp_path / "fleet").stdout
     assert "1 are copies of others by their content, and count once" in told
     (counted,) = usable(recordings_of(tmp_path / "fleet"))
     assert counted["address"].endswith("backup/2026-02-01T10-00-00Z_one.mcap")

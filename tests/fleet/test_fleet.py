@@ -99,15 +99,6 @@ def test_what_became_of_whom_is_named_and_nobody_else(fitted):
     assert "2026-01-01T00-00-00Z_torn.npz" in page
 
 
-def test_digits_are_the_same_on_one_process_and_on_two_workers(fitted, tmp_path):
-    one_craft = str(fitted / "flights" / "cf02")
-    answer_here(tmp_path, "index", one_craft, "-o", "alone", "--workers", "1")
-    told = answer_here(tmp_path, "fit", "alone", "--workers", "1")
-    assert told["fitted"] == FLIGHTS
-    alone, both = fits(tmp_path / "alone"), fits(fitted / "fleet")
-    assert alone == {address: both[address] for address in alone}
-
-
 def test_what_is_fitted_is_not_fitted_again(fitted, tmp_path):
     shutil.copytree(fitted / "fleet", tmp_path / "fleet")
     told = answer(tmp_path, "fit", "fleet")

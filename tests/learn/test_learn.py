@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.recording.open_recording import open_recording
-from support.daemons import COMMAND, groundstation, require_failure
+from support.daemons import COMMAND, in_process, require_failure
 from support.programs import Program
 from support.waiting import until
 
@@ -73,7 +73,7 @@ def test_ctrl_c_in_a_flight_stops_the_motors_keeps_what_was_flown_and_it_goes_on
     ]
     assert np.isfinite(open_recording(folder / "flight2.mcap").samples.gyro).all()
 
-    line = require_failure(groundstation("learn", "--link", CRAFT, "-o", folder, "--height", "0.8"))
+    line = require_failure(in_process("learn", "--link", CRAFT, "-o", folder, "--height", "0.8"))
     assert "begun with other options" in line
 
 
@@ -89,13 +89,13 @@ def test_ctrl_c_in_a_flight_stops_the_motors_keeps_what_was_flown_and_it_goes_on
     ],
 )
 def test_what_cannot_be_is_one_line_and_no_folder(tmp_path, options, reason):
-    line = require_failure(groundstation("learn", "-o", tmp_path / "learnt", *options))
+    line = require_failure(in_process("learn", "-o", tmp_path / "learnt", *options))
     assert reason in line
     assert not (tmp_path / "learnt").exists()
 
 
 def test_a_folder_with_something_in_it_is_refused_and_left_alone(tmp_path):
     (tmp_path / "mine").write_text("precious")
-    line = require_failure(groundstation("learn", "--link", CRAFT, "-o", tmp_path))
+    line = require_failure(in_process("learn", "--link", CRAFT, "-o", tmp_path))
     assert "not an empty folder" in line
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from support.daemons import COMMAND, groundstation, require_failure
+from support.daemons import COMMAND, in_process, require_failure
 from support.programs import run_program
 
 MODEL = Path(__file__).parents[1] / "control" / "data" / "body.json"
@@ -24,4 +24,4 @@ def test_a_plan_is_a_timeline_within_its_time_with_what_each_manoeuvre_tells(tmp
 
 def test_a_file_that_is_no_model_is_one_line(tmp_path):
     (tmp_path / "m.json").write_text("{}")
-    assert "m.json" in require_failure(groundstation("plan", "--model", tmp_path / "m.json"))
+    assert "m.json" in require_failure(in_process("plan", "--model", tmp_path / "m.json"))

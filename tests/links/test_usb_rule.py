@@ -4,24 +4,24 @@ import pytest
 
 from groundstation.cli import install
 from groundstation.errors import GroundStationError
-from support.daemons import groundstation, require_failure
+from support.daemons import in_process, require_failure
 
 
 def test_the_rule_names_the_configured_device(tmp_path):
-    usual = groundstation("install", "udev", "--print")
+    usual = in_process("install", "udev", "--print")
     assert usual.returncode == 0
     assert 'ATTR{idVendor}=="1915", ATTR{idProduct}=="7777"' in usual.stdout  # a Crazyradio
     assert 'ATTR{idVendor}=="0483", ATTR{idProduct}=="5741"' in usual.stdout
     config = tmp_path / "station.toml"
     config.write_text('[usb]\ndevice = "1209:00AF"\n')
-    other = groundstation("install", "udev", "--print", "--config", config)
+    other = in_process("install", "udev", "--print", "--config", config)
     assert 'ATTR{idVendor}=="1209", ATTR{idProduct}=="00af"' in other.stdout
 
 
 def test_a_wrong_device_in_the_configuration_is_refused(tmp_path):
     config = tmp_path / "station.toml"
     config.write_text('[usb]\ndevice = "bridge"\n')
-    line = require_failure(groundstation("install", "udev", "--print", "--config", config))
+    line = require_failure(in_process("install", "udev", "--print", "--config", config))
     assert "bridge" in line
 
 

@@ -8,7 +8,7 @@ import pytest
 from groundstation.errors import GroundStationError
 from groundstation.service.client import Pilot, ask
 from groundstation.service.config import Config, RecordingConfig
-from support.daemons import groundstation
+from support.daemons import in_process
 from support.programs import free_port
 from support.stations import serve
 from support.waiting import until
@@ -76,7 +76,7 @@ def test_another_address_is_refused_and_nothing_changes(talk, uri, says):
 
 def test_what_is_plugged_in_is_told_as_the_command_tells_it(talk):
     def conversation(ask, path):
-        told = json.loads(groundstation("devices", "--json").stdout)
+        told = json.loads(in_process("devices", "--json").stdout)
         assert ask("GET", "/devices") == told
 
     talk(conversation)

@@ -127,7 +127,7 @@ def fuzz(tmp_path, monkeypatch):
 def answers_as_described(api, method, route, described):
     bodies = api.body(described) if "requestBody" in described else st.just(None)
 
-    @settings(max_examples=25, database=None)
+    @settings(max_examples=12, database=None)
     @given(bodies)
     def check(body):
         status, answer = api.send(method, route, b"" if body is None else json.dumps(body).encode())
@@ -173,7 +173,7 @@ def test_whatever_else_is_sent_is_refused_in_words(fuzz):
     def conversation(api):
         posts = [(m, r) for m, r, described in api.operations if "requestBody" in described]
 
-        @settings(max_examples=150, database=None)
+        @settings(max_examples=75, database=None)
         @given(st.sampled_from(posts), bodies)
         def check(post, body):
             status, answer = api.send(*post, body)
@@ -189,7 +189,7 @@ def test_whatever_path_or_method_is_asked_for_ends_in_an_answer(fuzz):
     parts = st.text("abc/.%20?&=#~\u00e9", max_size=30)
 
     def conversation(api):
-        @settings(max_examples=100, database=None)
+        @settings(max_examples=50, database=None)
         @given(st.sampled_from(["GET", "POST", "PUT", "DELETE", "HEAD", "OPTIONS", "BREW"]), parts)
         def check(method, rest):
             from urllib.parse import quote

@@ -1,16 +1,20 @@
 """The installed ``groundstation`` command, as a user runs it, and Dask's programs."""
 
 import contextlib
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import warnings
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import psutil
 
+from groundstation.cli import main
 from groundstation.errors import GroundStationError
 from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
@@ -30,6 +34,31 @@ def groundstation(*arguments, socket_path=None, cwd=None):
     )
 
 
+def in_process(*arguments, socket_path=None, cwd=None):
+    """The same in this process, where everything is loaded already, which takes a second: the whole
+    program but for the moment at which it leaves."""
+    out, error = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    given = {"GROUNDSTATION_SOCKET": str(socket_path)} if socket_path else {}
+    terminate, status = signal.getsignal(signal.SIGTERM), None
+    with (
+        contextlib.chdir(cwd or "."),
+        patch.dict(os.environ, given),
+        patch.object(sys, "argv", ["groundstation", *map(str, arguments)]),
+        patch.object(main, "_leave", sys.exit),
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(error),
+    ):
+        warnings.simplefilter("default")
+        try:
+            main.main()
+        except SystemExit as end:
+            status = end.code
+    signal.signal(signal.SIGTERM, terminate)
+    said = (one.buffer.getvalue().decode() for one in (out, error))
+    return subprocess.CompletedProcess(arguments, status, *said)
+
+
 def require_failure(result, status=1):
     """A failed command says why in one line and shows no traceback; that line."""
     assert result.returncode == status, result.stderr or result.stdout
@@ -37,6 +66,16 @@ def require_failure(result, status=1):
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("groundstation: ")
     return lines[0]
+
+
+def refused_run(folder, *arguments):
+    """A daemon that cannot begin ends with one line of its own, after its events; that line."""
+    ended = in_process("run", *arguments, cwd=folder)
+    assert ended.returncode == 1, ended.stdout
+    *_, line = ended.stderr.strip().splitlines()
+    assert line.startswith("groundstation: ")
+    assert "Traceback" not in ended.stderr
+    return line
 
 
 def gaps(recording):

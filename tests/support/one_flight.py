@@ -83,12 +83,12 @@ class OneFlight:
             return raw
 
 
-def flight_and_bench(span_s=16.0):
+def flight_and_bench():
     """name -> a flight with a slow gyro hidden in the craft and a run of the motor bench.
 
     Radio loss leaves a gap or two in each. The bridge of the bench removes copies.
     """
-    made = {"seed": 3, "plant": "reduced", "loss": 0.15, "span_s": span_s}
+    made = {"seed": 3, "plant": "reduced", "loss": 0.15, "span_s": 16.0}
     hidden = {"gyro_low_pass": {"bandwidth_hz": 60.0}}
     return {
         "flight": OneFlight(False, effects=hidden, **made),

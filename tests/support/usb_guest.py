@@ -16,7 +16,7 @@ TESTS = PROJECT / "tests"
 GUEST = TESTS / "usb_vm" / "guest"
 PATIENCE_S = 3600
 COMPILING_S = 900
-FLIGHT_S = 200
+FLIGHT_S = 100
 SOUND_RADIO = "[loss]\ngood_loss = 0.0\n"
 
 
@@ -38,6 +38,7 @@ def run_guest(out, chosen=".", flights=None):
         "env", "GROUNDSTATION_USB_VM=1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD=1",
         f"PYTHONPATH={GUEST}:{TESTS}:{PROJECT}",
         sys.executable, "-m", "pytest", "-q", "-rA", "--durations=15", "-p", "pytest_timeout",
+        "-p", "pytest_rerunfailures",
         # the guest's time runs on while it waits for files of a busy host: no limits by it
         "--timeout=0", "-o", "faulthandler_timeout=0", "-p", "no:cacheprovider",
         f"--confcutdir={GUEST}", str(GUEST / chosen),

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from groundstation.recording.open_recording import open_recording
-from support.daemons import Daemon, gaps, groundstation, require_failure
+from support.daemons import Daemon, gaps, in_process, require_failure
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def daemon(tmp_path_factory):
 
 
 def tell(daemon, *arguments):
-    return groundstation(*arguments, socket_path=daemon.socket)
+    return in_process(*arguments, socket_path=daemon.socket)
 
 
 def answer(daemon, *arguments):

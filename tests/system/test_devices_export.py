@@ -15,7 +15,7 @@ from serial.tools.list_ports import comports
 from groundstation import cli
 from groundstation.cli.devices import port_row
 from groundstation.cli.usb_devices import usb_devices
-from support.daemons import COMMAND, groundstation, require_failure
+from support.daemons import COMMAND, in_process, require_failure
 from support.programs import Program, run_program
 
 HEADER = Path(cli.__file__).parents[1] / "telemetry" / "groundstation_telemetry.h"
@@ -32,7 +32,7 @@ def terminal():
 
 
 def test_devices_lists_the_ports_of_this_machine():
-    result = groundstation("devices", "--json")
+    result = in_process("devices", "--json")
     assert result.returncode == 0, result.stderr
     listed = json.loads(result.stdout)
     ports = [row["name"] for row in listed["devices"] if row["kind"] == "serial"]
@@ -43,8 +43,8 @@ def test_devices_lists_the_ports_of_this_machine():
 
 
 def test_devices_in_words_has_a_line_for_each_and_one_for_none():
-    listed = json.loads(groundstation("devices", "--json").stdout)["devices"]
-    lines = groundstation("devices").stdout.splitlines()
+    listed = json.loads(in_process("devices", "--json").stdout)["devices"]
+    lines = in_process("devices").stdout.splitlines()
     for row in listed:
         (line,) = [line for line in lines if line.startswith(row["kind"]) and row["name"] in line]
         assert (f"usable: --link {row['link']}" if row["usable"] else row["why"]) in line
@@ -165,7 +165,7 @@ def test_the_bridge_is_the_one_that_was_asked_for(monkeypatch):
 
 
 def test_a_wrong_configuration_is_one_line():
-    assert "nowhere.toml" in require_failure(groundstation("devices", "--config", "nowhere.toml"))
+    assert "nowhere.toml" in require_failure(in_process("devices", "--config", "nowhere.toml"))
 
 
 def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
@@ -179,14 +179,14 @@ def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
 
 
 def test_the_header_goes_to_stdout_or_to_a_file(tmp_path):
-    assert groundstation("export", "header").stdout == HEADER.read_text()
+    assert in_process("export", "header").stdout == HEADER.read_text()
     path = tmp_path / "groundstation_telemetry.h"
-    assert groundstation("export", "header", "-o", path).returncode == 0
+    assert in_process("export", "header", "-o", path).returncode == 0
     assert path.read_text() == HEADER.read_text()
 
 
 def test_a_header_that_cannot_be_written_is_one_line(tmp_path):
-    line = require_failure(groundstation("export", "header", "-o", tmp_path))
+    line = require_failure(in_process("export", "header", "-o", tmp_path))
     assert str(tmp_path) in line
 
 

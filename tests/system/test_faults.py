@@ -17,7 +17,7 @@ from groundstation.recording.quality import inspect_recording
 from groundstation.service.client import ask
 from support import shim
 from support.daemons import Daemon, gaps, groundstation, require_failure
-from support.programs import Program, free_port, run_program
+from support.programs import Program, run_program
 from support.waiting import in_real_time, until
 
 STOPPED_S = 5.0
@@ -231,24 +231,6 @@ def test_many_clients_at_once_for_a_while_leave_the_daemon_as_it_was(tmp_path):
     assert status["recording"]["dropped"] == 0
     assert status["faults"] == 0
     continuous(open_recording(daemon.only_file()))
-
-
-@pytest.mark.parametrize("victim", ["groundstation.viewer.feeder", "--serve-web"])
-def test_a_view_that_is_killed_is_back_soon_and_costs_nothing(tmp_path, victim):
-    ports = ("--viewer-port", free_port(), "--web-port", free_port())
-    with Daemon(tmp_path, "--viewer", "serve", *ports) as daemon:
-        daemon.recording(samples=100)  # or there is nothing that could be lost
-        daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view")
-        daemon.child(victim).kill()
-        killed_s = time.monotonic()
-        daemon.status_when(lambda s: s["viewer"]["restarts"], "noticed")
-        daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view again")
-        what = "feeder" if "feeder" in victim else "proxy (rerun server)"
-        figure(f"SIGKILL of the {what}", f"serving again {time.monotonic() - killed_s:.1f} s later")
-        status = daemon.status()
-        assert status["recording"]["dropped"] == 0
-        assert daemon.stop() == 0
-        continuous(open_recording(daemon.only_file()))
 
 
 def test_a_killed_daemon_leaves_its_socket_to_the_next_one(tmp_path):

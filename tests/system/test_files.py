@@ -11,7 +11,7 @@ from groundstation import __version__
 from groundstation.cli.app import app
 from groundstation.recording.open_recording import open_recording
 from support import RECORDINGS
-from support.daemons import groundstation, inspected, require_failure
+from support.daemons import in_process, inspected, require_failure
 
 EXCERPT = RECORDINGS / "thesis_excerpt.csv"
 INSPECT_KEYS = {
@@ -32,7 +32,7 @@ def commands(command=None, path=()):
 
 
 def convert(source, target, *options):
-    result = groundstation("convert", source, target, *options)
+    result = in_process("convert", source, target, *options)
     assert result.returncode == 0, result.stderr
     assert str(target) in result.stdout
     return target
@@ -57,7 +57,7 @@ def test_a_flight_of_a_craft_that_tells_no_battery_is_given_what_its_motors_were
     assert given.samples.battery_v == pytest.approx(3.7)
     assert given.metadata["supply"] == {"given_v": "3.7"}
     for source, volts, why in ((whole, "3.7", "has the battery's voltage"), (untold, "1", "2..20")):
-        refused = groundstation("convert", source, tmp_path / "no.mcap", "--supply-v", volts)
+        refused = in_process("convert", source, tmp_path / "no.mcap", "--supply-v", volts)
         assert why in require_failure(refused)
         assert not (tmp_path / "no.mcap").exists()
 
@@ -97,7 +97,7 @@ def test_a_flight_survives_mcap_csv_mcap_sample_by_sample(tmp_path):
 def test_nothing_is_ever_overwritten(tmp_path):
     target = tmp_path / "kept.csv"
     target.write_text("mine")
-    assert "exists already" in require_failure(groundstation("convert", EXCERPT, target))
+    assert "exists already" in require_failure(in_process("convert", EXCERPT, target))
     assert target.read_text() == "mine"
 
 
@@ -111,7 +111,7 @@ def test_nothing_is_ever_overwritten(tmp_path):
     ],
 )
 def test_conversions_that_make_no_sense_are_refused(tmp_path, arguments, mentions):
-    line = require_failure(groundstation("convert", *arguments, cwd=tmp_path))
+    line = require_failure(in_process("convert", *arguments, cwd=tmp_path))
     assert mentions in line
     assert list(tmp_path.iterdir()) == []
 
@@ -134,7 +134,7 @@ def test_inspect_tells_the_committed_flight_for_what_it_is():
     duty = report["ranges"]["duty_1"]
     assert duty["min"] == 0
     assert duty["mean"] > 0.4, "it includes the take-off and flies"
-    shown = groundstation("inspect", RECORDINGS / "stand_in_flight.mcap")
+    shown = in_process("inspect", RECORDINGS / "stand_in_flight.mcap")
     assert shown.returncode == 0
     assert report["verdict"] in shown.stdout
     assert len((RECORDINGS / "stand_in_flight.mcap").read_bytes()) < 1_500_000
@@ -158,14 +158,14 @@ def test_every_command_has_an_example_of_itself_in_its_help():
 
 @pytest.mark.parametrize("words", [[], ["convert"], ["record", "start"]])
 def test_help_is_printed_on_request(words):
-    result = groundstation(*words, "--help")
+    result = in_process(*words, "--help")
     assert result.returncode == 0
     assert "Usage: groundstation" in result.stdout
     assert not words or f"groundstation {' '.join(words)}" in " ".join(result.stdout.split())
 
 
 def test_the_version_is_printed_on_request():
-    assert groundstation("--version").stdout == f"groundstation {__version__}\n"
+    assert in_process("--version").stdout == f"groundstation {__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -182,13 +182,13 @@ def test_the_version_is_printed_on_request():
     ],
 )
 def test_wrong_usage_has_its_own_exit_status(words, tmp_path):
-    result = groundstation(*words, cwd=tmp_path)
+    result = in_process(*words, cwd=tmp_path)
     assert result.returncode == 2
     assert "Usage: groundstation" in result.stderr
     assert result.stdout == ""
 
 
 def test_json_is_the_only_thing_on_the_output():
-    result = groundstation("inspect", EXCERPT, "--json")
+    result = in_process("inspect", EXCERPT, "--json")
     assert json.loads(result.stdout)["samples"] == 25
     assert result.stderr == ""

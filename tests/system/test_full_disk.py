@@ -2,7 +2,7 @@
 
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
-from support.daemons import Daemon, gaps, groundstation
+from support.daemons import Daemon, gaps, in_process
 
 
 def run_on(disk, folder, low_space_mb):
@@ -42,7 +42,7 @@ def test_a_disk_that_is_full_ends_the_recording_but_not_the_daemon(small_disk, t
     require_kept(path, samples=1000)
     repair = recover(path, tmp_path / "repaired.mcap")
     kept = path if repair.sound else repair.output
-    assert groundstation("inspect", kept).returncode == 0
+    assert in_process("inspect", kept).returncode == 0
 
 
 def test_a_disk_that_is_almost_full_gets_a_finished_recording(small_disk, tmp_path):

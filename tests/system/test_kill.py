@@ -16,7 +16,7 @@ from support import RECORDINGS
 from support.daemons import Daemon
 from support.packets import assert_same_packets, assert_same_samples
 
-KILLS, GROUPS = 20, 4
+KILLS, GROUPS = 10, 2
 TOGETHER = 2
 MISSING_MOST_S = 0.5
 """Of the daemon's own time: a busy machine holds it and its recorder up alike."""

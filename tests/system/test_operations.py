@@ -16,7 +16,7 @@ import pytest
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, load_config, settings
 from support import RECORDINGS
-from support.daemons import COMMAND, Daemon, groundstation, require_failure
+from support.daemons import COMMAND, Daemon, in_process, require_failure
 from support.programs import Program, run_program
 from support.waiting import until
 
@@ -36,13 +36,13 @@ def daemon(tmp_path_factory):
 
 
 def tell(daemon, *arguments):
-    result = groundstation(*arguments, socket_path=daemon.socket, cwd=daemon.folder)
+    result = in_process(*arguments, socket_path=daemon.socket, cwd=daemon.folder)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
 
 def refused(daemon, *arguments):
-    return require_failure(groundstation(*arguments, socket_path=daemon.socket, cwd=daemon.folder))
+    return require_failure(in_process(*arguments, socket_path=daemon.socket, cwd=daemon.folder))
 
 
 def test_the_link_is_switched_and_back_within_one_recording(daemon):
@@ -106,17 +106,17 @@ def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
 def test_what_config_shows_is_a_configuration(tmp_path):
     path = tmp_path / "shown.toml"
     given = ("--set", "viewer.port=1111", "--set", "link.speed=max", "--set", "vehicle=crazyflie21")
-    path.write_text(groundstation("config", "--show", *given).stdout)
+    path.write_text(in_process("config", "--show", *given).stdout)
     config = load_config(path)
     assert (config.viewer.port, config.link.speed, config.vehicle) == (1111, "max", "crazyflie21")
     plain = tmp_path / "plain.toml"
-    plain.write_text(groundstation("config", "--show").stdout)
+    plain.write_text(in_process("config", "--show").stdout)
     assert load_config(plain) == Config()
-    as_json = json.loads(groundstation("config", "--show", "--json").stdout)
+    as_json = json.loads(in_process("config", "--show", "--json").stdout)
     assert set(as_json) == {setting.name for setting in settings(Config())}
-    assert "usage" in groundstation("config", "--show", "--set", "viewer.prt=1").stderr.lower()
+    assert "usage" in in_process("config", "--show", "--set", "viewer.prt=1").stderr.lower()
     assert "viewer.port" in require_failure(
-        groundstation("config", "--show", "--set", "viewer.port=web")
+        in_process("config", "--show", "--set", "viewer.port=web")
     )
 
 
@@ -153,7 +153,7 @@ def test_the_log_can_be_json_one_object_a_line(tmp_path):
 
 
 def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
-    printed = groundstation("install", "service", "--print")
+    printed = in_process("install", "service", "--print")
     assert printed.returncode == 0
     assert f"ExecStart={COMMAND} run" in printed.stdout
     assert "User=groundstation" in printed.stdout
@@ -161,7 +161,7 @@ def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("[viewer]\nport = 'web'\n")
     assert "viewer.port" in require_failure(
-        groundstation("install", "service", "--print", "--config", wrong)
+        in_process("install", "service", "--print", "--config", wrong)
     )
     if shutil.which("systemd-analyze") is None:
         pytest.skip("checking a unit needs systemd-analyze")
@@ -205,13 +205,3 @@ def test_no_privilege_is_needed(tmp_path):
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
     assert " 0 lost, " in result.stdout
-
-
-def test_a_client_of_the_stream_does_not_keep_the_daemon_from_ending(tmp_path):
-    with Daemon(tmp_path) as daemon, socket.socket(socket.AF_UNIX) as client:
-        daemon.recording(samples=100)
-        client.connect(str(daemon.socket))
-        client.sendall(b"GET /stream HTTP/1.1\r\nHost: x\r\n\r\n")
-        assert b"event-stream" in client.recv(4096)
-        assert daemon.stop() == 0
-        assert "Traceback" not in daemon.stderr

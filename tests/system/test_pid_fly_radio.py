@@ -120,9 +120,7 @@ def test_a_craft_flies_twice_and_is_not_locked_by_the_silence_after_a_flight(fie
             assert not any("Locked" in line for line in field.events("console"))
 
 
-@pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "9"},
-                                   {"craft": '"brushless"', "protocol": "12"}],
-                         indirect=True)  # fmt: skip
+@pytest.mark.parametrize("field", [{"craft": '"brushless"', "protocol": "12"}], indirect=True)
 def test_the_idling_motors_of_a_brushless_are_off_when_a_flight_is_over(field):
     field.says("the craft is not armed")
     assert "the craft is not armed" in require_failure(field.run("pid", "fly", *ONCE))
@@ -223,9 +221,7 @@ def test_a_craft_whose_program_stands_still_for_five_seconds_ends_the_flight(fie
     assert field.run("motors", "stop").stdout.startswith("stopped")
 
 
-@pytest.mark.parametrize("field", [{"craft": '"brushless"', "upside_down": "true"},
-                                   {"upside_down": "true", "protocol": "12"}],
-                         indirect=True)  # fmt: skip
+@pytest.mark.parametrize("field", [{"craft": '"brushless"', "upside_down": "true"}], indirect=True)
 def test_a_craft_on_its_back_is_neither_armed_nor_flown(field):
     field.says("lies on its side or its back: set it upright")
     told = require_failure(field.run("motors", "arm"))

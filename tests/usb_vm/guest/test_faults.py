@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import time
 
-import numpy as np
 import pytest
 from emulated_bridge import EmulatedBridge, RecordedFlight, open_when_there
 
@@ -15,8 +14,6 @@ from support.links import joined
 from support.usb_device import Fault, FaultKind
 
 SPAN_S = 1.0
-PIECES = 20
-"""Faults of one kind in a row of tests."""
 
 
 async def read_for(link, span_s):
@@ -81,39 +78,6 @@ BY_STATUS = {
 }
 
 
-@pytest.mark.parametrize("kind", BY_STATUS)
-def test_a_faulty_frame_costs_itself_and_is_counted(flight, kind):
-    places = np.random.default_rng(len(kind)).choice(600, PIECES, replace=False)
-    lengths = range(1, 1 + PIECES)
-    faults = [
-        Fault(int(at), kind, length)
-        for at, length in zip(sorted(100 + places), lengths, strict=True)
-    ]
-    received, ours, theirs = stream_with(flight, faults)
-    assert theirs.faulty == {kind: PIECES}
-    assert getattr(ours, BY_STATUS[kind]) == PIECES
-    require_equal_counts(ours, theirs, f"{PIECES} frames with: {kind}")
-    require_right_bytes(flight, received)
-
-
-def test_a_frame_with_one_whole_packet_is_not_a_fault(flight):
-    """Bridges send 0, 1 or 2 packets a frame: half a frame is a frame."""
-    received, ours, theirs = stream_with(flight, [Fault(200, FaultKind.SHORT, 32)])
-    assert theirs.faulty == {FaultKind.SHORT: 1}
-    assert ours.lost == 0
-    require_right_bytes(flight, received)
-
-
-def test_a_halted_endpoint_is_cleared_and_the_stream_goes_on(flight):
-    received, ours, theirs = stream_with(
-        flight, [Fault(300, FaultKind.STALL), Fault(700, FaultKind.STALL)]
-    )
-    assert theirs.halted > 0
-    assert theirs.good > 900
-    require_equal_counts(ours, theirs, "the endpoint halted twice")
-    require_right_bytes(flight, received)
-
-
 def test_an_endpoint_that_halts_again_and_again_is_given_up(flight):
     faults = [Fault(at, FaultKind.STALL) for at in range(0, 2000, 8)]
 
@@ -129,23 +93,21 @@ def test_an_endpoint_that_halts_again_and_again_is_given_up(flight):
     asyncio.run(session())
 
 
-def test_frames_that_nobody_asked_for_are_counted_though_nothing_reports_them(flight):
-    """A program that is away for longer than its transfers last."""
-    received, ours, theirs = stream_with(flight, [], disturb=lambda: time.sleep(0.4))
-    assert theirs.dry > 200
-    require_equal_counts(ours, theirs, "the program away for 0.4 s")
-    require_right_bytes(flight, received)
-
-
-def test_everything_at_once(flight):
+def test_faults_of_every_kind_cost_their_frames_alone_and_each_is_counted(flight):
+    """Faulty frames, an endpoint that halts, and a program away for longer than its transfers last,
+    of which nothing reports."""
     kinds = list(BY_STATUS)
     faults = [Fault(100 + 7 * at, kinds[at % len(kinds)], 5) for at in range(100)]
     faults.insert(50, Fault(451, FaultKind.STALL))
     received, ours, theirs = stream_with(flight, faults, disturb=lambda: time.sleep(0.3))
     assert theirs.dry > 100
     assert theirs.halted > 0
+    assert theirs.good > 700
     assert len(theirs.faulty) == len(kinds)
-    require_equal_counts(ours, theirs, "all of these mixed")
+    for count in set(BY_STATUS.values()):
+        faulty = [theirs.faulty[kind] for kind, name in BY_STATUS.items() if name == count]
+        assert getattr(ours, count) == sum(faulty), count
+    require_equal_counts(ours, theirs, "faults of every kind")
     require_right_bytes(flight, received)
 
 

@@ -12,7 +12,7 @@ from groundstation.telemetry.packet import SAMPLE_TICKS
 from support.daemons import COMMAND, Daemon
 from support.waiting import until
 
-CYCLES, EARLY = 100, 20
+CYCLES, EARLY = 30, 10
 ABSENT_S = 20.0
 UNPLUG_SEEN_S = 0.1
 REPLUG_STREAMS_S = 2.0
@@ -43,7 +43,7 @@ def cpu_share(process, span_s):
     return used_s / (time.monotonic() - start_s)
 
 
-def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a_leak(
+def test_a_daemon_that_began_without_a_bridge_records_thirty_cables_without_a_leak(
     bridge, tmp_path
 ):
     plugged, pulled, holding = [], [], []
@@ -82,20 +82,18 @@ def test_a_daemon_that_began_without_a_bridge_records_a_hundred_cables_without_a
     }
     seen_s = at_s["lost"] - pulled
     again_s = at_s["streaming"] - plugged
-    # Twenty cables each: a moment may find a helper of the event loop's pool that just began or
-    # ended, a leak of one thread in ten cables moves the middle by seven.
-    early, late = (
-        np.median(part, axis=0) for part in (holding[EARLY : 2 * EARLY], holding[-EARLY:])
-    )
+    # Ten cables each: a moment may find a helper of the event loop's pool that just began or ended,
+    # a leak of one thread in five cables moves the middle by three.
+    early, late = (np.median(part, axis=0) for part in (holding[:EARLY], holding[-EARLY:]))
     print(f"CPU while absent: {100 * share:.2f} %")
     print(f"unplug seen in {seen_s.max():.4f} s at most, streaming again in {again_s.max():.3f} s")
-    print(f"descriptors, threads, bytes: {early} after {EARLY} to {2 * EARLY}, {late} at the end")
+    print(f"descriptors, threads, bytes: {early} at first, {late} at the end")
     assert share < 0.01
     assert seen_s.max() < UNPLUG_SEEN_S
     assert again_s.max() < REPLUG_STREAMS_S
     assert late[0] == early[0]
     assert late[1] <= early[1] + 1
-    assert late[2] - early[2] < 4 << 20
+    assert late[2] - early[2] < 2 << 20
     assert recording.damage == []
     assert len(recording.raw) == theirs.packets
     assert theirs.lost == 0
