@@ -43,7 +43,7 @@ def in_process(*arguments, socket_path=None, cwd=None):
     with (
         contextlib.chdir(cwd or "."),
         patch.dict(os.environ, given),
-        patch.object(sys, "argv", ["groundstation", *map(str, arguments)]),
+        patch.object(sys, "argv", [str(COMMAND), *map(str, arguments)]),
         patch.object(main, "_leave", sys.exit),
         warnings.catch_warnings(),
         contextlib.redirect_stdout(out),
