@@ -23,12 +23,13 @@ from groundstation.errors import GroundStationError
 from groundstation.service.client import Client, live
 
 SETTLE_S, MEASURED_S = 15.0, 30.0
+PORTS = ("--set", "viewer.port=19876", "--set", "viewer.web_port=19090")
 STARTS_WITHIN_S = 180.0
 
 
 def rows() -> Iterator[Row]:
     """Processor share and memory of the daemon's own process; references are the limits."""
-    with at_line_rate("--viewer", "serve", "--viewer-port", "19876", "--web-port", "19090") as path:
+    with at_line_rate("--viewer", "serve", *PORTS) as path:
         share, memory_mb, packets_hz, dropped = _measure(path)
     what = "daemon with recorder, viewer, metrics and a stream client"
     yield Row(f"{what}: packets a second (sent)", packets_hz, 2000.0, "packets/s")

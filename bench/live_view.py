@@ -31,7 +31,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.live_view")
     parser.add_argument("--openings", type=int, default=3)
     openings = parser.parse_args().openings
-    ports = "--viewer-port", str(free_port(HERE)), "--web-port", str(free_port(HERE))
+    keys = ("viewer.port", "viewer.web_port")
+    ports = [word for key in keys for word in ("--set", f"{key}={free_port(HERE)}")]
     with at_line_rate("--viewer", "serve", "--no-page", *ports) as path:
         time.sleep(FLOWN_S)
         for _ in range(openings):

@@ -32,7 +32,7 @@ PORT = 19080
 
 def rows() -> Iterator[Row]:
     """Medians over the windows; the spread is half of what the middle half of them span."""
-    page = "--page", "--page-port", str(PORT)
+    page = "--page", "--set", f"page.port={PORT}"
     with (
         at_line_rate("--viewer", "off", "--no-page") as bare,
         at_line_rate("--viewer", "off", *page) as shown,

@@ -147,7 +147,7 @@ def _daemon() -> Iterator[tuple[Path, str]]:
         control = Path(name) / "control.sock"
         daemon = subprocess.Popen(
             [Path(sys.executable).with_name("groundstation"), "run",
-             "--page", "--page-port", str(free_port("127.0.0.1"))],
+             "--page", "--set", f"page.port={free_port('127.0.0.1')}"],
             cwd=name, env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip

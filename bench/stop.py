@@ -176,7 +176,7 @@ def _daemon(folder: Path) -> Iterator[Path]:
     daemon = subprocess.Popen(
         [Path(sys.executable).with_name("groundstation"), "run", "--link", "stand-in",
          "--command", f"udp://127.0.0.1:{COMMAND_PORT}", "--viewer", "off", "--page",
-         "--page-port", str(PAGE_PORT), "--recordings", folder / "sessions"],
+         "--set", f"page.port={PAGE_PORT}", "--recordings", folder / "sessions"],
         env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip

@@ -90,7 +90,7 @@ def page_pictures() -> dict[str, bytes]:
         environment = {**os.environ, "GROUNDSTATION_SOCKET": f"{folder}/control.sock"}
         port = str(free_port("127.0.0.1"))
         with subprocess.Popen(
-            [*command, "run", "--page", "--page-port", port],
+            [*command, "run", "--page", "--set", f"page.port={port}"],
             cwd=folder, env=environment, stdout=subprocess.PIPE, text=True,
         ) as daemon:  # fmt: skip
             try:

@@ -17,6 +17,11 @@ FORMER = {
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
     " 'groundstation link stand-in:ID' flies one, POST /models/watch watches with one",
     "recordings": "'groundstation inspect FOLDER' lists a folder of recordings",
+    "run --page-port": "give --set page.port=PORT",
+    "run --viewer-port": "give --set viewer.port=PORT",
+    "run --web-port": "give --set viewer.web_port=PORT",
+    "simulate --html": "'groundstation compare --html' draws where a model and a flight disagree;"
+    " in Python, simulate_run(...).plot() draws a replayed flight",
 }
 """Commands and options of earlier versions, and what does their work now."""
 
@@ -36,7 +41,7 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for word in args:
-            _require_current(f"{ctx.info_name} {word}")
+            _require_current(ctx, f"{ctx.info_name} {word.partition('=')[0]}")
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for one in given:
             single = one.nargs == 1 and not getattr(one, "multiple", False)
@@ -52,11 +57,11 @@ class Root(TyperGroup):
     """Of all commands: knows those that there were."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        _require_current(args[0])
+        _require_current(ctx, args[0])
         return super().resolve_command(ctx, args)
 
 
-def _require_current(words: str) -> None:
+def _require_current(ctx: Any, words: str) -> None:
     """Raise a usage error for what there is no more."""
     if words in FORMER:
-        raise typer.BadParameter(f"there is no '{words}' any more: {FORMER[words]}")
+        raise typer.BadParameter(f"there is no '{words}' any more: {FORMER[words]}", ctx)

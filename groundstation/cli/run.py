@@ -65,12 +65,9 @@ def run(
     page: bool | None = typer.Option(
         None, "--page/--no-page", help="Serve the operator's page to browsers of this machine."
     ),
-    page_port: int | None = typer.Option(None, min=1, max=65535, help="The page's TCP port."),
     twin: Path | None = typer.Option(
         None, metavar="MODEL", help="Fly this model beside the craft and tell where they disagree."
     ),
-    viewer_port: int | None = typer.Option(None, min=1, max=65535, help="rerun's own TCP port."),
-    web_port: int | None = typer.Option(None, min=1, max=65535, help="TCP port for the browser."),
     speed: str | None = typer.Option(
         None, help="Of a stand-in or replay: 1 is real time, 'max' as fast as possible."
     ),
@@ -91,10 +88,7 @@ def run(
         "recording.enabled": record,
         "viewer.mode": viewer and viewer.value,
         "page.enabled": page,
-        "page.port": page_port,
         "twin.model": None if twin is None else str(twin),
-        "viewer.port": viewer_port,
-        "viewer.web_port": web_port,
         "command": command,
         "radio.rate_hz": rate_hz,
         "radio.log": log,

@@ -14,7 +14,8 @@ LINKS = {
     "usb://0": "crazyflie_log",
     "udp://HOST:PORT": "crazyflie_log",
 }
-"""Form -> module of ``groundstation.links``, whose ``make(options)`` gives the link."""
+"""Form -> module of ``groundstation.links``, whose ``make(options)`` gives the link. By the control
+API a FILE can only be one of the recordings folder, a PORT one of ``/dev``."""
 KINDS = ", ".join(LINKS)
 CRAFT = tuple(form[: form.index("://") + 3] for form in LINKS if "://" in form)
 """Links to a craft that speaks for itself."""
@@ -30,6 +31,14 @@ def split_name(name: str) -> tuple[str, str]:
     if (kind, colon) not in forms or bool(colon) != bool(argument):
         raise BadInputError(f"link {name!r} is not known: use one of {KINDS}")
     return kind, argument
+
+
+def argument_of(name: str) -> str:
+    """What the row of a link's name calls what follows the colon: FILE, PORT, MODEL; empty where
+    nothing does, or an address. Raises BadInputError for no known link."""
+    kind, argument = split_name(name)
+    forms = [form.partition(":") for form in LINKS if not _scheme(form)]
+    return next((what for one, _, what in forms if one == kind and what and argument), "")
 
 
 def module_of(name: str) -> str:

@@ -14,7 +14,7 @@ import msgspec
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
 from groundstation.links.event import LinkEvent
-from groundstation.links.names import STAND_IN, is_stand_in, split_name
+from groundstation.links.names import STAND_IN, argument_of, is_stand_in, split_name
 from groundstation.recording.catalogue import CatalogueEntry
 from groundstation.service import overview, requests
 from groundstation.service.answers import Status
@@ -250,19 +250,20 @@ def permitted_link(name: str, folder: Path) -> str:
     """A link as a request may name it: no path leaves the recordings folder, no port is outside
     /dev. Raises BadInputError for another."""
     kind, argument = split_name(name)
+    what = argument_of(name)
     if "\0" in argument:
         raise BadInputError("a path cannot hold a zero byte")
-    if kind == "replay":
+    if what == "FILE":
         path = _resolved(folder / argument)
         if not path.is_relative_to(folder.resolve()):
             raise BadInputError(
                 f"{argument} is not in the recordings folder {folder}; for a file elsewhere start "
-                "a daemon with --link replay:FILE"
+                f"a daemon with --link {kind}:FILE"
             )
         if path.exists() and not path.is_file():  # a pipe would be waited for for ever
             raise BadInputError(f"{path}: not a file; give the recording itself")
-        return f"replay:{path}"
-    if kind == "serial":
+        return f"{kind}:{path}"
+    if what == "PORT":
         try:
             port = Path(port_and_baud(argument)[0])
         except ValueError as error:

@@ -33,7 +33,7 @@ from groundstation.service.config import UsbConfig
 from support import ROOT
 from support.daemons import COMMAND, Daemon
 from support.pages import PAGES, blocks_of
-from support.programs import Program, free_port, run_program
+from support.programs import Program, free_port, on_free_ports, run_program
 from support.waiting import PATIENCE_S, until
 
 SEALED = "tests/discrepancy/test_sealed.py"
@@ -363,9 +363,9 @@ def live(words, folder):
     if words[1] == "status":
         return watch(words)
     if "serve" in words:
-        words += ["--viewer-port", str(free_port()), "--web-port", str(free_port())]
+        words += on_free_ports("viewer.port", "viewer.web_port")
     if "--page" in words:
-        words += ["--page-port", str(free_port())]
+        words += on_free_ports("page.port")
     ends = "--for" in words
     if ends:
         words[words.index("--for") + 1] = "1"
@@ -404,7 +404,7 @@ def watch(words):
 def make_run(folder):
     """``make run`` from the Makefile, as it is; nothing is installed again."""
     environment = os.path.dirname(os.path.dirname(sys.executable))
-    ports = f"--viewer-port {free_port()} --web-port {free_port()} --page-port {free_port()}"
+    ports = " ".join(on_free_ports("viewer.port", "viewer.web_port", "page.port"))
     done = run_program(
         [
             *("make", f"VENV={environment}", "-o", f"{environment}/.ready", "run"),

@@ -61,7 +61,7 @@ class PageDaemon(Daemon):
 
     def __init__(self, folder, *arguments, port=None, **options):
         self.port = port or free_port()
-        super().__init__(folder, "--page", "--page-port", self.port, *arguments, **options)
+        super().__init__(folder, "--page", "--set", f"page.port={self.port}", *arguments, **options)
 
     def address(self):
         """A new one-time address."""

@@ -4,13 +4,13 @@ import re
 
 import pytest
 
-from support.programs import free_port
+from support.programs import on_free_ports
 from support.waiting import until
 
 
 @pytest.mark.timeout(600)
 def test_the_web_viewer_says_how_old_its_newest_row_is(page_daemon, visit):
-    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    ports = on_free_ports("viewer.port", "viewer.web_port")
     daemon = page_daemon("--viewer", "serve", *ports)
     daemon.recording()
     status = daemon.status_when(lambda one: one["viewer"]["sent"] > 0, "the viewer")

@@ -10,6 +10,7 @@ import pytest
 
 from groundstation.errors import BadInputError, GroundStationError, LinkError, TakenError
 from groundstation.links import serial as serial_module
+from groundstation.links.names import LINKS
 from groundstation.recording.mcap_scan import McapScan
 from groundstation.recording.mcap_schemas import (
     EVENTS_TOPIC,
@@ -207,6 +208,13 @@ def test_a_replay_that_has_ended_on_view_gives_way_and_recording_begins_again(tm
     first, second = sorted(tmp_path.glob("*.mcap"))
     assert len(open_recording(first).samples) == 25
     assert len(open_recording(second).samples) > 100
+
+
+def test_another_link_that_reads_files_is_held_to_the_recordings_folder_too(tmp_path, monkeypatch):
+    monkeypatch.setitem(LINKS, "tape:FILE", "replay")
+    assert permitted_link("tape:flight.log", tmp_path) == f"tape:{tmp_path.resolve()}/flight.log"
+    with pytest.raises(BadInputError, match="--link tape:FILE"):
+        permitted_link("tape:/etc/passwd", tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -127,5 +127,10 @@ def free_port() -> int:
     raise RuntimeError(f"no port from {PORTS.start} to {PORTS.stop - 1} is free")
 
 
+def on_free_ports(*keys):
+    """The words that give each of these configuration keys a free port."""
+    return [word for key in keys for word in ("--set", f"{key}={free_port()}")]
+
+
 if __name__ == "__main__":
     main()

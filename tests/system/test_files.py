@@ -177,7 +177,8 @@ def test_the_version_is_printed_on_request():
         ["convert", "one"],
         ["run", "--for", "soon"],
         ["run", "--for", "-1"],
-        ["run", "--viewer-port", "99999"],
+        ["run", "--web-port=9090"],
+        ["simulate", "--html", "page.html"],
         ["record", "pause"],
     ],
 )

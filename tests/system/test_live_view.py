@@ -9,7 +9,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.quality import inspect_recording
 from support import RECORDINGS
 from support.daemons import Daemon, gaps
-from support.programs import free_port
+from support.programs import on_free_ports
 from support.waiting import PATIENCE_S
 
 FEEDER, SERVER = "groundstation.viewer.feeder", "--serve-web"
@@ -18,7 +18,7 @@ MEMORY_MOST = 30e6
 
 
 def serving_daemon(folder, *arguments):
-    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    ports = on_free_ports("viewer.port", "viewer.web_port")
     return Daemon(folder, "--viewer", "serve", *ports, *arguments)
 
 

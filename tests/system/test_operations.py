@@ -17,7 +17,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.service.config import Config, load_config, settings
 from support import RECORDINGS
 from support.daemons import COMMAND, Daemon, in_process, require_failure
-from support.programs import Program, run_program
+from support.programs import Program, on_free_ports, run_program
 from support.waiting import until
 
 FLIGHT = "stand_in_flight.mcap"
@@ -177,9 +177,7 @@ def test_the_systemd_unit_is_sound_and_shuts_the_daemon_in(tmp_path):
 def test_nothing_listens_beyond_loopback(tmp_path):
     import psutil
 
-    from support.programs import free_port
-
-    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    ports = on_free_ports("viewer.port", "viewer.web_port")
     with Daemon(tmp_path, "--viewer", "serve", *ports) as daemon:
         daemon.status_when(lambda s: s["viewer"]["state"] == "serving", "the view")
         time.sleep(0.2)

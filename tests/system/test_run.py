@@ -13,7 +13,7 @@ from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
 from support import RECORDINGS
 from support.daemons import Daemon, gaps, in_process, refused_run, require_failure
-from support.programs import free_port
+from support.programs import on_free_ports
 
 
 def require_complete(path):
@@ -125,17 +125,17 @@ def test_a_second_daemon_names_the_socket_that_is_taken_and_by_whom(tmp_path):
         assert first.stop() == 0
 
 
-@pytest.mark.parametrize("which", ["--viewer-port", "--web-port"])
+@pytest.mark.parametrize("which", ["viewer.port", "viewer.web_port"])
 def test_a_second_daemon_names_the_viewer_port_that_is_taken(tmp_path, which):
-    ports = {"--viewer-port": free_port(), "--web-port": free_port()}
-    with socket.create_server(("127.0.0.1", ports[which])):
-        options = [item for pair in ports.items() for item in pair]
-        with Daemon(tmp_path, "--viewer", "serve", *options) as daemon:
-            assert daemon.wait() == 1
-            assert f"port {ports[which]} is taken" in daemon.last_line
-            assert daemon.stderr.count("groundstation: ") == 1
-            assert daemon.files() == []
-            assert not daemon.socket.exists()
+    ports = on_free_ports("viewer.port", "viewer.web_port")
+    (taken,) = (int(word.partition("=")[2]) for word in ports if word.startswith(f"{which}="))
+    daemon = Daemon(tmp_path, "--viewer", "serve", *ports)
+    with socket.create_server(("127.0.0.1", taken)), daemon:
+        assert daemon.wait() == 1
+        assert f"port {taken} is taken" in daemon.last_line
+        assert daemon.stderr.count("groundstation: ") == 1
+        assert daemon.files() == []
+        assert not daemon.socket.exists()
 
 
 def test_only_its_owner_can_reach_the_socket(tmp_path):

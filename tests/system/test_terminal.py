@@ -9,7 +9,7 @@ import pytest
 from groundstation.recording.open_recording import open_recording
 from support import RECORDINGS
 from support.daemons import COMMAND, gaps
-from support.programs import free_port
+from support.programs import on_free_ports
 from support.waiting import until
 
 
@@ -62,7 +62,7 @@ class Terminal:
 
 @pytest.mark.parametrize("viewer", ["off", "serve"])
 def test_ctrl_c_in_a_terminal_finishes_the_recording(tmp_path, viewer):
-    ports = ("--viewer-port", free_port(), "--web-port", free_port())
+    ports = on_free_ports("viewer.port", "viewer.web_port")
     with Terminal(tmp_path, "run", "--viewer", viewer, *ports) as terminal:
         until(lambda: terminal.shows("Ctrl-C stops and finishes the recording"), "introduced")
         until(lambda: terminal.shows("streaming"), "telemetry")
@@ -100,7 +100,7 @@ def test_the_page_is_opened_where_somebody_sees_it_and_never_in_ci(tmp_path, ci)
     browser.write_text(f'#!/bin/sh\necho "$1" >> {opened}\n')
     browser.chmod(0o755)
     seen = {"BROWSER": f"{browser} %s", "DISPLAY": ":9", "CI": ci}
-    options = ("run", "--page", "--page-port", free_port())
+    options = ("run", "--page", *on_free_ports("page.port"))
     with Terminal(tmp_path, *options, environment=seen) as terminal:
         if ci:
             until(lambda: terminal.shows("receiving"), "receiving")
