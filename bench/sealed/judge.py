@@ -55,6 +55,8 @@ def judge(case: Case, sealed: Sealed, report: dict[str, Any]) -> dict[str, Any]:
         "missed": missed,
         "right": not false and not missed,
         "rivals": {e["name"]: [o["name"] for o in e["alternatives"]] for e in report["effects"]},
+        "recurrence": {e["name"]: e["recurrence"] for e in report["effects"] + report["possible"]},
+        "possible": [e["name"] for e in report["possible"]],
         "parameters": _parameters(sealed, report),
         "explained": _explained(_acting(case, sealed), report),
         "loudness": _loudness(report),

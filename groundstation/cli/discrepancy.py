@@ -186,11 +186,13 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
     from groundstation.discrepancy.report_json import why_lost
     from groundstation.discrepancy.report_words import (
         by_weight,
+        chosen_in_words,
         flight_plan,
         found_in_words,
         is_zero,
         meaning,
         next_in_words,
+        possible_in_words,
     )
 
     count = len(report.effects)
@@ -212,9 +214,12 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
             spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
             zero = ", not distinguishable from zero" if is_zero(estimate) else ""
             show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero)
-        show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}")
+        again = "" if effect.recurrence is None else f", {chosen_in_words(effect.recurrence)}"
+        show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}{again}")
         for other in effect.alternatives:
             show(f"     could also be {other.name}; to tell: {other.manoeuvre}")
+    for line in possible_in_words(report):
+        show(line)
     for small in report.candidates:
         if small.refused_by == "negligible":
             show(f"{small.name}: {small.reason}")

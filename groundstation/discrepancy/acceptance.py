@@ -36,6 +36,9 @@ one degree of freedom is 3.8, for a size that is not fitted to them half of it).
 BEYOND_SHARE = 0.5
 """Where rows do not show every setting of the motors: most of what an effect explains has to be
 more than the others can do."""
+LEAST_RECURRENCE = 0.6
+"""Of the resamples in which a name has to be chosen: the least that Meinshausen and Buehlmann
+(2010) recommend. Below, it is possible: fitted along, told, and not named."""
 KEEP = 14.0
 """An accepted effect whose removal costs less than this leaves: 3.7 standard errors, below what it
 took to join so that nothing joins and leaves in turn."""
@@ -64,7 +67,8 @@ class Trial:
     """A candidate on its way through the gates; each stage fills in what it found.
 
     fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
-    removal: what -2 log L gains when it leaves. open_s: delay that the rows leave open.
+    removal: what -2 log L gains when it leaves. open_s: delay that the rows leave open. recurrence:
+    share of resamples that choose it.
     """
 
     variant: Variant
@@ -73,6 +77,7 @@ class Trial:
     evidence: Evidence | None = None
     removal: float = np.inf
     open_s: float = 0.0
+    recurrence: float = 1.0
     scored: Scored | None = None
 
 
@@ -175,6 +180,15 @@ def negligible(trial: Trial) -> str:
     return f"{fitted}: {effect.because}" if size < effect.negligible else ""
 
 
+def not_recurrent(trial: Trial) -> str:
+    """Other stretches and flights would choose others."""
+    if trial.recurrence >= LEAST_RECURRENCE:
+        return ""
+    assert trial.fit is not None
+    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
+    return f"possible: {fitted} fitted, chosen in {100.0 * trial.recurrence:.0f} % of resamples"
+
+
 def is_significant(t: float, drop: float) -> bool:
     """Whether chance hardly does it: standard errors, and the drop of -2 log L, of one variance."""
     return t >= LEAST_T and drop >= LEAST_DROP
@@ -220,6 +234,7 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
+    ((Stage.NAMED,), Reason.NOT_RECURRENT, not_recurrent),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
 SHAKEN_GATES: tuple[tuple[Reason, Callable[[Shaken], str]], ...] = (

@@ -2,60 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison, compare
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.stretches import Marked, within
-from groundstation.discrepancy.acceptance import Stage, Trial, refusal
-from groundstation.discrepancy.base_constants import base_changes
+from groundstation.discrepancy.conclusions import conclude
 from groundstation.discrepancy.division import divide
-from groundstation.discrepancy.evidence import by_parts, separated
 from groundstation.discrepancy.findings import (
-    Alternative,
-    Candidate,
     Findings,
-    FoundEffect,
-    NotShown,
     Verdict,
 )
 from groundstation.discrepancy.imbalance import with_imbalance
 from groundstation.discrepancy.judge import Judge, to_follow
 from groundstation.discrepancy.proof import LEFT, FittedRows, Predictions, Proof, bare, prove
+from groundstation.discrepancy.recurrence import asked_again, recurrences
 from groundstation.discrepancy.rotor_sensor import with_sensor_lag
-from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
-from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.discrepancy.search_state import SearchState
 from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
 from groundstation.discrepancy.usable import still_there, usable
-from groundstation.dynamics.model import Estimate, Model, model_vehicle
+from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
-from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import in_plane_hz
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
-    MOTOR_KEYS,
     RENAMES,
     VARIANTS,
     Point,
     Variant,
     absent,
-    estimates_of,
     joined,
     model_of,
     own_of,
     point_of,
 )
 from groundstation.identification.likelihood.prior import Prior, body_prior
-from groundstation.identification.likelihood.problem import BASE_KEYS, Fit, Problem
+from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
 from groundstation.identification.runs import Run
 from groundstation.report.result import Result
 
@@ -64,8 +54,6 @@ Progress = Callable[[str, float], None]
 
 AXES = ("roll", "pitch", "yaw")
 MEASURED_ROTORS = "rotor speeds are measured: the motors' part is in them"
-SHOWN = 5.0
-"""An effect can be shown when its usual size is so many standard errors."""
 LEAST_EXPLAINED = 0.1
 """Of the given model's squared excess over noise: what explains less of it explains nothing."""
 HARDLY_MOVED = 0.5
@@ -238,7 +226,11 @@ def _searched(
         search.raises_plainly = plain.raises_plainly
     outcome = with_sensor_lag(concluded(search), problem, search.folds)
     warnings = _require_told(outcome, problem, given_constants)
-    found = _findings(outcome, problem, model, known, lost, warnings)
+    report("choosing again on resamples", 0.95)
+    names = [one.variant for one in outcome.accepted]
+    rivals = asked_again(candidates, outcome.refused)
+    recurrence = recurrences(problem, outcome.final, names, rivals)
+    found = conclude(outcome, recurrence, problem, model, known, lost, warnings)
     return with_imbalance(found, problem, outcome.final.point)
 
 
@@ -282,162 +274,3 @@ def _require_told(outcome: Outcome, problem: Problem, known: Prior) -> list[str]
             " the model is missing: fly doublets or random steps about every axis"
         )
     return [f"{axis} hardly moved: what acts on it cannot be told" for axis in still]
-
-
-def _findings(
-    outcome: Outcome,
-    problem: Problem,
-    model: Model,
-    known: Sequence[Variant],
-    lost: dict[str, str],
-    warnings: list[str],
-) -> Findings:
-    final, residual = outcome.final, outcome.residual
-    at_the_end = _by_flights(problem, final, outcome.accepted)
-    errors = outcome.errors = with_differences(outcome.errors, final.point, at_the_end)
-    keys = given = tuple(key for v in known for key in v.keys)
-    effects: list[FoundEffect] = []
-    # measured rotor speeds know what the controller did within a row
-    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
-    open_s = max(
-        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
-    )
-    for one in outcome.accepted:
-        keys = (*keys, *one.variant.keys)
-        why = refusal(Stage.NAMED, Trial(one.variant, final, open_s=open_s))
-        if why is not None:
-            outcome.refused[one.variant.label] = why
-        else:
-            effects.append(_effect(one, len(effects) + 1, outcome, keys, model, problem.frame.own))
-    if not problem.known_motor:
-        warnings.append(
-            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
-            " effects of voltage are taken for it"
-        )
-    verdict = Verdict.EFFECTS_FOUND
-    if not effects and residual.verdict == "structured":
-        verdict = Verdict.UNEXPLAINED
-    elif not effects:
-        verdict = Verdict.NO_DISCREPANCY
-    changed = dict(final.point)
-    for one in outcome.accepted:
-        rename = one.variant.definition.renames
-        if rename is not None:
-            size = final.point[one.variant.sizes[0]]
-            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
-    return Findings(
-        verdict=verdict,
-        effects=tuple(effects),
-        base=model,
-        given=model,
-        moved=model_of(final.point, errors, given, model, problem.frame.own),
-        base_changes=base_changes(
-            problem, final, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
-        ),
-        model=model_of(final.point, errors, keys, model, problem.frame.own),
-        candidates=_candidates(outcome),
-        not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
-        lost=lost,
-        residual=residual,
-        warnings=tuple(warnings),
-    )
-
-
-def _by_flights(problem: Problem, final: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
-    """What each flight tells of the sizes beside the noise and the trims of the last fit, which are
-    others than those that an effect joined by."""
-    linear = problem.linear(final.point, final.keys, problem.flights)
-    parts = [by_parts(problem, separated(problem, linear, one.variant))[1] for one in accepted]
-    return [
-        replace(one, evidence=replace(one.evidence, parts=own))
-        for one, own in zip(accepted, parts, strict=True)
-    ]
-
-
-def with_differences(
-    errors: Mapping[str, float], point: Point, accepted: Sequence[Accepted]
-) -> dict[str, float]:
-    """Standard errors by key, with what the sizes of effects differ by between flights."""
-    wider = dict(errors)
-    for one in accepted:
-        share = one.evidence.between()
-        for key in one.variant.sizes:
-            if key in wider:
-                wider[key] = float(np.hypot(wider[key], share * (point[key] - absent(key))))
-    return wider
-
-
-def _effect(
-    one: Accepted,
-    order: int,
-    outcome: Outcome,
-    keys: tuple[str, ...],
-    model: Model,
-    own: Sequence[Variant],
-) -> FoundEffect:
-    name, evidence = one.variant.effect, one.evidence
-    point, errors = outcome.final.point, outcome.errors
-    return FoundEffect(
-        name=name,
-        order=order,
-        parameters=estimates_of(one.variant, point, errors),
-        evidence={
-            "likelihood_ratio": evidence.drop,
-            "t": evidence.t,
-            "held_out": evidence.held_out,
-            "held_out_expected": evidence.expected,
-            "axes": evidence.apart(1),
-            "recordings": evidence.apart(0),
-            "whitened_before": evidence.gap[0],
-            "whitened_after": evidence.gap[1],
-        },
-        alternatives=tuple(
-            Alternative(other, margin, _manoeuvre(name, other, own)) for other, margin in one.rivals
-        ),
-        channels=tuple(CHANNELS[c] for c in evidence.channels),
-        adds=one.variant.definition.adds,
-        model=model_of(point, errors, keys, model, own),
-    )
-
-
-def _manoeuvre(name: str, other: str, own: Sequence[Variant]) -> str:
-    """What separates two effects, from the catalogue, whichever of the two knows it."""
-    effects = {**EFFECTS, **{one.effect: one.definition for one in own}}
-    for one, two in ((name, other), (other, name)):
-        for confusion in effects[one].confused_with:
-            if confusion.other == two:
-                return confusion.manoeuvre
-    return effects[other].excited_by
-
-
-def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
-    fitted = {one.variant.label for one in outcome.accepted}
-    found = []
-    for one in outcome.scores:
-        label = one.variant.label
-        parameters = {
-            key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
-            for key, size, error in zip(one.variant.sizes, one.values, one.errors, strict=True)
-        }
-        why = outcome.refused.get(label)
-        held_out = outcome.held_out.get(label, 0.0)
-        accepted = label in fitted and why is None
-        found.append(Candidate(label, parameters, one.drop, one.t, held_out, accepted, why))
-    return tuple(found)
-
-
-def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown]:
-    """Effects whose usual size would be lost in the noise of these recordings; no named ones."""
-    found = []
-    for one in scores:
-        if one.variant.effect in named:
-            continue
-        effect = one.variant.definition
-        sizes = (unknown for unknown in one.variant.unknowns if unknown.parameter.kind == "size")
-        for unknown, error in zip(sizes, one.errors.tolist(), strict=True):
-            if SHOWN * error > unknown.worth:
-                name, unit = unknown.key.partition(".")[2], unknown.unit
-                found.append(
-                    NotShown(effect.name, name, error, unknown.worth, unit, effect.excited_by)
-                )
-    return found

@@ -52,6 +52,8 @@ class Reason(StrEnum):
     """Recordings tell different sizes."""
     PREDICTS_WORSE = "predicts_worse"
     """With it a channel is predicted worse, 20 and 50 ms ahead, than without."""
+    NOT_RECURRENT = "not_recurrent"
+    """It is possible: fitted along, but other stretches and flights would choose others."""
     NEGLIGIBLE = "negligible"
     """It is fitted along, and too small to be called an effect."""
 
@@ -69,12 +71,14 @@ class Alternative:
     """Another name that explains nearly as much.
 
     margin: how much worse its penalised likelihood is (difference of -2 log L; 0 is equal, 10
-    is one chance in 150). manoeuvre: what to fly to tell the two apart.
+    is one chance in 150). manoeuvre: what to fly to tell the two apart. share: of the resamples
+    (``recurrence.py``) in which it was chosen and the name was not.
     """
 
     name: str
     margin: float
     manoeuvre: str
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +92,10 @@ class FoundEffect:
     disagree), ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual
     over the channels the effect touches, 1.0 being noise, before and after it joined;
     ``over_others``: standard errors by which a rotor shakes more than the others together.
-    model: final constants, with the effects up to this one. adds: its law in words. gap_before,
-    gap_after: of predictions of proof samples over all channels; NaN until it is proven. weight:
-    its share of what all names explain there.
+    model: final constants, with the effects up to this one. recurrence: share of resamples that
+    choose it; NaN where none were drawn. adds: its law in words. gap_before, gap_after: of
+    predictions of proof samples over all channels; NaN until it is proven. weight: its share of
+    what all names explain there.
     """
 
     name: str
@@ -100,6 +105,7 @@ class FoundEffect:
     alternatives: tuple[Alternative, ...]
     channels: tuple[str, ...]
     model: Model
+    recurrence: float = math.nan
     adds: str = ""
     gap_before: float = math.nan
     gap_after: float = math.nan
@@ -176,12 +182,13 @@ class Leftover:
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. base: the model as it was given; given: the same with the
-    disturbance that it leaves. base_changes: constants of it that moved; those that these data
-    cannot improve have not. moved: the given model with these changes alone. model: moved constants
-    and effects, fitted jointly, and the disturbance that is left. candidates: every effect,
-    strongest first. not_shown: excitation check. lost: effect name -> the channel that is missing
-    to show it. warnings: in words.
+    effects: accepted, in order. possible: fitted along, and chosen too seldom on resamples to be
+    named. base: the model as it was given; given: the same with the disturbance that it leaves.
+    base_changes: constants of it that moved; those that these data cannot improve have not. moved:
+    the given model with these changes and with what is fitted and has no name. model: moved
+    constants and effects, fitted jointly, and the disturbance that is left. candidates: every
+    effect, strongest first. not_shown: excitation check. lost: effect name -> the channel that is
+    missing to show it. warnings: in words.
     """
 
     verdict: Verdict
@@ -196,6 +203,7 @@ class Findings:
     lost: dict[str, str]
     residual: Leftover
     warnings: tuple[str, ...] = field(default=())
+    possible: tuple[FoundEffect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,8 +29,6 @@ SURE = 100.0
 standard errors, where no rival can be within reach."""
 FITTED, MORE_FITTED = 4, 2
 """Joint fits at once, at most, and beside them effects easily confused with the best one."""
-RIVAL = 12.0
-"""An effect that explains so little less, in -2 log L, is an alternative: odds of one in 400."""
 
 
 def join_what_is_sure(search: SearchState, plain: Screening) -> None:
@@ -68,7 +66,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         evidence = search.weighed(before, after, variant)
         why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
         if why is None:
-            search.accepted.insert(0, Accepted(variant, evidence, []))
+            search.accepted.insert(0, Accepted(variant, evidence))
             search.held_out[variant.label] = evidence.held_out
         else:
             search.refused[variant.label] = why
@@ -92,7 +90,7 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
         search.held_out[label] = trial.evidence.held_out
         why = refusal(Stage.WEIGHED, trial)
         if why is None:
-            _join(search, trial, trials)
+            _join(search, trial)
             return True
         search.refused[label] = why
     return False
@@ -172,24 +170,12 @@ def _fitted(search: SearchState, shortlist: Sequence[Scored], before: Fit) -> li
     return sorted(trials, key=lambda trial: trial.gain, reverse=True)
 
 
-def _join(search: SearchState, trial: Trial, others: Sequence[Trial]) -> None:
+def _join(search: SearchState, trial: Trial) -> None:
     assert trial.fit is not None
     assert trial.evidence is not None
-    variant = trial.variant
-    rivals = [
-        (other.variant.effect, trial.gain - other.gain)
-        for other in others
-        if other.variant.effect != variant.effect
-        and other.gain > trial.gain - RIVAL
-        and _possible(other)
-    ]
-    search.accepted.append(Accepted(variant, trial.evidence, rivals))
-    search.refused.pop(variant.label, None)
+    search.accepted.append(Accepted(trial.variant, trial.evidence))
+    search.refused.pop(trial.variant.label, None)
     search.now = trial.fit
-
-
-def _possible(trial: Trial) -> bool:
-    return trial.fit is not None and plausible(trial.variant, trial.fit.point)
 
 
 def _placed(plain: Screening, one: Scored) -> dict[str, float]:

@@ -166,7 +166,7 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     before, plain = rows.before, bare(findings.model)
     after = rows.of(plain)
     steps = [(GIVEN, before.gap)]
-    if findings.base_changes:
+    if findings.base_changes or findings.moved.effects != findings.base.effects:
         steps.append((BASE, rows.of(findings.moved).beside(before)))
     first, effects = steps[-1][1], []
     for found in findings.effects:

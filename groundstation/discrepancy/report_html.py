@@ -35,6 +35,7 @@ from groundstation.discrepancy.report_words import (
     is_zero,
     meaning,
     next_in_words,
+    possible_in_words,
 )
 from groundstation.dynamics.meanings import title_of
 from groundstation.report.page import Page
@@ -158,31 +159,41 @@ def _verdict(page: Page, report: DiscrepancyReport) -> None:
 
 
 def _effects(page: Page, report: DiscrepancyReport) -> None:
-    if not report.effects:
+    if report.effects:
+        _named(page, report)
+    else:
         page.text("No effect passed every test.")
-        return
+    for line in possible_in_words(report):
+        page.text(f"{line[:1].upper()}{line[1:]}.")
+
+
+def _named(page: Page, report: DiscrepancyReport) -> None:
     rows = []
     for effect in by_weight(report.effects):
         for number, (name, estimate) in enumerate(effect.parameters.items()):
             first = number == 0
             spread = "" if estimate.stderr is None else f" ± {SURE * estimate.stderr:.2g}"
             zero = ", not distinguishable from zero" if is_zero(estimate) else ""
-            share = "" if effect.weight is None else f"{100.0 * effect.weight:.0f} %"
+            share, again = (
+                "" if part is None else f"{100.0 * part:.0f} %"
+                for part in (effect.weight, effect.recurrence)
+            )
             rows.append(
                 (
                     title_of(effect.name) if first else "",
                     meaning(effect) if first else "",
                     share if first else "",
+                    again if first else "",
                     f"{name} = {estimate.value:.4g}{spread} {estimate.unit}".strip() + zero,
                     f"{effect.gap.before:.3f} → {effect.gap.after:.3f}" if first else "",
                     effect.name if first else "",
                 )
             )
     page.table(
-        ["effect", "what it does", "explains", "parameter, 95 % interval", "gap", "name"],
+        ["effect", "what it does", "explains", "recurs", "parameter, 95 % interval", "gap", "name"],
         rows,
         "What explains most stands first: its share of what all of them explain on samples that"
-        " decided nothing.",
+        " decided nothing. Recurs: share of resamples of time and flights that choose it again.",
     )
     for effect in report.effects:
         for other in effect.alternatives:

@@ -81,7 +81,9 @@ class Step(msgspec.Struct, frozen=True):
 
 
 class EffectFound(msgspec.Struct, frozen=True):
-    """One accepted effect. weight: its share of what all of them explain on proof samples."""
+    """One accepted effect. weight: its share of what all of them explain on proof samples;
+    recurrence: share of resamples of blocks of time and flights that choose it (null: none drawn).
+    """
 
     name: str
     order: int
@@ -92,6 +94,16 @@ class EffectFound(msgspec.Struct, frozen=True):
     gap: Step
     channels: list[str]
     weight: float | None = None
+    recurrence: float | None = None
+
+
+class PossibleEffect(msgspec.Struct, frozen=True):
+    """One that is fitted along, and not named: too few resamples choose it."""
+
+    name: str
+    parameters: dict[str, Estimate]
+    recurrence: float
+    alternatives: list[Alternative]
 
 
 class Changed(msgspec.Struct, frozen=True):
@@ -174,6 +186,7 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     stretches: list[StretchReport] = []
     explained: Explained | None = None
     disturbance: Disturbance | None = None
+    possible: list[PossibleEffect] = []
 
 
 def stretch_report(
@@ -293,8 +306,13 @@ def discrepancy_report(
                 Step(one.gap_before, one.gap_after),
                 list(one.channels),
                 one.weight if np.isfinite(one.weight) else None,
+                one.recurrence if np.isfinite(one.recurrence) else None,
             )
             for one in findings.effects
+        ],
+        possible=[
+            PossibleEffect(one.name, one.parameters, one.recurrence, list(one.alternatives))
+            for one in findings.possible
         ],
         base_changes=[
             Changed(c.name, c.given, c.value, c.stderr, c.percent, in_words(c))

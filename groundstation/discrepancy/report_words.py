@@ -40,6 +40,28 @@ def meaning(effect: EffectFound | FoundEffect) -> str:
     return physics_of(effect.name, values) or effect.adds
 
 
+def chosen_in_words(share: float) -> str:
+    """How often resamples choose a name."""
+    return f"chosen in {100.0 * share:.0f} % of resamples"
+
+
+def possible_in_words(report: DiscrepancyReport) -> list[str]:
+    """Effects that are fitted along and not named, a line each."""
+    lines = []
+    for one in report.possible:
+        others = [
+            f"{title_of(other.name)} in {100.0 * other.share:.0f} %"
+            for other in one.alternatives
+            if other.share
+        ]
+        instead = f", in its place {listed(others)}" if others else ""
+        lines.append(
+            f"possible: {title_of(one.name)}, {chosen_in_words(one.recurrence)}{instead}; fitted"
+            " along, its part is counted with the changed constants"
+        )
+    return lines
+
+
 def found_in_words(report: DiscrepancyReport) -> str:
     """What was found and how sure that is: the first line."""
     level = report.gap.validation

@@ -35,7 +35,7 @@ def with_sensor_lag(outcome: Outcome, problem: Problem, folds: Sequence[Flight])
     scored = Scored(ALONG, evidence.drop, np.array([size]), np.array([error]))
     return replace(
         outcome,
-        accepted=[*outcome.accepted, *([] if why else [Accepted(ALONG, evidence, [])])],
+        accepted=[*outcome.accepted, *([] if why else [Accepted(ALONG, evidence)])],
         refused={**outcome.refused, **({ALONG.label: why} if why else {})},
         held_out={**outcome.held_out, ALONG.label: evidence.held_out},
         scores=[*outcome.scores, scored],

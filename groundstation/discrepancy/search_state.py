@@ -21,11 +21,10 @@ ROUGHLY = 0.5
 
 @dataclass(slots=True)
 class Accepted:
-    """An effect that joined: rivals are (name, how much less it explains)."""
+    """An effect that joined."""
 
     variant: Variant
     evidence: Evidence
-    rivals: list[tuple[str, float]]
 
 
 Judge = Callable[[Point], Predicted]

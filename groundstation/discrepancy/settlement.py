@@ -62,7 +62,7 @@ def name_base_changes(search: SearchState) -> None:
             if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
                 continue
         search.now, search.held = after, held
-        search.accepted.insert(0, Accepted(variant, evidence, []))
+        search.accepted.insert(0, Accepted(variant, evidence))
         search.errors[own] = after.stderr()[own]
         search.held_out[variant.label] = evidence.held_out
 

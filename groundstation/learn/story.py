@@ -382,9 +382,10 @@ def _size(found: EffectFound) -> float:
 
 
 def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
-    """Names with others that explain as much."""
-    return {one.name: [other.name for other in one.alternatives]
-            for one in named_effects(found) if one.alternatives}  # fmt: skip
+    """Names with others that explain as much, and what is only possible."""
+    rivals = {one.name: one.alternatives for one in named_effects(found) if one.alternatives}
+    rivals |= {one.name: one.alternatives for one in found.possible}
+    return {name: [other.name for other in others] for name, others in rivals.items()}
 
 
 def known_errors(found: DiscrepancyReport) -> dict[str, float]:

@@ -13,7 +13,7 @@ from groundstation.discrepancy.acceptance import (
     is_significant,
     refusal,
 )
-from groundstation.discrepancy.engine import with_differences
+from groundstation.discrepancy.conclusions import with_differences
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
@@ -79,6 +79,12 @@ def test_chance_is_asked_again_beside_all_that_joined_since():
     assert said(Stage.STABLE, evidence=evidence()) is None
 
 
+def test_what_other_rows_would_not_choose_is_possible_and_not_named():
+    place = fit(rate_damping__damping_n_m_s=1e-5)
+    assert said(Stage.NAMED, fit=place, recurrence=0.59) is Reason.NOT_RECURRENT
+    assert said(Stage.NAMED, fit=place, recurrence=0.6) is None
+
+
 def test_it_is_told_by_how_much_channels_and_recordings_lie_apart():
     parts = {(0, GYRO_Z): (0.2, 0.05), (0, FORCE_Z): (1.4, 0.04), (1, FORCE_Z): (1.4, 0.04)}
     assert evidence(parts).apart(1) == pytest.approx(18.2, abs=0.1)
@@ -94,7 +100,7 @@ def test_flights_that_differ_by_more_than_noise_widen_what_is_stated_of_a_size()
     assert evidence({(0, FORCE_Z): (1.0, 0.01)}).between() == 0.0
     (key,) = VARIANT["rate_damping"].sizes
     for parts, error in ((differing, np.hypot(3e-7, 2e-6)), (alike, 3e-7)):
-        found = [Accepted(VARIANT["rate_damping"], evidence(parts), [])]
+        found = [Accepted(VARIANT["rate_damping"], evidence(parts))]
         stated = with_differences({key: 3e-7, "c0": 1e-5}, {key: 1e-5}, found)
         assert stated == pytest.approx({key: error, "c0": 1e-5}, rel=0.01)
 

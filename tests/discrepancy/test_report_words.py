@@ -14,6 +14,7 @@ from groundstation.discrepancy.report_words import (
     found_in_words,
     is_zero,
     next_in_words,
+    possible_in_words,
 )
 from groundstation.dynamics.model import Estimate
 from support.findings import NAME, findings, proof, report
@@ -37,6 +38,19 @@ def test_what_was_found_is_told_by_its_name_with_what_it_does_and_how_sure_it_is
     )
     assert "that no fit has seen: prediction errors fall from" in said
     assert "what was found explains 90 % of what was wrong" in said
+
+
+def test_what_is_possible_is_told_apart_with_what_stands_in_its_place():
+    one = findings()
+    (named,) = one.effects
+    other = replace(named.alternatives[0], share=0.3)
+    doubtful = replace(named, recurrence=0.45, alternatives=(other,))
+    told = report(replace(one, possible=(doubtful,)), proof(one))
+    (line,) = possible_in_words(told)
+    assert line.startswith("possible: tipping moment of blade flapping, chosen in 45 %")
+    assert "damping of roll and pitch in 30 %" in line
+    (possible,) = msgspec.to_builtins(told)["possible"]
+    assert (possible["name"], possible["recurrence"]) == (NAME, 0.45)
 
 
 def test_the_next_step_is_the_model_and_what_to_fly(told):

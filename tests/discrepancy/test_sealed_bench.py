@@ -298,9 +298,11 @@ def report(
                     for key, (value, error) in parameters.items()
                 },
                 "alternatives": [{"name": other, "margin": 1.0} for other in others],
+                "recurrence": 1.0,
             }
             for name, parameters, others in effects
         ],
+        "possible": [],
         "candidates": [],
         "where": [{"channel": where, "regime": regime, "rms": 2.0, "expected_rms": 1.0}],
         "gap": {

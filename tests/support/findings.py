@@ -35,6 +35,7 @@ def findings(verdict=Verdict.EFFECTS_FOUND, residual=None):
         (Alternative("rate_damping", 9.0, "hover doublets"),),
         ("gyro_x", "gyro_y"),
         affected(NAME),
+        recurrence=0.97,
         gap_before=4.0,
         gap_after=1.0,
     )

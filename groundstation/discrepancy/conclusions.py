@@ -1,0 +1,225 @@
+"""What a search came to, told: effects with their evidence, candidates, what could not be shown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.comparison.channels import CHANNELS
+from groundstation.discrepancy.acceptance import Stage, Trial, refusal
+from groundstation.discrepancy.base_constants import base_changes
+from groundstation.discrepancy.evidence import by_parts, separated
+from groundstation.discrepancy.findings import (
+    Alternative,
+    Candidate,
+    Findings,
+    FoundEffect,
+    NotShown,
+    Reason,
+    Verdict,
+)
+from groundstation.discrepancy.recurrence import Recurrence
+from groundstation.discrepancy.screening import Scored
+from groundstation.discrepancy.search import Outcome
+from groundstation.discrepancy.search_state import Accepted
+from groundstation.dynamics.model import Estimate, Model
+from groundstation.dynamics.registry import EFFECTS
+from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
+from groundstation.identification.likelihood.parameters import (
+    BODY_KEYS,
+    MOTOR_KEYS,
+    Point,
+    Variant,
+    absent,
+    estimates_of,
+    model_of,
+)
+from groundstation.identification.likelihood.problem import Fit, Problem
+
+SHOWN = 5.0
+"""An effect can be shown when its usual size is so many standard errors."""
+
+
+def conclude(
+    outcome: Outcome,
+    recurrence: Mapping[str, Recurrence],
+    problem: Problem,
+    model: Model,
+    known: Sequence[Variant],
+    lost: dict[str, str],
+    warnings: list[str],
+) -> Findings:
+    """The findings, but for what predictions say of the verdict.
+
+    recurrence: by label. known: effects of the given model. lost: as in ``Findings``.
+    """
+    final, residual = outcome.final, outcome.residual
+    at_the_end = _by_flights(problem, final, outcome.accepted)
+    errors = outcome.errors = with_differences(outcome.errors, final.point, at_the_end)
+    given = tuple(key for v in known for key in v.keys)
+    # measured rotor speeds know what the controller did within a row
+    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
+    open_s = max(
+        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
+    )
+    named, possible, unnamed = [], [], given
+    for one in outcome.accepted:
+        label = one.variant.label
+        again = recurrence[label].share if label in recurrence else 1.0
+        trial = Trial(one.variant, final, open_s=open_s, recurrence=again)
+        why = refusal(Stage.NAMED, trial)
+        if why is None:
+            named.append(one)
+            continue
+        outcome.refused[label] = why
+        unnamed = (*unnamed, *one.variant.keys)
+        if why.reason is Reason.NOT_RECURRENT:
+            possible.append(one)
+
+    def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
+        again = recurrence.get(one.variant.label)
+        return _effect(one, again, order, outcome, keys, model, problem.frame.own)
+
+    keys, effects = unnamed, []
+    for order, one in enumerate(named, 1):
+        keys = (*keys, *one.variant.keys)
+        effects.append(told(one, order, keys))
+    if not problem.known_motor:
+        warnings.append(
+            "the model has no bench covariance for a0, a1, a2: 2 % each is assumed, and small"
+            " effects of voltage are taken for it"
+        )
+    verdict = Verdict.EFFECTS_FOUND
+    if not effects and residual.verdict == "structured":
+        verdict = Verdict.UNEXPLAINED
+    elif not effects:
+        verdict = Verdict.NO_DISCREPANCY
+    changed = dict(final.point)
+    for one in outcome.accepted:
+        rename = one.variant.definition.renames
+        if rename is not None:
+            size = final.point[one.variant.sizes[0]]
+            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
+    return Findings(
+        verdict=verdict,
+        effects=tuple(effects),
+        possible=tuple(told(one, 0, unnamed) for one in possible),
+        base=model,
+        given=model,
+        moved=model_of(final.point, errors, unnamed, model, problem.frame.own),
+        base_changes=base_changes(
+            problem, final, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
+        ),
+        model=model_of(final.point, errors, keys, model, problem.frame.own),
+        candidates=_candidates(outcome),
+        not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
+        lost=lost,
+        residual=residual,
+        warnings=tuple(warnings),
+    )
+
+
+def _by_flights(problem: Problem, final: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
+    """What each flight tells of the sizes beside the noise and the trims of the last fit, which are
+    others than those that an effect joined by."""
+    linear = problem.linear(final.point, final.keys, problem.flights)
+    parts = [by_parts(problem, separated(problem, linear, one.variant))[1] for one in accepted]
+    return [
+        replace(one, evidence=replace(one.evidence, parts=own))
+        for one, own in zip(accepted, parts, strict=True)
+    ]
+
+
+def with_differences(
+    errors: Mapping[str, float], point: Point, accepted: Sequence[Accepted]
+) -> dict[str, float]:
+    """Standard errors by key, with what the sizes of effects differ by between flights."""
+    wider = dict(errors)
+    for one in accepted:
+        share = one.evidence.between()
+        for key in one.variant.sizes:
+            if key in wider:
+                wider[key] = float(np.hypot(wider[key], share * (point[key] - absent(key))))
+    return wider
+
+
+def _effect(
+    one: Accepted,
+    again: Recurrence | None,
+    order: int,
+    outcome: Outcome,
+    keys: tuple[str, ...],
+    model: Model,
+    own: Sequence[Variant],
+) -> FoundEffect:
+    name, evidence = one.variant.effect, one.evidence
+    point, errors = outcome.final.point, outcome.errors
+    return FoundEffect(
+        name=name,
+        order=order,
+        parameters=estimates_of(one.variant, point, errors),
+        evidence={
+            "likelihood_ratio": evidence.drop,
+            "t": evidence.t,
+            "held_out": evidence.held_out,
+            "held_out_expected": evidence.expected,
+            "axes": evidence.apart(1),
+            "recordings": evidence.apart(0),
+            "whitened_before": evidence.gap[0],
+            "whitened_after": evidence.gap[1],
+        },
+        alternatives=tuple(
+            Alternative(other.name, other.margin, _manoeuvre(name, other.name, own), other.share)
+            for other in (again.instead if again else ())
+        ),
+        recurrence=again.share if again else math.nan,
+        channels=tuple(CHANNELS[c] for c in evidence.channels),
+        adds=one.variant.definition.adds,
+        model=model_of(point, errors, keys, model, own),
+    )
+
+
+def _manoeuvre(name: str, other: str, own: Sequence[Variant]) -> str:
+    """What separates two effects, from the catalogue, whichever of the two knows it."""
+    effects = {**EFFECTS, **{one.effect: one.definition for one in own}}
+    for one, two in ((name, other), (other, name)):
+        for confusion in effects[one].confused_with:
+            if confusion.other == two:
+                return confusion.manoeuvre
+    return effects[other].excited_by
+
+
+def _candidates(outcome: Outcome) -> tuple[Candidate, ...]:
+    fitted = {one.variant.label for one in outcome.accepted}
+    found = []
+    for one in outcome.scores:
+        label = one.variant.label
+        parameters = {
+            key.partition(".")[2]: Estimate(float(size + absent(key)), float(error), "")
+            for key, size, error in zip(one.variant.sizes, one.values, one.errors, strict=True)
+        }
+        why = outcome.refused.get(label)
+        held_out = outcome.held_out.get(label, 0.0)
+        accepted = label in fitted and why is None
+        found.append(Candidate(label, parameters, one.drop, one.t, held_out, accepted, why))
+    return tuple(found)
+
+
+def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown]:
+    """Effects whose usual size would be lost in the noise of these recordings; no named ones."""
+    found = []
+    for one in scores:
+        if one.variant.effect in named:
+            continue
+        effect = one.variant.definition
+        sizes = (unknown for unknown in one.variant.unknowns if unknown.parameter.kind == "size")
+        for unknown, error in zip(sizes, one.errors.tolist(), strict=True):
+            if SHOWN * error > unknown.worth:
+                name, unit = unknown.key.partition(".")[2], unknown.unit
+                found.append(
+                    NotShown(effect.name, name, error, unknown.worth, unit, effect.excited_by)
+                )
+    return found
