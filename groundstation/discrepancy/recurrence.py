@@ -9,7 +9,6 @@ Buehlmann 2010).
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -33,8 +32,9 @@ RIVAL = 12.0
 """What explains so little less, in -2 log L, is an alternative: odds of one in 400."""
 LEFT_OUT = (Reason.WEAK, Reason.INSIGNIFICANT, Reason.SUPERFLUOUS)
 """Refusals that other rows may lift."""
-INSTEAD = 0.1
-"""Share of resamples from which what stood in a name's place is an alternative."""
+INSTEAD, OFTENER = 0.1, 2.0
+"""Share of resamples from which what stood in a name's place is an alternative, and how much
+oftener it stood there than beside the name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,52 +106,46 @@ def recurrences(
     linear = problem.linear(final.point, (*base, *sizes), problem.flights)
     blocks = by_blocks(problem, linear, sizes)
     start = frozenset(range(len(mine)))
-    chosen, instead = Counter[int](), [Counter[int]() for _ in mine]
+    chosen = np.zeros((RESAMPLES, len(variants)), np.bool_)
     random = np.random.default_rng(0)
-    for _ in range(RESAMPLES):
+    for row in chosen:
         weights = random.exponential(size=len(blocks.flight))
         if len(problem.flights) > 1:
             weights *= random.exponential(size=len(problem.flights))[blocks.flight]
         resampled = blocks.weighed(weights / weights.mean())
-        subset = Subsets(variants, final.point, *resampled).best(start)
-        chosen.update(subset)
-        for one in start - subset:
-            instead[one].update(subset - start)
+        row[list(Subsets(variants, final.point, *resampled).best(start))] = True
     as_it_is = Subsets(variants, final.point, *blocks.weighed(np.ones(len(blocks.flight))))
-    return {
-        one.label: Recurrence(
-            chosen[number] / RESAMPLES,
-            _alternatives(
-                variants,
-                number,
-                as_it_is.beside(start - {number}),
-                np.maximum(as_it_is.beside(start), 0.0),
-                instead[number],
-            ),
-        )
-        for number, one in enumerate(mine)
-    }
+    beside = np.maximum(as_it_is.beside(start), 0.0)
+    found_again = {}
+    for number, one in enumerate(mine):
+        alone = as_it_is.beside(start - {number})
+        margins = alone[number] - (alone - beside)
+        share = float(chosen[:, number].mean())
+        instead = _alternatives(variants, number, margins, chosen)
+        found_again[one.label] = Recurrence(share, instead)
+    return found_again
 
 
 def _alternatives(
-    variants: Sequence[Variant],
-    number: int,
-    without: Array,
-    along: Array,
-    instead: Counter[int],
+    variants: Sequence[Variant], number: int, margins: Array, chosen: NDArray[np.bool_]
 ) -> tuple[Instead, ...]:
-    """By name, the likely first; none of the name itself, of another rotor say. without, along:
-    what each variant is worth where the name has left, and beside it."""
+    """By name, the likely first; none of the name itself, of another rotor say.
+
+    margins: (v,) by which each variant is worth less in the name's place, beyond what it is worth
+    beside it. chosen: (resamples, v).
+    """
+    there = chosen[:, number]
+    stood = chosen[~there].sum(axis=0)
+    rate, usual = stood / max(np.sum(~there), 1), chosen[there].sum(axis=0) / max(there.sum(), 1)
     found: dict[str, Instead] = {}
     for other, one in enumerate(variants):
-        share, name = instead[other] / RESAMPLES, one.effect
-        margin = without[number] - (without[other] - along[other])
+        share, margin, name = float(stood[other]) / len(chosen), float(margins[other]), one.effect
         if np.isnan(margin) or name == variants[number].effect:
             continue
-        if margin < RIVAL or share >= INSTEAD:
+        if margin < RIVAL or (share >= INSTEAD and rate[other] > OFTENER * usual[other]):
             before = found.get(name)
             if before is None or (share, -margin) > (before.share, -before.margin):
-                found[name] = Instead(name, float(margin), share)
+                found[name] = Instead(name, margin, share)
     return tuple(sorted(found.values(), key=lambda one: (-one.share, one.margin)))
 
 
