@@ -273,14 +273,6 @@ def test_what_cannot_be_fitted_is_refused_and_leaves_no_model(files, tmp_path, a
     assert not model.exists()
 
 
-def test_an_existing_model_is_not_overwritten(files, tmp_path):
-    model = tmp_path / "model.json"
-    model.write_text("mine")
-    with pytest.raises(BadInputError, match="exists already"):
-        run("fit", "body", files["reduced"], "-o", model)
-    assert model.read_text() == "mine"
-
-
 def test_bad_input_is_one_line_and_exit_status_1(files, tmp_path):
     command = [Path(sys.executable).parent / "groundstation", "fit", "motor"]
     done = run_program([*command, files["axes"], "-o", tmp_path / "m.json"])

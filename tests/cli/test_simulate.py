@@ -97,14 +97,6 @@ def test_a_recording_that_never_flies_is_refused(folder, tmp_path):
     assert not output.exists()
 
 
-def test_an_existing_file_is_not_overwritten(folder, tmp_path):
-    output = tmp_path / "mine.csv"
-    output.write_text("mine")
-    with pytest.raises(BadInputError, match="exists already"):
-        run("simulate", "--model", "thesis", "--reference", "hover", "-o", output)
-    assert output.read_text() == "mine"
-
-
 def test_the_stand_in_link_flies_a_model_with_listed_and_own_effects(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     own = EffectTerm("sail", {"torque": Estimate(4.0)}, "mine.py")

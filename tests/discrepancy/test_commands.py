@@ -179,16 +179,6 @@ def test_the_report_is_printed_where_no_file_is_wanted(folder):
     assert report.verdict == "no_discrepancy"
 
 
-def test_nothing_is_overwritten(searched):
-    folder, _ = searched
-    for option in ("-o", "--json", "--html", "--rerun"):
-        said = said_no(
-            *("discrepancy", folder / "hidden.mcap", "--model", folder / "base.json"),
-            *(option, folder / "report.html"),
-        )
-        assert "exists already" in said
-
-
 def test_compare_says_where_in_words_and_as_a_page(folder, tmp_path):
     flight, model = folder / "hidden.mcap", folder / "base.json"
     said = told("compare", flight, "--model", model, "--html", tmp_path / "where.html")

@@ -94,13 +94,6 @@ def test_a_flight_survives_mcap_csv_mcap_sample_by_sample(tmp_path):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
-def test_nothing_is_ever_overwritten(tmp_path):
-    target = tmp_path / "kept.csv"
-    target.write_text("mine")
-    assert "exists already" in require_failure(in_process("convert", EXCERPT, target))
-    assert target.read_text() == "mine"
-
-
 @pytest.mark.parametrize(
     ("arguments", "mentions"),
     [
