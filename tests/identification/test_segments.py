@@ -1,11 +1,9 @@
 """Which rows a selection chooses, on flights whose manoeuvres are known."""
 
-import numpy as np
 import pytest
 
 from groundstation.dynamics.vehicle import BUILT_IN, THESIS_MOTOR
 from groundstation.errors import BadInputError
-from groundstation.identification.body.fit import fit_body
 from groundstation.identification.runs import runs_of
 from groundstation.identification.segments import (
     EVERYTHING,
@@ -40,14 +38,6 @@ def test_rows_are_chosen_by_time_since_the_recording_began(excited):
     part = excited[8000:16000]  # a part still counts from the recording's start
     assert selected(part, Selection(spans_s=((10.0, 12.0),))).sum() == 0
     assert selected(part, Selection(spans_s=((20.0, 25.0),))).any()
-
-
-def test_a_body_is_fitted_on_what_was_chosen(excited):
-    chosen = stretches_of([excited], THESIS_MOTOR, selection=parse_selection(("8:20", "26:34")))
-    assert [round(len(s) * s.run.period_s) for s in chosen] == [12, 8]
-    fit = fit_body(chosen, VEHICLE)
-    found = [fit.body.c0, fit.body.c1, fit.body.c2]
-    np.testing.assert_allclose(found, VEHICLE.body_constants, rtol=0.02)
 
 
 def test_a_selection_is_parsed_from_what_is_typed():

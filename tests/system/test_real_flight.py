@@ -1,5 +1,5 @@
 """Fits to the real flights of the repository, as a user runs them; the search on them ends the
-story of getting started (tests/docs/test_commands.py).
+README's tour (tests/docs/test_commands.py).
 
 NanoBench's figure of eight is fitted, its trefoil held out (recordings/README.md). A band-limited
 estimate made apart (bench/real/reference.py, 2..20 Hz, motor lag 50..70 ms) has c0 and c1 between
