@@ -303,12 +303,6 @@ def test_the_lease_lasts_while_a_human_thinks(tmp_path, port):
             pilot.keep()
 
 
-def test_only_one_may_command(resting):
-    with Pilot(resting.daemon.socket, "somebody else"):
-        refused = resting.fly(*SHORT)
-    assert "somebody else is commanding" in require_failure(refused)
-
-
 def test_a_replay_cannot_be_commanded(tmp_path, port):
     replayed = RECORDINGS / sorted(p.name for p in RECORDINGS.glob("*.mcap"))[0]
     with Daemon(
@@ -391,6 +385,12 @@ def test_the_motors_are_armed_disarmed_and_stopped_from_the_command_line(station
     events = ask(station.daemon.socket, "GET", "/events")
     kinds = [event["kind"] for event in events]
     assert kinds.index("disarmed") < kinds.index("armed") < kinds.index("stop")
+
+
+def test_only_one_may_command(resting):
+    with Pilot(resting.daemon.socket, "somebody else"):
+        refused = resting.fly(*SHORT)
+    assert "somebody else is commanding" in require_failure(refused)
 
 
 def test_firmware_without_arming_and_a_daemon_without_a_craft_say_so(resting, tmp_path):
