@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import typer
 
 from groundstation import __version__
-from groundstation.cli import (
-    attitude,
-    bench,
-    compare,
-    control,
-    devices,
-    discrepancy,
-    export,
-    files,
-    fit,
-    fleet,
-    install,
-    learn,
-    pid,
-    run,
-    simulate,
-    thesis,
-)
 from groundstation.cli.command_group import Commands, Root
 from groundstation.cli.terminal import show
+
+COMMANDS = (
+    "run",
+    "control",
+    "files",
+    "devices",
+    "export",
+    "fit",
+    "simulate",
+    "compare",
+    "discrepancy",
+    "pid",
+    "bench",
+    "attitude",
+    "fleet",
+    "learn",
+    "thesis",
+    "install",
+)
+"""The modules that add commands, in the order of ``--help``."""
 
 app = Commands(
     name="groundstation",
@@ -61,22 +65,10 @@ def _options(
         consent()
 
 
-for module in (
-    run,
-    control,
-    files,
-    devices,
-    export,
-    fit,
-    simulate,
-    compare,
-    discrepancy,
-    pid,
-    bench,
-    attitude,
-    fleet,
-    learn,
-    thesis,
-    install,
-):
-    module.add_commands(app)
+def add(name: str) -> None:
+    """Add the commands of a module of this package."""
+    import_module(f"groundstation.cli.{name}").add_commands(app)
+
+
+for name in COMMANDS:
+    add(name)

@@ -2,7 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from groundstation import recording as package
 from groundstation.errors import BadInputError, RecordingError
+from groundstation.recording import formats
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.rrd import write_rrd
@@ -94,3 +96,50 @@ def test_a_real_flight_of_todays_craft_is_in_the_repository(name, seconds):
     assert samples.accelerometer[flying, 2].mean() == pytest.approx(9.8, abs=0.2)
     height = recording.tables["vicon"].columns["pz"]
     assert 0.8 < height[flying].mean() < 1.2
+
+
+TAPE = """
+import numpy as np
+
+from groundstation.errors import RecordingError
+from groundstation.recording.session import Recording
+from groundstation.telemetry.samples import RawBatch
+from groundstation.telemetry.decoder import decode_all
+
+
+def read_tape(path):
+    content = np.frombuffer(path.read_bytes()[4:], np.uint8)
+    if not content.size or content.size % 40:
+        raise RecordingError(f"{path}: cut off; copy it again")
+    rows = content.reshape(-1, 40)
+    raw = RawBatch(rows[:, :32], rows[:, 32:].copy().view(np.int64)[:, 0])
+    return Recording(path, "tape", decode_all(raw)[0], raw)
+
+
+def write_tape(recording, path):
+    raw = recording.raw
+    times = raw.host_time_ns.astype(np.int64)[:, None].view(np.uint8)
+    path.write_bytes(b"TAPE" + np.hstack([raw.packets, times]).tobytes())
+"""
+
+
+def test_a_format_is_added_by_one_row_and_one_file(tmp_path, monkeypatch):
+    (tmp_path / "tape_file.py").write_text(TAPE)
+    monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])
+    row = formats.Format(
+        lambda head: head.startswith(b"TAPE"),
+        "tape_file.read_tape",
+        ".tape",
+        "tape_file.write_tape",
+    )
+    monkeypatch.setattr(formats, "FORMATS", (row, *formats.FORMATS))
+    write_flight(tmp_path / "flight.mcap", 50)
+    known = open_recording(tmp_path / "flight.mcap", raw=True)
+    tape = tmp_path / "flight.tape"
+    formats.writer_of(tape)(known, tape)
+    again = open_recording(tape)
+    assert again.kind == "tape"
+    assert_same_samples(again.samples, known.samples)
+    tape.write_bytes(tape.read_bytes()[:-1])
+    with pytest.raises(RecordingError, match="copy it again"):
+        open_recording(tape)
