@@ -11,7 +11,7 @@ import typer
 
 from groundstation import BadInputError, GroundStationError
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
-from groundstation.cli.progress import own_terminal
+from groundstation.cli.progress import own_terminal, shown
 from groundstation.cli.terminal import require_yes, show, show_json
 
 if TYPE_CHECKING:
@@ -88,10 +88,12 @@ def learn(
 
     def told(text: str) -> None:
         show(text, error=as_json)
+        progress(_share(journal, limits), text)
 
-    with Shell(
-        output, inputs, lambda line: told(f"  {line}"), "groundstation learn", True
-    ) as shell:
+    with (
+        shown("looking at the craft") as progress,
+        Shell(output, inputs, lambda line: told(f"  {line}"), "groundstation learn", True) as shell,
+    ):
         pilot = Place(link, height)
         if craft is not None:
             pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, hide)), height)
@@ -230,6 +232,14 @@ def _learn(journal: Journal, shell: Shell, pilot: Place, told: Told) -> None:
         return Place(SOFTWARE + source, journal.task.height_m, model=str(model))
 
     Learner(journal, shell, pilot, rehearse, told).learn()
+
+
+def _share(journal: Journal, limits: Limits) -> float:
+    """Of the flights that there are at most, what has been flown."""
+    from groundstation.learn.story import flights_ahead
+
+    flown = sum(not one.aborted for one in journal.flights)
+    return flown / (flown + flights_ahead(journal, limits)[0])
 
 
 def _report(journal: Journal, folder: Path, as_json: bool, told: Told) -> None:

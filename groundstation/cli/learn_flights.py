@@ -3,6 +3,7 @@ daemon."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Mapping
@@ -36,6 +37,8 @@ LEAN_PER_M, LEAN_PER_M_S, LEAN_MOST_DEG = 5.8, 9.3, 10.0
 LIFT_PER_M, LIFT_PER_M_S, LIFT_PER_M_SECOND = 4.0, 3.6, 1.5
 """And of his thrust: accelerations, m/s^2."""
 TICK_S = 0.01
+FULL_V, CHANGED_S = 4.0, 600.0
+"""A full cell at rest, and how long one is waited for."""
 HOVERS = 36000.0
 """16-bit thrust that he begins with."""
 
@@ -68,6 +71,17 @@ class Onlooker(CraftHeight):
         push = LIFT_PER_M * error - LIFT_PER_M_S * climb + self._lift
         ratio = min(max(1.0 + push / GRAVITY, 0.3), 1.6)
         return replace(hands, thrust=round(HOVERS * ratio ** (1.0 / 1.7)))
+
+
+def _copied(recording: Path, file: Path) -> None:
+    """The daemon's recording in the folder of what is learnt, whole or not at all."""
+    try:
+        file.write_bytes(recording.read_bytes())
+    except OSError as error:
+        file.unlink(missing_ok=True)
+        raise GroundStationError(
+            f"{file}: cannot be written: {error.strerror}; the flight is in {recording}"
+        ) from error
 
 
 def _within(value: float, most: float) -> float:
@@ -119,6 +133,22 @@ class Place:
         if not self.is_software:
             with Pilot(socket_path(), CLIENT) as pilot:
                 pilot.write(dict(gains))
+
+    def await_battery(self) -> None:
+        """Wait for a full battery; a software craft has one. Raises GroundStationError where none
+        comes."""
+        deadline = time.monotonic() + CHANGED_S
+        while not self.is_software:
+            with contextlib.suppress(GroundStationError), Pilot(socket_path(), CLIENT) as pilot:
+                told = require_ready(pilot, needs_battery=False)["battery_v"]
+                if told is None or told >= FULL_V:
+                    return
+            if time.monotonic() > deadline:
+                raise GroundStationError(
+                    f"no battery of {FULL_V:g} V and more within {CHANGED_S / 60:.0f} min; put a"
+                    " full one in, and the same command goes on"
+                )
+            time.sleep(1.0)
 
     def says(self) -> dict[str, Any]:
         """What the craft says before anything turns: ``craft``, ``vehicle``, ``firmware``,
@@ -186,7 +216,8 @@ class Place:
                 with patient():
                     told = stop_motors(pilot)
                     say(told, error=True)
-                    file.write_bytes(Path(end_recording(path, recording, aborted)).read_bytes())
+                    flown = end_recording(path, recording, aborted)
                     put_back(pilot, CLIENT, saved, {}, {}, aborted)
+                    _copied(Path(flown), file)
         flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
         return Flown(aborted, seconds, flying)

@@ -76,6 +76,7 @@ def fly_programme(
     from groundstation.control.programme import (
         BEGINS,
         LANDS,
+        LOW_BATTERY,
         RATE_HZ,
         LowBattery,
         reason_to_abort,
@@ -109,6 +110,7 @@ def fly_programme(
         return NOT_TURNING
     pilot.mark(BEGINS)
     turned: deque[float] = deque(maxlen=round(LEVEL_S * RATE_HZ))
+    reason = ""
     for roll, pitch, yaw, *above in table.tolist():
         if isinstance(sticks, CraftHeight) and above:
             sticks.above_m = above[0]
@@ -116,6 +118,9 @@ def fly_programme(
         if hands.stop or not hands.flies:
             return "stopped by hand"
         reason = send(hands, roll, pitch, yaw)
+        if reason.startswith(LOW_BATTERY):
+            low = None  # what is left of it is for the landing
+            break
         if reason:
             return reason
         turned.append(_fastest_dps(answer))
@@ -123,7 +128,7 @@ def fly_programme(
     pilot.mark(LANDS)
     met_dps = max(TOUCHED_DPS, TOUCHED * max(turned, default=0.0))
     come_down = partial(_come_down, pilot, clock, low, met_dps)
-    return _land(pilot, sticks, clock, low, answer, firmware, come_down)
+    return _land(pilot, sticks, clock, low, answer, firmware, come_down) or reason
 
 
 def stop_motors(pilot: Pilot | SoftwareCraft) -> str:

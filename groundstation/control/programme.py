@@ -111,6 +111,8 @@ class AbortLimits:
     silent_s: float = 1.0
 
 
+LOW_BATTERY = "battery below"
+"""How the reason begins for which a flight ends in a landing."""
 LANDING = AbortLimits(tilt_deg=180.0, rate_dps=2100.0)
 """Meeting the ground turns a craft faster than any flight; only what blinds is a reason then."""
 
@@ -140,7 +142,7 @@ class LowBattery:
         if low_s < limits.battery_s:
             return ""
         return (
-            f"battery below {limits.battery_v:g} V for {low_s:.1f} s, now {battery_v:.2f} V,"
+            f"{LOW_BATTERY} {limits.battery_v:g} V for {low_s:.1f} s, now {battery_v:.2f} V,"
             f" {self._least_v:.2f} V at the least: charge it, or fly with a newer one"
         )
 

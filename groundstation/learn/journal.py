@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from groundstation.control.programme import LOW_BATTERY
 from groundstation.errors import BadInputError
 
 JOURNAL = "learn.json"
@@ -55,6 +56,11 @@ class Journal(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     @property
     def batteries(self) -> int:
         return max((one.battery for one in self.flights), default=1)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the present one ended the last flight."""
+        return bool(self.flights) and self.flights[-1].aborted.startswith(LOW_BATTERY)
 
     @property
     def on_battery_s(self) -> float:

@@ -91,6 +91,8 @@ class Pilot(Protocol):
 
     def write(self, gains: Mapping[str, float]) -> None: ...
 
+    def await_battery(self) -> None: ...
+
 
 class StepFlight(Programme):
     """Doublets of every axis, with what the journal wants to know."""
@@ -156,7 +158,7 @@ class Learner:
         self._keep_aside(path)  # of a program that was killed
         needs_s = plan.seconds + PREFLIGHT_S
         battery = journal.batteries
-        if journal.flights and journal.on_battery_s + needs_s > BATTERY_S:
+        if journal.is_empty or (journal.flights and journal.on_battery_s + needs_s > BATTERY_S):
             battery += 1
             if battery > journal.task.batteries:
                 raise GroundStationError(
@@ -164,6 +166,7 @@ class Learner:
                     f" {self.folder}; go on with more: --batteries"
                 )
             self._say(f"battery {battery}: put a full one in")
+            self.pilot.await_battery()
         self._say(f"flying {file}, {plan.seconds:.0f} s: {plan.purpose}")
         seed = 100 * journal.task.seed + len(journal.flights)
         flown = None
@@ -185,7 +188,9 @@ class Learner:
                     )
                 )
                 journal.save(self.folder)
-        if aborted:
+        if journal.is_empty:
+            self._fly(file, plan, **how)
+        elif aborted:
             raise GroundStationError(
                 f"{file}: flight cut short: {aborted}; what was flown is in {kept}; `learn` with"
                 " the same folder goes on here"

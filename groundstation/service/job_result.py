@@ -12,6 +12,8 @@ import msgspec
 from groundstation.documents import read_document
 from groundstation.text import printable
 
+LEARNT = ("search", "gains: ")
+"""How lines of ``learn`` begin that say what it found."""
 _VERDICT = re.compile(r"verdict\s+(.*)")
 
 
@@ -33,6 +35,8 @@ def result(kind: str, model: Path | None, lines: Sequence[str]) -> str:
         for line in lines:
             if found := _VERDICT.match(line):
                 return printable(found[1])
+    if kind == "learn":
+        return printable("; ".join(line for line in lines if line.startswith(LEARNT)))
     if not lines:
         return ""
     return printable(lines[0] if kind == "compare" else lines[-1])

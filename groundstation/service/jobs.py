@@ -1,4 +1,5 @@
-"""Work on recordings in processes of their own, one at a time, kept beside the recordings."""
+"""Work on recordings, and on a craft, in processes of their own, one at a time, kept beside the
+recordings."""
 
 from __future__ import annotations
 
@@ -36,7 +37,10 @@ _ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
     "job.json", "log.txt", "report.html", "model.json", "gains.toml", "progress.json",
 )  # fmt: skip
 
-Kind = Literal["inspect", "fit", "compare", "discrepancy", "design"]
+LEARNT = "learnt"
+"""The folder of ``learn`` in a job's own."""
+
+Kind = Literal["inspect", "fit", "compare", "discrepancy", "design", "learn"]
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 _COMMANDS: dict[str, tuple[str, ...]] = {
     "inspect": ("inspect",),
@@ -44,6 +48,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "compare": ("compare",),
     "discrepancy": ("discrepancy",),
     "design": ("pid", "design"),
+    "learn": ("learn", "--yes"),
 }
 
 
@@ -77,11 +82,14 @@ class Job(msgspec.Struct, kw_only=True):
 class Jobs:
     """The jobs of the recordings folder.
 
-    folder: where recordings are. note: told (kind, text) of what becomes of each.
+    folder: where recordings are. note: told (kind, text) of what becomes of each. socket: of the
+    daemon, for jobs that fly.
     """
 
-    def __init__(self, folder: Callable[[], Path], note: Callable[[str, str], None]) -> None:
-        self._folder, self._note = folder, note
+    def __init__(
+        self, folder: Callable[[], Path], note: Callable[[str, str], None], socket: Path = Path()
+    ) -> None:
+        self._folder, self._note, self._socket = folder, note, socket
         self._own: dict[str, Job] = {}
         self._new = asyncio.Event()
         self._process: asyncio.subprocess.Process | None = None
@@ -97,7 +105,8 @@ class Jobs:
     ) -> Job:
         """Begin a job, or let it wait for its turn.
 
-        model: that of an earlier fit, by the job's id, or a built-in one; empty: the usual one.
+        model: that of an earlier fit, by the job's id, or a built-in one; empty: the usual one. To
+        ``learn`` it is the job that is gone on with.
         Raises BadInputError for what is not in the recordings folder.
         """
         folder = self._folder().absolute()
@@ -109,12 +118,14 @@ class Jobs:
                 raise BadInputError(f"{name}: no such recording in {folder}")
         if kind == "inspect" and (len(names) != 1 or model):
             raise BadInputError("inspect takes one recording")
-        if kind == "design" and names:
-            raise BadInputError("design takes a model and no recordings")
-        if kind != "design" and not recordings:
+        if kind in ("design", "learn") and names:
+            raise BadInputError(f"{kind} takes no recordings")
+        if kind not in ("design", "learn") and not recordings:
             raise BadInputError(f"{kind} needs recordings: choose one at least")
         if kind in ("compare", "discrepancy", "design") and not model:
             raise BadInputError(f"{kind} needs a model: that of a fit, or thesis")
+        if kind == "learn" and model and not (self._job_folder(model) / LEARNT).is_dir():
+            raise BadInputError(f"{model}: nothing was learnt there that could be gone on with")
         if kind != "fit" and (effects or measured_rotors):
             raise BadInputError(f"{kind} takes no effects and no measured rotors; fit does")
         job = Job(
@@ -223,7 +234,11 @@ class Jobs:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                env={**own_environment(), PROGRESS: str(folder / _PROGRESS)},
+                env={
+                    **own_environment(),
+                    PROGRESS: str(folder / _PROGRESS),
+                    "GROUNDSTATION_SOCKET": str(self._socket),
+                },
             )
         limit_memory(process.pid)
         if job.state == "cancelled":  # while it was being started
@@ -233,6 +248,9 @@ class Jobs:
     def _kept(self, job: Job) -> None:
         """What it has left, wherever the recordings folder is now."""
         folder = self._folder() / FOLDER / job.id
+        if job.kind == "learn":
+            with contextlib.suppress(BadInputError):  # whatever the file says
+                folder = self._job_folder(job.model or job.id) / LEARNT
         job.report, job.model_file = _there(folder / _REPORT), _there(folder / _MODEL)
         job.gains_file = _there(folder / _GAINS)
 
@@ -257,6 +275,8 @@ class Jobs:
         """Of the command, with its files in ``folder``."""
         into = folder / FOLDER / job.id
         words = [*_COMMANDS[job.kind], *(str(folder / name) for name in job.recordings)]
+        if job.kind == "learn":
+            return [*words, "-o", str(folder / FOLDER / (job.model or job.id) / LEARNT)]
         for name in job.validate:
             words += ["--validate", str(folder / name)]
         if job.model:

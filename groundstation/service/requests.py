@@ -99,7 +99,8 @@ EffectName = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 
 class NewJob(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Work on recordings, files of the recordings folder; a design of a controller takes a model
-    and none. validate: those that no fit sees. model: the id of a fit that is done, or thesis;
+    and none, and learn flies the daemon's craft, ``model`` being the job that it goes on with.
+    validate: those that no fit sees. model: the id of a fit that is done, or thesis;
     empty where none is needed. effects: known to be there, fitted along. measured_rotors: fit to
     recorded rotor speeds instead of the motor's model."""
 

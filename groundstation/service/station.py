@@ -114,8 +114,9 @@ class Station:
             tables=bool(config.radio.log),
             on_event=self._noting("viewer"),
         )
-        self.page = PageService(config.page, socket_path(config.control.socket))
-        self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"))
+        socket = socket_path(config.control.socket)
+        self.page = PageService(config.page, socket)
+        self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"), socket)
         self.devices = DeviceList(self.craft.flies_by_dongle)
         self.thumbnails = Thumbnails(lambda: self.sessions.folder)
         self.models = Models(self.jobs.entries)

@@ -9,16 +9,18 @@ import numpy as np
 import pytest
 
 from groundstation.recording.open_recording import open_recording
-from support.daemons import COMMAND, in_process, require_failure
+from support.daemons import COMMAND, groundstation, in_process, require_failure
+from support.learning import PHASES, begun
 from support.programs import Program
 from support.waiting import until
 
 CRAFT = "software:crazyflie21"
+BESIDE = {"learn.json", "log.txt", "commands.sh", "craft.toml"}
 
 
-def learn(folder, *more):
+def learn(folder, link=CRAFT):
     return Program(
-        [COMMAND, "learn", "--link", CRAFT, "-o", folder, *more],
+        [COMMAND, "learn", "--link", link, "-o", folder],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -75,6 +77,72 @@ def test_ctrl_c_in_a_flight_stops_the_motors_keeps_what_was_flown_and_it_goes_on
 
     line = require_failure(in_process("learn", "--link", CRAFT, "-o", folder, "--height", "0.8"))
     assert "begun with other options" in line
+
+
+SAYS = {
+    "plan": "planning the next flight",
+    "search": "$ groundstation discrepancy",
+    "design": "designing gains",
+    "steps": "flying steps_before.mcap",
+}
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_ctrl_c_in_a_later_phase_loses_nothing_and_it_goes_on_there(tmp_path, phase):
+    folder, link = tmp_path / "learnt", "software:crazyflie1"
+    begun(folder, link, "crazyflie1", phase)
+    before = {path.name: path.read_bytes() for path in folder.glob("[!lc]*")}
+    for _ in range(2):
+        with learn(folder, link) as program:
+            told = []
+            for line in program.stdout:
+                told.append(line.strip())
+                if SAYS[phase] in line:
+                    break
+            program.send_signal(signal.SIGINT)
+            _, error = program.communicate(timeout=100)
+        assert program.returncode == 130
+        assert error == "groundstation: interrupted\n"
+        assert told[2].startswith(SAYS[phase])
+        assert {name: (folder / name).read_bytes() for name in before} == before
+        made = {path.name for path in folder.iterdir()} - {*before}
+        assert all(name.partition(".")[2].startswith("cut") for name in made - BESIDE)
+
+
+def software(tmp_path, more):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'[stand_in]\nplant = "reduced"\ncraft = "crazyflie21"\n{more}\n')
+    return f"software:{path}"
+
+
+def test_an_empty_battery_is_landed_with_and_a_full_one_asked_for_until_there_are_no_more(tmp_path):
+    folder, link = tmp_path / "learnt", software(tmp_path, "charge = 0.05")
+    ended = groundstation("learn", "--link", link, "-o", folder, "--batteries", 2)
+    assert ended.stdout.count("battery 2: put a full one in") == 1
+    assert "2 batteries are flown empty" in require_failure(ended)
+    flights = journal(folder)["flights"]
+    assert [one["battery"] for one in flights] == [1, 2]
+    for one in flights:
+        assert one["aborted"].startswith("battery below")
+        recording = open_recording(folder / one["file"])
+        assert "pid fly landing" in [event["text"] for event in recording.events]
+        assert not recording.samples.duty[-20:].any()
+
+
+def test_a_craft_on_its_back_turns_no_motor(tmp_path):
+    folder, link = tmp_path / "learnt", software(tmp_path, "upside_down = true")
+    assert "on its back" in require_failure(groundstation("learn", "--link", link, "-o", folder))
+    assert [one["file"] for one in journal(folder)["flights"]] == ["flight1.cut1.mcap"]
+
+
+def test_a_disk_that_is_full_is_one_line_and_what_was_flown_before_is_kept(small_disk):
+    disk = small_disk("1m")
+    folder = disk / "learnt"
+    ended = groundstation("learn", "--link", CRAFT, "-o", folder)
+    assert "flight2.mcap: cannot be written: No space left" in require_failure(ended)
+    assert [one["file"] for one in journal(folder)["flights"]] == ["flight1.mcap"]
+    assert not (folder / "flight2.mcap").exists()
+    open_recording(folder / "flight1.mcap")
 
 
 @pytest.mark.parametrize(

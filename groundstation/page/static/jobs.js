@@ -1,9 +1,10 @@
 // Work on recordings: how far it is, and what came of it.
 
-import { change } from "./change.js";
+import { change, confirmed } from "./change.js";
 import { at, button, element, link, reconcile, watch } from "./dom.js";
 
 export function watchJobs() {
+  at("learn").addEventListener("click", () => learn(""));
   watch("flights", "jobs", (jobs) => {
     reconcile(at("jobs"), jobs.toReversed(), (one) => one.id, make, update);
     const models = jobs.filter((one) => one.model_file).map((one) => one.id).toReversed();
@@ -14,6 +15,14 @@ export function watchJobs() {
   setInterval(() => {
     for (const row of at("jobs").children) row.tell?.();
   }, 1000);
+}
+
+/** Fly the craft and learn it, in the folder of an earlier job where one is named. */
+async function learn(model) {
+  if (await confirmed("Learn this craft?",
+    "It takes off by itself, up to seven times for a minute each, and flies at 0.5 m within 1 m to either side. "
+    + "Propellers turn at once. Is everybody away, and is there room? Stop motors ends it.", "Fly and learn"))
+    change("/jobs/start", { kind: "learn", model }, "Begun; its state is in the list of jobs.");
 }
 
 function make(job) {
@@ -44,6 +53,7 @@ function make(job) {
     if (row.job.gains_file) see.push(link(`file/gains/${name}`, "Gains", job.id, true));
     see.push(link(`file/log/${name}`, "Log", job.id));
     if (now === "waiting" || now === "running") see.push(cancel);
+    else if (job.kind === "learn" && now !== "done") see.push(button("Go on", job.id, () => learn(job.model || job.id)));
     reconcile(links, see, (one) => one.textContent, (one) => one, () => {});
     again.replaceChildren(...advised(row.job, advice));
   };
@@ -74,7 +84,8 @@ function on(job) {
   if (job.recordings.length) parts.push((job.validate.length || job.kind === "fit" ? "fit: " : "") + job.recordings.join(", "));
   if (job.validate.length) parts.push(`proof: ${job.validate.join(", ")}`);
   else if (["fit", "discrepancy"].includes(job.kind)) parts.push("proof: a third of each");
-  if (job.model) parts.push(`model: ${job.model}`);
+  if (job.kind === "learn") parts.push(job.model ? `the craft, going on with ${job.model}` : "the craft");
+  else if (job.model) parts.push(`model: ${job.model}`);
   if (job.effects.length) parts.push(`with ${job.effects.join(", ")}`);
   if (job.measured_rotors) parts.push("recorded rotor speeds");
   return parts.join("; ");
