@@ -28,3 +28,8 @@ def listed(names: Sequence[str]) -> str:
     """``a, b and c``; of at least one name."""
     *first, last = names
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def counted(number: int, noun: str) -> str:
+    """``1 flight``, ``2 flights``."""
+    return f"{number} {noun}{'s' * (number != 1)}"

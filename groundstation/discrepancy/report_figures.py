@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -177,15 +178,18 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
     axis.barh(place, score, color=colors, height=0.7, left=0.1)
     axis.set_xscale("log")
     axis.set_yticks(place, [c.name for c in shown])
+    notes = {
+        one.name: shorten(one.reason or "accepted", NOTE_MOST, placeholder=" …") for one in shown
+    }
     for y, one, size in zip(place, shown, score, strict=True):
-        note = "accepted" if one.accepted else one.reason
+        note = notes[one.name]
         axis.annotate(
             note, (size + 0.1, float(y)), xytext=(4, 0), textcoords="offset points",
             va="center", fontsize=7.5, color=INK if one.accepted else NOTE,
             weight="bold" if one.accepted else "normal",
         )  # fmt: skip
     # As many decades as leave room for every note.
-    room = [0.98 - NOTE_CHARACTER * len(one.reason or "accepted") for one in shown]
+    room = [0.98 - NOTE_CHARACTER * len(notes[one.name]) for one in shown]
     decades = np.log10(score / 0.1 + 1.0) / np.maximum(room, 0.2)
     axis.set_xlim(0.1, 0.1 * 10 ** max(3.0, float(decades.max(initial=3.0))))
     axis.invert_yaxis()
@@ -229,6 +233,8 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
     return made
 
 
+NOTE_MOST = 70
+"""Characters of a note beside a bar; the table has all of it."""
 NOTE_CHARACTER = 0.0062
 """Width of a character of a note beside a bar, as a share of the axes."""
 TICKS = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)

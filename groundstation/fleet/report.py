@@ -32,6 +32,7 @@ from groundstation.fleet.report_sections import (
 from groundstation.report.figure import figure, legend_above
 from groundstation.report.page import Page
 from groundstation.report.theme import BAD, MEASURED, MODELLED, NEUTRAL
+from groundstation.text import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,21 +61,24 @@ def report(
     """The page of a catalogue called ``name``."""
     crafts = sorted({one.craft for one in fleet.series})
     fitted = sum(1 for one in fits.values() if one["reason"] is None)
-    page = Page(
-        f"Fleet {name}",
-        f"{len(crafts)} crafts, {len(recordings)} recordings, {fitted} flights fitted",
-    )
+    tried = f"{counted(len(crafts), 'craft')}, {counted(fitted, 'flight')} fitted"
+    page = Page(f"Fleet {name}", f"{counted(len(recordings), 'recording')} of {tried}")
     found = fleet.findings
     if found:
         ill = len({one.craft for one in found})
         page.verdict(f"{ill} of {len(crafts)} crafts changed, or differ from the others.", "bad")
+        page.next_step(
+            "check on the craft what is named; mend it, fly again, and index: what was mended is"
+            " found to have changed back."
+        )
         page.bullets(one.text for one in found)
     elif fleet.tests:
         page.verdict(
             f"No craft changed or differs, of {len(crafts)}, by {fleet.tests} tests.", "good"
         )
+        page.next_step("nothing to mend: index what is flown from now on.")
     else:
-        page.verdict(f"Nothing could be tested yet: {_too_few(len(crafts), fitted)}.", "neutral")
+        page.verdict(f"Nothing could be tested yet: {tried}.", "neutral")
         page.next_step(
             "record and fit more: a craft is compared with itself from some flights before and"
             " after, and with others from four crafts on."
@@ -121,10 +125,6 @@ def report(
         page.figure(_drawn(by_key[one.craft, one.quantity], one, fleet), one.text)
     _set_aside(page, recordings, fits)
     return page
-
-
-def _too_few(crafts: int, fitted: int) -> str:
-    return f"{crafts} craft{'s' * (crafts != 1)}, {fitted} flight{'s' * (fitted != 1)} fitted"
 
 
 def _map(fleet: Fleet, crafts: Sequence[str]) -> Figure:

@@ -122,9 +122,10 @@ def _parameters(
     for i, name in enumerate(estimates.names):
         value, error = float(estimates.values[i]), float(estimates.stderr[i])
         unit, meaning = meaning_in_words(name)
+        unknown = name in account.get("not_identified", {})
         if "." in name and abs(value) < 1.96 * error:
             meaning += "; not distinguishable from zero"
-        elif name in account.get("not_identified", {}):
+        elif unknown:
             meaning += "; not identified: the file has the profile's"
         rows.append(
             [
@@ -132,7 +133,7 @@ def _parameters(
                 value,
                 error,
                 unit,
-                100 * error / abs(value) if value else None,
+                100 * error / abs(value) if value and not unknown else None,
                 float(interval[i, 0]),
                 float(interval[i, 1]),
                 *([expected.get(name)] if expected else []),

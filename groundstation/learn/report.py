@@ -9,7 +9,8 @@ import numpy as np
 
 from groundstation.control.step_analysis import Flown as Steps
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
-from groundstation.dynamics.meanings import meaning_of
+from groundstation.discrepancy.report_words import meaning
+from groundstation.dynamics.meanings import meaning_of, title_of
 from groundstation.learn.journal import JOURNAL
 from groundstation.learn.outcome import Outcome, said_named
 from groundstation.learn.story import (
@@ -25,6 +26,7 @@ from groundstation.report.page import Page
 from groundstation.report.theme import FAINT, IMPROVED, MEASURED, MODELLED
 from groundstation.shell import LOG, SCRIPT
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
+from groundstation.text import listed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +49,8 @@ def report_page(outcome: Outcome) -> Page:
 
 def _summary(page: Page, outcome: Outcome) -> None:
     flights = outcome.journal.flights
-    words = f"Found: {said_named(outcome)}."
+    named = [f"{title_of(one.name)} ({meaning(one)})" for one in outcome.effects]
+    words = f"Found: {listed(named) if named else said_named(outcome)}."
     if outcome.found is not None:
         gap = outcome.found.gap.validation
         after = gap.before if gap.after is None else gap.after
@@ -106,7 +109,7 @@ def _craft(page: Page, outcome: Outcome) -> None:
     page.table(
         ["effect", "what it does", "number", "value", "standard error", "unit", "its share, %"],
         [
-            [one.name, one.adds, key, number.value, number.stderr, number.unit,
+            [title_of(one.name), meaning(one), key, number.value, number.stderr, number.unit,
              None if one.weight is None else 100 * one.weight]
             for one in outcome.effects
             for key, number in one.parameters.items()

@@ -9,15 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 SITE = Path(__file__).with_name("site")
+SOURCES = Path(__file__).resolve().parents[2] / "docs"
+"""Of a checkout: what the site is built from, shown as it is where nobody has built it."""
 _NOT_BUILT = (
-    '<!doctype html><html lang="en"><meta charset="utf-8"><title>Help</title><body><h1>Help</h1>'
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>Help</title>'
+    '<link rel="stylesheet" href="/theme.css"><body><main><h1>Help</h1>'
     "<p>The documentation was not built with this copy of the program: <code>make docs</code> "
-    "builds it. Every command has <code>--help</code>.</p></body></html>"
+    "builds it. Every command has <code>--help</code>.</p><ul>PAGES</ul></main></body></html>"
 )
 
 
@@ -26,8 +29,14 @@ def help_route(site: Path = SITE) -> BaseRoute:
     if (site / "index.html").is_file():
         return Mount("/help", _Site(site))
 
-    async def not_built(_: Request) -> Response:
-        return HTMLResponse(_NOT_BUILT)
+    async def not_built(request: Request) -> Response:
+        sources = {f"{one.stem}.html": one for one in sorted(SOURCES.glob("*.md"))}
+        if source := sources.get(request.path_params["page"]):
+            return PlainTextResponse(source.read_text())
+        pages = "".join(
+            f'<li><a href="/help/{name}">{one.stem}</a></li>' for name, one in sources.items()
+        )
+        return HTMLResponse(_NOT_BUILT.replace("PAGES", pages))
 
     return Route("/help/{page:path}", not_built)
 

@@ -5,6 +5,7 @@ Figures are enlarged by style sheets alone, so that a report can be shown where 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from html import escape
@@ -16,13 +17,16 @@ from groundstation.paths import taken
 from groundstation.report.figure import svg
 from groundstation.report.provenance import provenance
 from groundstation.report.theme import style, themed
-from groundstation.text import printable
+from groundstation.text import counted, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Cell = str | int | float | None
 
+
+_NEGATIVE_ZERO = re.compile(r"(?<![\w.)-])-(0(?:\.0+)?)(?!\d|\.\d|[eE])")
+"""What rounds to zero from below."""
 
 FIRST = 3
 """Warnings that a report begins with: who reads twelve reads none."""
@@ -73,7 +77,7 @@ class Page:
         self._advised(found[:FIRST])
         if len(found) > FIRST or rest:
             count = max(len(found) - FIRST, 0) + len(rest)
-            with self.more(f"{count} more note{'s' * (count != 1)} on this"):
+            with self.more(f"{counted(count, 'more note')} on this"):
                 self._advised(found[FIRST:])
                 if rest:
                     self.bullets(rest)
@@ -100,7 +104,8 @@ class Page:
 
     def code(self, lines: Iterable[str]) -> None:
         """Adds lines to be typed as they stand; words of a line are kept whole (``-o``)."""
-        words = (" ".join(f"<span>{w}</span>" for w in _clean(line).split(" ")) for line in lines)
+        shown = (escape(printable(line)).split(" ") for line in lines)
+        words = (" ".join(f"<span>{word}</span>" for word in line) for line in shown)
         self._parts.append(f"<pre>{'<br>'.join(words)}</pre>")
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Cell]], caption: str = "") -> None:
@@ -197,7 +202,8 @@ def _zoom(number: int) -> str:
 
 
 def _clean(text: str) -> str:
-    return escape(printable(text))
+    """Escaped, with the signs that a terminal's text does without; zero has none."""
+    return escape(_NEGATIVE_ZERO.sub(r"\1", printable(text))).replace("+-", "±").replace("^2", "²")
 
 
 def _cell(cell: Cell) -> str:

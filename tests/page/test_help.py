@@ -72,7 +72,9 @@ def test_every_reference_page_has_what_the_code_has(site):
     assert "A recording in memory" in reference["python"] or "samples" in reference["python"]
 
 
-def test_where_nothing_was_built_help_says_how(tmp_path, visit):
+def test_where_nothing_was_built_help_says_how_and_shows_the_sources(tmp_path, visit):
     with serving(tmp_path) as address:
         page = visit(address)
         assert "make docs" in page.inner_text("body")
+        page.get_by_role("link", name="telemetry", exact=True).click()
+        assert "# Packets, duplicates, device time" in page.inner_text("body")

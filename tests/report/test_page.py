@@ -59,6 +59,17 @@ def test_a_page_needs_no_other_file_and_escapes_what_it_is_given(tmp_path):
     assert not [one for one in outside if one.startswith(("http", "//"))]
 
 
+def test_prose_has_the_signs_of_print_and_commands_stay_as_they_are_typed():
+    page = Page("Signs")
+    page.text("c0 8 +- 2 rad/s^2, -0 % is left, -0.00 of 1, -0.5 and 1-0 stay: -0.")
+    page.table(["value"], [[-0.0]])
+    page.code(["groundstation fit body -0 --band 2^2 +-8"])
+    html = page.html()
+    assert "c0 8 ± 2 rad/s², 0 % is left, 0.00 of 1, -0.5 and 1-0 stay: 0." in html
+    assert '<td class="n">0</td>' in html
+    assert "<span>-0</span> <span>--band</span> <span>2^2</span> <span>+-8</span>" in html
+
+
 def test_a_report_is_never_overwritten(tmp_path):
     path = tmp_path / "report.html"
     path.write_text("mine")

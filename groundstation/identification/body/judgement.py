@@ -120,9 +120,10 @@ def untold(
         axis, move = AXES[CONSTANTS.index(name)], moves.get(name, 0.0)
         reason = f"{axis} is hardly excited: {size:.3g} +- {error:.2g}"
         if move > 0.5 * error:
+            much = "more than its size" if move > abs(size) else f"{100 * move / abs(size):.0f} %"
             reason = (
-                f"it moves by {100 * move / abs(size):.0f} % with the band of frequencies it is"
-                f" estimated in, so something else turns {axis}"
+                f"it moves by {much} with the band of frequencies it is estimated in, so something"
+                f" else turns {axis}"
             )
         if name != "c2" and error**2 - move**2 <= (UNKNOWN * size) ** 2:
             continue  # a cut band is biased in closed loop where little is excited: warned of

@@ -1,7 +1,7 @@
 // Channels over time: a plot for each group, on one time axis, with one cursor.
 // `uPlot` is the library's, which page.html loads before.
 
-import { element, pressable, reconcile, writeIn } from "./dom.js";
+import { decimals, element, pressable, reconcile, writeIn } from "./dom.js";
 import { firstFrom } from "./store.js";
 
 const AXIS = 58, POINTS_MOST = 2500;
@@ -119,6 +119,7 @@ export class Charts {
       ticks: { stroke: () => color("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
     return {
       width: this.host.clientWidth, height: height(), legend: { show: false }, ms: 1,
+      padding: [null, 32, null, null], // the last time is not cut off
       scales: {
         x: { time: false },
         y: { range: (_, low, high) => {
@@ -186,7 +187,7 @@ export class Charts {
     legend.forEach(({ value }, series) => {
       const found = plot.data[series + 1]?.[place ?? times.length - 1];
       const digits = group.unit === "V" || !group.unit ? 3 : 1;
-      const text = found === null || found === undefined ? "–" : found.toFixed(digits);
+      const text = found === null || found === undefined ? "–" : decimals(found, digits);
       writeIn(value, text);
     });
   }

@@ -76,7 +76,7 @@ export class CraftView {
       pen.fillText("no attitude yet", width / 2, height / 2);
       return;
     }
-    if (z !== null) this.#height(z);
+    if (z > 0.2) this.#height(z); // lower, it would be written over the craft
     this.#craft(state, up, sinceS);
   }
 
@@ -169,6 +169,7 @@ export class CraftView {
       this.#rotor(body, arm, number, motors?.[number] ?? null, sinceS);
     }
     if (!drawn) this.#hull(body);
+    if (motors) arms.forEach((arm, number) => this.#duty(body, arm, number, motors[number]));
   }
 
   #rotor(body, arm, number, duty, sinceS) {
@@ -199,17 +200,23 @@ export class CraftView {
     pen.lineWidth = 2;
     this.#path([[top[0] - c, top[1] - s, top[2]], [top[0] + c, top[1] + s, top[2]]].map(body));
     pen.stroke();
-    if (duty === null) return;
-    // its duty, as an upright bar on the rotor's axis
+  }
+
+  /** A motor's duty, as an upright bar on the rotor's axis and in a number, before all else. */
+  #duty(body, [x, y], number, duty) {
+    const { pen, colors } = this, high = 0.07 + 0.45 * Math.max(0, Math.min(1, duty / 100));
     pen.strokeStyle = colors.c2;
     pen.lineWidth = 4;
-    this.#path([top, [top[0], top[1], top[2] + 0.45 * share]].map(body));
-    if (share > 0.01) pen.stroke();
-    const [px, py] = this.#at(body([top[0], top[1], top[2] + 0.45 * share + 0.05]));
+    this.#path([[x, y, 0.07], [x, y, high]].map(body));
+    if (duty > 1) pen.stroke();
+    const [px, py] = this.#at(body([x, y, high + 0.1]));
     pen.fillStyle = colors.ink;
     pen.font = "12px system-ui, sans-serif";
     pen.textAlign = "center";
-    pen.fillText(`M${number + 1} ${duty.toFixed(0)} %`, px, py);
+    const text = `M${number + 1} ${duty.toFixed(0)} %`;
+    pen.strokeStyle = colors.card; // readable where it lies on the craft
+    pen.strokeText(text, px, py);
+    pen.fillText(text, px, py);
   }
 
   #hull(body) {

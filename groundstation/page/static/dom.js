@@ -10,8 +10,15 @@ export function writeIn(one, text) {
 
 export const write = (id, text) => writeIn(at(id), text);
 
+/** A number with so many decimals, of which none is left of a small negative one but its sign. */
+export const decimals = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]+$)/, "");
+
 export const fixed = (value, digits, unit) =>
-  value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`;
+  value === null || value === undefined ? "–" : `${decimals(value, digits)} ${unit}`;
+
+/** The time of day, and with its date, of ms since 1970. */
+export const clock = (ms) => new Date(ms).toLocaleTimeString("sv");
+export const dated = (ms) => new Date(ms).toLocaleString("sv"); // 2026-11-28 09:29:40
 
 export function element(kind, style = "", text = "") {
   const made = document.createElement(kind);

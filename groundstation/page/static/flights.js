@@ -1,7 +1,7 @@
 // The recordings folder: a list that is updated where it stands, and what is done with the chosen.
 
 import { change } from "./change.js";
-import { at, button, element, link, reconcile, watch, write, writeIn } from "./dom.js";
+import { at, button, dated, element, link, reconcile, watch, write, writeIn } from "./dom.js";
 import { openRecording } from "./opened.js";
 import { begunAt } from "./status.js";
 
@@ -19,7 +19,10 @@ export function watchFlights() {
       }, "Begun; its state is in the list of jobs.");
     });
   }
-  at("with").addEventListener("toggle", offerEffects);
+  at("with").addEventListener("toggle", async () => {
+    await offerEffects();
+    at("with").scrollIntoView({ block: "nearest" });
+  });
 }
 
 const effects = () => [...document.querySelectorAll("#effects input:checked")].map((one) => one.value);
@@ -58,7 +61,7 @@ function make(one) {
   select.setAttribute("aria-label", `Role of ${one.file}`);
   select.append(new Option("–", ""), new Option("fit", "use"), new Option("proof", "proof"));
   const row = element("tr");
-  const cells = [select, "", "", one.file, "", "", "", "",
+  const cells = [select, one.file, "", "", "", "", "", "",
     element("span", "links")];
   cells[8].append(button("Open", one.file, () => openRecording(one.file)),
     link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
@@ -74,7 +77,7 @@ function update(row, one) {
   const records = one.state === "recording";
   const began = one.start_ns ? one.start_ns / 1e6 : begunAt(one.file);
   const long = one.duration_s ?? (records && began ? (Date.now() - began) / 1000 : null);
-  const texts = { 1: began ? new Date(began).toLocaleString() : "",
+  const texts = { 3: began ? dated(began) : "",
     4: long === null ? "" : `${long.toFixed(1)} s`, 5: one.link ?? "",
     6: `${(one.bytes / 1e6).toFixed(1)} MB`, 7: WORDS[one.state] ?? one.state };
   for (const [place, text] of Object.entries(texts)) {

@@ -28,7 +28,7 @@ function card(one, { flown, watching }, open) {
   const fact = (name, value) => facts.append(element("dt", "", name), element("dd", "", value));
   fact("made by", one.kind === "built-in" ? "the thesis" : one.kind);
   if (one.recordings.length) fact("from", one.recordings.join(", "));
-  if (one.validate.length) fact("held out", one.validate.join(", "));
+  if (one.validate.length) fact("proof", one.validate.join(", "));
   fact("vehicle", one.vehicle);
   fact("effects", one.effects.length ? one.effects.join(", ") : "none");
   made.append(facts, numbers(one, open));

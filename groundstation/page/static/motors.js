@@ -1,9 +1,7 @@
 // Stop, and whatever else acts on the motors: always in the same place.
 
 import { change, confirmed } from "./change.js";
-import { at, write } from "./dom.js";
-
-const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour12: false });
+import { at, clock, write } from "./dom.js";
 
 async function stop() {
   const pressedMs = Date.now();
@@ -59,8 +57,8 @@ export function showMotors(command) {
   write("command", !command ? "no command link" : `${command.uri} ${command.state}`
     + (command.client ? `, ${command.client} commands` : ""));
   at("stop-why").className = command && !command.out_of_reach ? "soft" : "bad";
-  write("stop-why", !command ? "No command link: these motors cannot be stopped from here."
-    : command.out_of_reach ? `${command.out_of_reach}.` : connected ? "At once, whoever commands."
+  write("stop-why", !command ? "No command link: Stop reaches no motors."
+    : command.out_of_reach ? `${command.out_of_reach}.` : connected ? "Stop acts at once, whoever commands."
       : `The command link is ${command.state}.`);
   at("stop").disabled = !command;
   at("level").disabled = !command?.client;

@@ -3,7 +3,7 @@
 import { send } from "./change.js";
 import { Charts } from "./charts.js";
 import { CraftView } from "./craft.js";
-import { at, element, pressable, write } from "./dom.js";
+import { at, decimals, element, pressable, write } from "./dom.js";
 import { poseAt } from "./pose.js";
 import { Store } from "./store.js";
 import { View, viewTools } from "./view.js";
@@ -128,7 +128,7 @@ function seek(time) {
 function tell() {
   at("scrubber").value = timeS;
   const pose = poseAt(store, timeS, vehicle);
-  const angle = (value) => (value === null || Number.isNaN(value) ? "–" : `${value.toFixed(1)}°`);
+  const angle = (value) => (value === null || Number.isNaN(value) ? "–" : `${decimals(value, 1)}°`);
   at("scrubber").setAttribute("aria-valuetext", `${timeS.toFixed(2)} s of ${endS.toFixed(1)}`);
   write("opened-time", `${timeS.toFixed(2)} s`);
   write("opened-pose", `roll ${angle(pose.roll)}, pitch ${angle(pose.pitch)}, yaw ${angle(pose.yaw)}`);

@@ -1,6 +1,6 @@
 // What the daemon is doing, once a second.
 
-import { at, element, fixed, write } from "./dom.js";
+import { at, clock, element, fixed, write } from "./dom.js";
 import { showMotors } from "./motors.js";
 
 export const LIVE_S = 1.0; // what is older is said to be behind
@@ -10,7 +10,7 @@ const spell = (s) => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStar
 
 /** A Unix time in s on a time axis whose steps are that fine. */
 export function clockText(timeS, step = 1) {
-  const time = new Date(timeS * 1000).toLocaleTimeString([], { hour12: false });
+  const time = clock(timeS * 1000);
   return step >= 1 ? time : time + (timeS % 1).toFixed(step < 0.01 ? 3 : step < 0.1 ? 2 : 1).slice(1);
 }
 
@@ -90,7 +90,7 @@ export function showEvents(events) {
 function list(id, events) {
   at(id).replaceChildren(...events.toReversed().map((event) => {
     const item = element("li");
-    item.append(element("time", "", new Date(event.time_ns / 1e6).toLocaleTimeString()),
+    item.append(element("time", "", clock(event.time_ns / 1e6)),
       event.kind === "console" ? event.text : `${event.link} ${event.kind}: ${event.text}`);
     return item;
   }));
