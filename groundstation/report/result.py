@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+ROWS = 20
+"""Of a table that a notebook's cell shows."""
+
+
 class Shown(NamedTuple):
     """A result for people. line: in short. columns: its table, by name. warnings: in words.
     pictures: by name, each drawn when it is asked for."""
@@ -44,14 +48,15 @@ class Result(ABC):
         return f"{type(self).__name__}({self._what()})"
 
     def _repr_html_(self) -> str:
-        """For notebooks: its line, its table, and its first three warnings."""
+        """For notebooks: its line, the first rows of its table, and its warnings, folded away."""
         shown = self._shown()
         page = Page("")
         page.text(shown.line)
         names = list(shown.columns)
-        rows = list(zip(*shown.columns.values(), strict=True))[:20]
+        rows = list(zip(*shown.columns.values(), strict=True))
         if rows:
-            page.table(names, rows)
+            few = f"The first {ROWS} of {len(rows)}." if len(rows) > ROWS else ""
+            page.table(names, rows[:ROWS], few)
         page.advice([], list(shown.warnings))
         return fragment(page)
 

@@ -37,11 +37,19 @@ def page(done: Sequence[Done], seconds: float) -> Page:
         " counterpart.",
         "neutral",
     )
+    made.next_step("see under each number what was done, and the commands that do it again.")
     made.text(INTRODUCTION)
     made.heading(OUTCOME)
     made.table(
         ["number", "what it is", "what came out"],
-        [(one.entry.number, one.entry.title, _first_sentence(one.made.says)) for one in done],
+        [
+            (
+                one.entry.number.replace(" ", "\u00a0"),
+                one.entry.title,
+                _first_sentence(one.made.says),
+            )
+            for one in done
+        ],
     )
     for one in done:
         made.heading(one.entry.number)
@@ -59,6 +67,11 @@ def page(done: Sequence[Done], seconds: float) -> Page:
     made.text(COMMANDS_TEXT)
     made.code(_all_commands(done))
     return made
+
+
+def _whole(number: str) -> str:
+    """In one line, however narrow its column."""
+    return number.replace(" ", "\u00a0")
 
 
 def _first_sentence(text: str) -> str:

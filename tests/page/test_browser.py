@@ -145,7 +145,8 @@ def test_a_parameter_is_searched_changed_after_a_question_and_put_back(page_daem
     with served(craft="crazyflie21") as craft:
         page = visit(page_daemon("--link", craft.uri, "--no-record").address())
         expect(page.locator("#armed")).to_have_text("yes")
-        page.get_by_role("link", name="Parameters").click()
+        expect(page.locator("#console")).to_contain_text("is up and running")
+        page.get_by_role("link", name="Parameters").press("Enter")
         page.get_by_label("Search parameters").fill("pid_rate.roll_kp")
         row = page.locator("#parameter-rows tr")
         expect(row).to_have_count(1)
@@ -163,8 +164,11 @@ def test_a_parameter_is_searched_changed_after_a_question_and_put_back(page_daem
         expect(row.get_by_role("cell").nth(1)).to_have_text(before)
         row.get_by_label("New value of").fill("1e9")
         page.keyboard.press("Enter")
-        page.get_by_role("dialog").get_by_role("button", name="Change").click()
+        page.get_by_role("dialog").get_by_role("button", name="Change").press("Enter")
         expect(page.locator("#said")).to_contain_text("pid_rate.roll_kp")
+        for part in ("Parameters", "Now"):
+            page.get_by_role("link", name=part, exact=True).press("Enter")
+            axe_finds_nothing(page)
 
 
 def test_a_crashed_craft_is_let_recover(page_daemon, visit):
@@ -416,8 +420,34 @@ def fitted_model_flies_and_watches(page):
     expect(page.locator("#link")).to_have_text("stand-in: streaming")
 
 
+def test_live_plots_are_paused_zoomed_and_read_and_words_explain_themselves(flying, visit):
+    page = visit(flying.address())
+    expect(page.locator("#live")).to_have_text("live")
+    page.get_by_label("Seconds").select_option("5")
+    values = page.locator("#plots .value")
+    page.locator("#plots .plot").first.hover(position={"x": 400, "y": 40})
+    until(lambda: "–" not in values.all_text_contents(), "samples under the cursor, in all plots")
+    page.get_by_role("button", name="Pause the plots").press("Enter")
+    under = values.all_text_contents()
+    page.mouse.move(5, 5)
+    until(lambda: values.all_text_contents() != under, "the newest values")
+    newest = values.all_text_contents()
+    for tool in ("Zoom in", "Earlier"):
+        page.get_by_role("button", name=tool).press("Enter")
+    until(lambda: values.all_text_contents() != newest, "the values of an earlier time")
+    expect(page.locator("#live")).to_have_text("live")  # what comes is kept meanwhile
+    page.get_by_role("button", name="Follow what comes").press("Enter")
+    expect(page.get_by_role("button", name="Pause the plots")).to_be_visible()
+    page.locator("#now summary", has_text="late").press("Enter")
+    why = page.locator("#now details[open]")
+    expect(why).to_contain_text("How much later than the fastest packets")
+    assert why.get_by_role("link", name="More").get_attribute("href").startswith("/help/")
+
+
 def test_any_file_is_opened_played_and_scrubbed_with_the_keyboard(flying, visit):
     page = visit(flying.address())
+    page.evaluate(DROP, "notes.txt")
+    expect(page.locator("#opened-state")).to_have_text(re.compile(r"^(?!Reading).*notes\.txt"))
     page.get_by_role("link", name="Open", exact=True).click()
     page.get_by_label("Choose a file").set_input_files(RECORDINGS / "README.md")
     expect(page.locator("#opened-state")).to_contain_text("README.md")
@@ -466,12 +496,19 @@ def test_work_that_cannot_be_done_is_refused_in_words_and_a_job_can_be_cancelled
     page.get_by_role("link", name="Flights").click()
     page.get_by_role("button", name="Compare").click()
     expect(page.locator("#said")).to_contain_text("recordings")
-    page.get_by_label("Role of another.mcap").select_option("fit")
+    role = page.get_by_label("Role of another.mcap")
+    role.select_option("fit")
+    role.focus()
+    length = page.locator("#recordings tr", has_text="being recorded").get_by_role("cell").nth(4)
+    before = length.text_content()
+    expect(length).not_to_have_text(before)
+    expect(role).to_be_focused()  # the list is updated where it stands
     page.get_by_role("button", name="Find the discrepancy").click()
     job = page.locator("#jobs tr", has_text="another.mcap")
     expect(job).to_contain_text("running")
-    job.get_by_role("button", name="Cancel").click()
+    job.get_by_role("button", name="Cancel").press("Enter")
     expect(job).to_contain_text("cancelled")
+    axe_finds_nothing(page)
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -489,7 +526,6 @@ def test_text_can_be_read_in_both_themes(flying, visit, theme):
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_axe_finds_nothing_that_keeps_anybody_out(flying, visit, theme):
     """WCAG's rules of levels A and AA and axe's own best practices, on every part."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
     shutil.copy(RECORDINGS / FLIGHT, flying.sessions / f"{theme}.mcap")
     page = visit(flying.address(), color_scheme=theme)
     expect(page.locator("#live")).to_have_text("live")
@@ -502,9 +538,14 @@ def test_axe_finds_nothing_that_keeps_anybody_out(flying, visit, theme):
             expect(page.locator("#opened-state")).to_contain_text("28.7 s")
         if part == "Models":
             page.get_by_text(NUMBERS).first.click()
-        judged = axe.run(page)
-        assert judged.response["passes"]
-        assert judged.violations_count == 0, f"{part}: {judged.generate_report()}"
+        axe_finds_nothing(page)
+
+
+def axe_finds_nothing(page):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    judged = axe.run(page)
+    assert judged.response["passes"]
+    assert judged.violations_count == 0, judged.generate_report()
 
 
 def test_nothing_is_cut_off_on_a_phone(flying, visit):
@@ -517,6 +558,13 @@ def test_nothing_is_cut_off_on_a_phone(flying, visit):
     for button in page.locator("#work button").all():
         assert button.bounding_box()["height"] >= 40
 
+
+DROP = """(name) => {
+    const dataTransfer = new DataTransfer();
+    dataTransfer.items.add(new File(["no recording"], name));
+    document.body.dispatchEvent(
+        new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+}"""
 
 CONTRASTS = """() => {
     const light = (color) => {

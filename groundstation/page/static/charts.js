@@ -27,12 +27,14 @@ export class Charts {
     this.version = -1;
     this.sync = uPlot.sync(key);
     this.width = 0; // nothing is drawn while another part of the page is looked at
-    new ResizeObserver(() => {
+    const fit = () => {
       this.width = host.clientWidth;
       for (const { plot, body } of this.plots.values())
         if (body.clientWidth) plot.setSize({ width: body.clientWidth, height: height() });
       this.draw();
-    }).observe(host);
+    };
+    new ResizeObserver(fit).observe(host);
+    window.addEventListener("resize", fit); // plots are as high as the window has room for
   }
 
   /** Groups that can be shown: [{group, unit, channels}]. */
