@@ -94,10 +94,10 @@ def _craft(page: Page, outcome: Outcome) -> None:
     assert body is not None
     rows = []
     for name in ("c0", "c1", "c2", "thrust_per_mass"):
-        unit, meaning = meaning_of(name)
+        unit, words = meaning_of(name)
         value, error = getattr(body, name), errors.get(name)
         percent = None if error is None else 100 * error / abs(value)
-        rows.append([name, meaning, value, unit, percent])
+        rows.append([name, words, value, unit, percent])
     page.table(
         ["constant", "meaning", "value", "unit", "standard error of the fit, %"],
         rows,
