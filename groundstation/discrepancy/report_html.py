@@ -197,9 +197,12 @@ def _named(page: Page, report: DiscrepancyReport) -> None:
     )
     for effect in report.effects:
         for other in effect.alternatives:
+            how = f"margin {other.margin:.1f}"
+            if other.share:
+                how = f"in its place in {100.0 * other.share:.0f} % of resamples"
             page.text(
-                f"{title_of(effect.name)} could also be {title_of(other.name)}"
-                f" (margin {other.margin:.1f}); to tell them apart fly {other.manoeuvre}."
+                f"{title_of(effect.name)} could also be {title_of(other.name)} ({how}); to tell"
+                f" them apart fly {other.manoeuvre}."
             )
 
 
