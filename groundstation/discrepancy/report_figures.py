@@ -13,6 +13,7 @@ from groundstation.comparison.channels import CHANNELS
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS
 from groundstation.comparison.localisation import Place, Spectrum, Stretch, over_time
+from groundstation.dynamics.meanings import title_of
 from groundstation.report.figure import HEAT, figure, legend_above
 from groundstation.report.theme import (
     GOOD,
@@ -39,6 +40,12 @@ LARGEST_RATIO = 10.0
 """Where the colours of a map end: what is beyond is wrong at a look anyway."""
 WORTH_A_NUMBER = 1.1
 MOST_BARS = 23
+
+
+def titled(effect: str) -> str:
+    """An effect as people call it; of one that may be of several rotors also which."""
+    name, _, rotor = effect.partition(".")
+    return title_of(name) + (f" ({rotor})" if rotor else "")
 
 
 def label(channel: str) -> str:
@@ -177,7 +184,7 @@ def evidence_bars(candidates: Sequence[CandidateTried]) -> Figure:
     colors = [GOOD if c.accepted else NEUTRAL for c in shown]
     axis.barh(place, score, color=colors, height=0.7, left=0.1)
     axis.set_xscale("log")
-    axis.set_yticks(place, [c.name for c in shown])
+    axis.set_yticks(place, [titled(c.name) for c in shown])
     notes = {
         one.name: shorten(one.reason or "accepted", NOTE_MOST, placeholder=" …") for one in shown
     }
@@ -222,7 +229,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
             fontsize=9,
             bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0},
         )
-    names = [name for name, _ in steps]
+    names = [titled(name) for name, _ in steps]
     axis.set_yticks([*place, last], [names[0], *(f"+ {n}" for n in names[1:]), "improved model"])
     axis.axvline(1.0, color=MEASURED, linestyle="--", linewidth=1.0)
     axis.annotate("noise", (1.0, -0.6), xytext=(3, 0), textcoords="offset points", fontsize=8.5)
@@ -235,7 +242,7 @@ def waterfall(steps: Sequence[tuple[str, float]]) -> Figure:
 
 NOTE_MOST = 70
 """Characters of a note beside a bar; the table has all of it."""
-NOTE_CHARACTER = 0.0062
+NOTE_CHARACTER = 0.0068
 """Width of a character of a note beside a bar, as a share of the axes."""
 TICKS = (1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 

@@ -136,7 +136,7 @@ def compared_in_words(report: CompareReport, worst: Place | None) -> str:
     ratio = worst.rms / worst.expected_rms
     return (
         f"The model's prediction errors are {gap:.1f} times noise over all channels, and most"
-        f" clearly wrong in {_place(worst.channel, worst.regime)}: {ratio:.1f} times noise."
+        f" clearly so in {_place(worst.channel, worst.regime)}: {ratio:.1f} times noise."
     )
 
 

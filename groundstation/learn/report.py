@@ -61,6 +61,10 @@ def _summary(page: Page, outcome: Outcome) -> None:
     words += f" Gains: {outcome.journal.gains}."
     good = outcome.names_right is not False and outcome.journal.gains.startswith("written")
     page.verdict(words, "good" if good else "neutral")
+    page.next_step(
+        ("fly with the new gains" if good else "keep the former gains; see what is still open")
+        + ", or let 'groundstation plan' say what to fly for a better model."
+    )
     page.text(
         f"{len(flights)} flights, {sum(one.seconds for one in flights):.0f} s on"
         f" {outcome.journal.batteries} of {outcome.journal.task.batteries} batteries, learnt in"
