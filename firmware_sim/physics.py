@@ -34,6 +34,7 @@ from firmware_sim.settings import Sensor, StandInSettings
 from firmware_sim.supervisor import NOT_PASSED
 from groundstation.dynamics.arx import of_rates, turning_of
 from groundstation.dynamics.craft import Acting
+from groundstation.dynamics.effect import Role
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
 from groundstation.dynamics.own_effects import find_effect
 from groundstation.dynamics.registry import EFFECTS as LISTED
@@ -192,7 +193,7 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
         if one.name not in IMPLEMENTED and one.name in terms
     ]
     # Its telemetry has no rotor speeds that a sensor could show.
-    laws = [effect for effect in laws if not effect.along]
+    laws = [effect for effect in laws if effect.role is not Role.WITH_BASE]
     return [(effect, effect.values(terms[effect.name])) for effect in laws]
 
 

@@ -26,6 +26,7 @@ from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import SearchState
 from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
 from groundstation.discrepancy.usable import still_there, usable
+from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
@@ -208,7 +209,11 @@ def _searched(
     corner = in_plane_hz(vehicle, fit_on, there)
     problem.frame = replace(problem.frame, accelerometer_filter_hz=corner)
     out = {*lost, *there}
-    candidates = [v for v in (*VARIANTS, *every_own) if v.effect not in out and v.definition.fitted]
+    candidates = [
+        v
+        for v in (*VARIANTS, *every_own)
+        if v.effect not in out and v.definition.role in CANDIDATES
+    ]
     search = SearchState(problem, known, candidates, report)
     given = tuple(key for variant in known for key in variant.keys)
     tried = [*candidates, *(one for one in RENAMES if one not in known)]

@@ -9,6 +9,7 @@ from groundstation.discrepancy.base_constants import groups
 from groundstation.discrepancy.evidence import Evidence, folds_of, gather
 from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
+from groundstation.dynamics.effect import CANDIDATES
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
@@ -48,7 +49,7 @@ class SearchState:
         """Whether predictions are worse at the second point with nothing followed, too, and beside
         what is followed by more than noise."""
         self.candidates = list(candidates)
-        fixed = [one for one in known if not one.definition.fitted]
+        fixed = [one for one in known if one.definition.role not in CANDIDATES]
         free = [variant for variant in known if variant not in fixed]
         held = (key for one in fixed for key in one.keys if key not in problem.base_keys)
         self.fixed = {key: problem.start[key] for key in held}

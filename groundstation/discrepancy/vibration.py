@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.effect import Role
 from groundstation.dynamics.law import FAR_M, SPIN, Body, Craft
 from groundstation.dynamics.on_board_filter import power_passed
 from groundstation.dynamics.registry import EFFECTS
@@ -26,7 +27,7 @@ from groundstation.identification.flight import Flight
 
 Array = NDArray[np.float64]
 
-IMBALANCE = next(effect for effect in EFFECTS.values() if effect.unphased)
+IMBALANCE = next(effect for effect in EFFECTS.values() if effect.role is Role.UNPHASED)
 SIZES = tuple(one.name for one in IMBALANCE.sizes)
 WINDOW_S = 0.2
 """A rotor whose speed is off by 1 rev/s has lost a fifth of a turn by then."""

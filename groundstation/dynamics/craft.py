@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import ANGLES, FORCE, GYRO, Effect, Stage
+from groundstation.dynamics.effect import ANGLES, FORCE, GYRO, Effect, Role, Stage
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS
 from groundstation.dynamics.model import Model, model_vehicle, require_body, rotor_motors
 from groundstation.dynamics.own_effects import find_effect
@@ -239,7 +239,7 @@ def _put_states(craft: np.void, stage: Stage, own: Sequence[Acting]) -> None:
         # An observer takes the last that follows a channel for what the sensor shows of it.
         if there and state.follows is not None and stage == "sensor":
             craft["follows"][place] = (*GYRO, *FORCE).index(state.follows)
-        if there and effect.turning:
+        if there and effect.role is Role.ESTIMATE:
             craft["turns"][place] = (*ANGLES, "").index(state.turns)
             craft["turning"] = 1
 

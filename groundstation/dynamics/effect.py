@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import Any, Literal
 
 from groundstation.errors import BadInputError
@@ -171,6 +172,28 @@ class Rename:
     moved: Callable[[float, float], float]
 
 
+class Role(Enum):
+    """What fits and the search make of an effect."""
+
+    CANDIDATE = auto()
+    """Fitted with the base constants, selected where it explains something."""
+    ESTIMATE = auto()
+    """A candidate that is an error of the reported angles alone, driven by what is measured."""
+    CONSTANT = auto()
+    """The change of a base constant under another name."""
+    ON_BOARD = auto()
+    """What a firmware does to its readings: known, in a model or not."""
+    WITH_BASE = auto()
+    """Fitted with the base constants wherever samples show it."""
+    NOISE = auto()
+    """Driven by noise: an observer follows it, no regressor shows it."""
+    UNPHASED = auto()
+    """With an angle that nobody measures: identified by its power, no regressor shows it."""
+
+
+CANDIDATES = (Role.CANDIDATE, Role.ESTIMATE)
+
+
 @dataclass(frozen=True, slots=True)
 class Effect:
     """One physical effect.
@@ -220,32 +243,19 @@ class Effect:
         return tuple(p for p in self.parameters if p.kind == "size")
 
     @property
-    def followed(self) -> bool:
-        """Whether noise drives it: an observer follows it, and no column of a fit shows it."""
-        return any(state.noise for state in self.states)
-
-    @property
-    def unphased(self) -> bool:
-        """Whether it has an angle that nobody measures: it is told by its power, by no column."""
-        return any(state.made is not None for state in self.states)
-
-    @property
-    def along(self) -> bool:
-        """Whether it is fitted with the base constants wherever rows show it, and no candidate."""
-        return self.stage == "tachometer"
-
-    @property
-    def turning(self) -> bool:
-        """Whether it is no more than a lean of the reported angles, driven by what is measured."""
-        return any(state.turns for state in self.states)
-
-    @property
-    def fitted(self) -> bool:
-        """Whether a search fits it beside the base: not what is another name for one of its
-        constants, what is fitted along with them, what is known of the firmware, or what has no
-        column."""
-        apart = self.followed or self.unphased or self.along
-        return not (self.renames or self.on_board or apart)
+    def role(self) -> Role:
+        """What fits and the search make of it."""
+        if any(state.noise for state in self.states):
+            return Role.NOISE
+        if any(state.made is not None for state in self.states):
+            return Role.UNPHASED
+        if self.stage == "tachometer":
+            return Role.WITH_BASE
+        if self.renames:
+            return Role.CONSTANT
+        if self.on_board:
+            return Role.ON_BOARD
+        return Role.ESTIMATE if any(state.turns for state in self.states) else Role.CANDIDATE
 
     @property
     def choice(self) -> Parameter | None:

@@ -8,7 +8,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from groundstation.dynamics import effects
-from groundstation.dynamics.effect import Effect, Stage
+from groundstation.dynamics.effect import Effect, Role, Stage
 
 
 def _listed() -> dict[str, Effect]:
@@ -23,7 +23,7 @@ def _listed() -> dict[str, Effect]:
 
 EFFECTS: Mapping[str, Effect] = _listed()
 """The listed effects by name, in alphabetical order."""
-DISTURBANCE: Effect = next(effect for effect in EFFECTS.values() if effect.followed)
+DISTURBANCE: Effect = next(effect for effect in EFFECTS.values() if effect.role is Role.NOISE)
 """The law of a model's ``disturbance``: what an observer follows, which is no effect."""
 DELAY = "dead_time.delay_s"
 """The key under which fits and searches estimate how late every measurement is, s."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.discrepancy.screening import screen
+from groundstation.dynamics.effect import CANDIDATES
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, point_of
 from groundstation.identification.likelihood.problem import BASE_KEYS, Problem
@@ -20,7 +21,7 @@ NOISES = {"nominal": (1.0, 1.0), "rough": (6.0, 2.0)}
 def sought(variant):
     """Whether it is a candidate: not another name of a constant, a firmware's own filter, or of a
     shape that is looked for at the end (``test_tried_shapes``)."""
-    return variant.definition.fitted and not variant.tried
+    return variant.definition.role in CANDIDATES and not variant.tried
 
 
 def screened(seed, torque_noise, sensor_noise):

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import GYRO
+from groundstation.dynamics.effect import CANDIDATES, GYRO, Role
 from groundstation.dynamics.model import Model, vehicle_model
 from groundstation.dynamics.registry import DELAY, EFFECTS, SPIN_UP
 from groundstation.dynamics.unknowns import Key, variants
@@ -46,7 +46,10 @@ SOUGHT = {name: [key.name for key in one.parameters if key.tried] for name, one 
 FITTED = tuple(
     name
     for name, one in EFFECTS.items()
-    if one.stage != "supply" and one.fitted and set(one.channels) & {*GYRO} and not SOUGHT[name]
+    if one.stage != "supply"
+    and one.role in CANDIDATES
+    and set(one.channels) & {*GYRO}
+    and not SOUGHT[name]
 )
 FIT_WITH = (*FITTED, *SUPPLY_EFFECTS)
 """Effects that show in the rates."""
@@ -238,7 +241,7 @@ def require_known(names: Sequence[str]) -> None:
                 f"--with {name}: its {', '.join(SOUGHT[name])} has to be looked for, which"
                 " 'groundstation discrepancy' does"
             )
-        if name in EFFECTS and (EFFECTS[name].followed or EFFECTS[name].unphased):
+        if name in EFFECTS and EFFECTS[name].role in (Role.NOISE, Role.UNPHASED):
             raise BadInputError(
                 f"--with {name}: no fit of constants shows it, for only how large it is can be"
                 " known; 'groundstation discrepancy' finds it"

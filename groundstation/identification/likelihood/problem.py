@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import bounded_step, inverse
@@ -100,7 +101,7 @@ class Problem:
         # A lag that the model has stays: with another its motors would not turn as they are driven.
         lags = measured and SENSOR_LAG not in start
         self.base_keys = (*BASE_KEYS, SENSOR_LAG) if lags else BASE_KEYS
-        told = [key for key, one in effects if one.effect.fitted and key not in tried]
+        told = [key for key, one in effects if one.effect.role in CANDIDATES and key not in tried]
         self.every_key = (*self.base_keys, *told)
         lag = {SENSOR_LAG: sensor_lag(model)} if measured else {}
         self.start = {**lag, **start}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.effect import ANGLES
+from groundstation.dynamics.effect import ANGLES, Role
 from groundstation.dynamics.law import FAR_M, Body, Craft, Reading
 from groundstation.identification.likelihood.laws import Acting
 from groundstation.identification.likelihood.linear_filters import (
@@ -102,8 +102,8 @@ class Sensors:
         """filter_hz: corners of the on-board low-passes of second order behind gyro and
         accelerometer; 0: none."""
         self.craft = craft
-        self.estimators = tuple(one for one in effects if one.effect.turning)
-        effects = tuple(one for one in effects if not one.effect.turning)
+        self.estimators = tuple(one for one in effects if one.effect.role is Role.ESTIMATE)
+        effects = tuple(one for one in effects if one.effect.role is not Role.ESTIMATE)
         self.effects = effects
         self.gyro_filter_hz, self.accelerometer_filter_hz = filter_hz
         self.gain, self.lag, self.offset = np.eye(6), np.zeros((6, 6)), np.zeros(6)
@@ -283,7 +283,7 @@ def _estimator_near_rest(one: Acting, craft: Craft) -> NearRest:
 
 def passed(one: Acting | None, craft: Craft, given: Passing, moving: Moving) -> Passing:
     """What a sensor passes on."""
-    if one is None or one.effect.turning:
+    if one is None or one.effect.role is Role.ESTIMATE:
         return given
     return _passed(one, _near_rest(one, craft), craft, given, moving)
 
