@@ -55,13 +55,14 @@ DRAWS = 1000
 class AxisDesign:
     """Gains of one axis by the firmware's names, with what they do on the nominal model.
 
-    before: the judgement of the stock gains (inf where they are unstable or beyond a maximum
-    sensitivity of 4), stock_margins theirs in any case. reasons: one line for each gain.
+    before: the judgement of the stock gains by what judged the design (inf where they are
+    unstable), stock_margins theirs in any case. reasons: one line for each gain.
     """
 
     axis: str
     gains: dict[str, float]
     design: Design
+    before: Array
     nominal: Array
     margins: Margins
     stock_margins: Margins
@@ -124,6 +125,7 @@ def design_cascade(
             axis,
             gains,
             design,
+            judge(np.array([list(stock.values())]))[0],
             nominal,
             cascade_margins(plants[0], gains, axis, supply_mv),
             cascade_margins(plants[0], stock, axis, supply_mv),

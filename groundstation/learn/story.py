@@ -303,6 +303,8 @@ class Learner:
             page.unlink(missing_ok=True)
             firmware_page(loaded, model, designs, None, report).write(page)
             found = {k: v for one in designs for k, v in followers(one, limits).items()}
+            if not found:
+                raise BadInputError("by the model the stock gains follow steps best on every axis")
             (self.folder / GAINS).write_text(gains_text(found, release), encoding="utf-8")
         gains = load_gains(self.folder / GAINS)
         return {name: value for name, value in gains.items() if isinstance(value, float)}
@@ -351,12 +353,15 @@ class Learner:
 
 
 def followers(design: AxisDesign, limits: DesignLimits) -> dict[str, float]:
-    """Of an axis's front, within the limits, the gains with the least RMS of a step."""
-    front, gains = design.design.front, design.design.front_gains
+    """Of an axis's front, within the limits, the gains with the least RMS of a step; none where by
+    the model the stock gains follow it as closely."""
+    front, gains, stock = design.design.front, design.design.front_gains, design.before
     kept = np.flatnonzero(front[:, SENSITIVITY] <= limits.sensitivity)
     best = min(kept, key=lambda row: front[row, RMS], default=None)
     if best is None or front[best, RMS] >= design.design.judgement[RMS]:
-        return design.gains
+        return design.gains if design.design.judgement[RMS] < stock[RMS] else {}
+    if front[best, RMS] >= stock[RMS]:
+        return {}
     return {name: float(f"{v:.4g}") for name, v in zip(design.gains, gains[best], strict=True)}
 
 
