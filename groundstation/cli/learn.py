@@ -61,7 +61,7 @@ def learn(
     Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
     """
     from groundstation.cli.learn_flights import SOFTWARE, Place
-    from groundstation.learn.journal import Journal, journal_in
+    from groundstation.learn.journal import journal_in
     from groundstation.shell import Shell
 
     own_terminal()
@@ -72,14 +72,7 @@ def learn(
     if undo:
         _undo(journal, output)
         return
-    task = _task(link, limits, seed, batteries, hide)
-    if journal is None:
-        journal = Journal(task=task)
-    elif journal.task != (task := _same(journal.task, task)):
-        raise BadInputError(
-            f"{output}: was begun with other options ({journal.task}); go on with those, or learn"
-            " in another folder with -o"
-        )
+    journal = _begun(journal, _task(link, limits, seed, batteries, hide), output)
     inputs: dict[str, str | None] = {"flight*.mcap": None, "proof.mcap": None}
     craft = _craft_text(link) if link.startswith(SOFTWARE) else None
     if craft is not None:
@@ -165,12 +158,24 @@ def _task(link: str, limits: Limits, seed: int, batteries: int, hide: int | None
     )
 
 
-def _same(begun: Task, asked: Task) -> Task:
-    """What is asked now, with what only the craft says and what may change on the way."""
+def _begun(journal: Journal | None, asked: Task, output: Path) -> Journal:
+    """The journal to go on with, on as many batteries as were ever asked for. Raises BadInputError
+    where it was begun otherwise."""
     import msgspec
 
-    begun_with = {"vehicle": begun.vehicle, "batteries": begun.batteries}
-    return msgspec.structs.replace(asked, **begun_with)
+    from groundstation.learn.journal import Journal
+
+    if journal is None:
+        return Journal(task=asked)
+    begun = journal.task
+    batteries = max(begun.batteries, asked.batteries)
+    journal.task = msgspec.structs.replace(asked, vehicle=begun.vehicle, batteries=batteries)
+    if msgspec.structs.replace(begun, batteries=batteries) != journal.task:
+        raise BadInputError(
+            f"{output}: was begun with other options ({begun}); go on with those, or learn in"
+            " another folder with -o"
+        )
+    return journal
 
 
 def _craft_text(link: str) -> str:

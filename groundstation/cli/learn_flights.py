@@ -39,6 +39,9 @@ LIFT_PER_M, LIFT_PER_M_S, LIFT_PER_M_SECOND = 4.0, 3.6, 1.5
 TICK_S = 0.01
 FULL_V, CHANGED_S = 4.0, 600.0
 """A full cell at rest, and how long one is waited for."""
+CLEAR_S, STILL_DPS = 15.0, 5.0
+"""Whoever changed it needs time to step back: the craft has to stand still for so long, turning no
+faster than this."""
 HOVERS = 36000.0
 """16-bit thrust that he begins with."""
 
@@ -135,18 +138,23 @@ class Place:
                 pilot.write(dict(gains))
 
     def await_battery(self) -> None:
-        """Wait for a full battery; a software craft has one. Raises GroundStationError where none
-        comes."""
-        deadline = time.monotonic() + CHANGED_S
-        while not self.is_software:
+        """Wait for a craft with a full battery that stands still; a software craft has one. Raises
+        GroundStationError where none comes, or where it does not tell its voltage."""
+        now = time.monotonic()
+        deadline, still = now + CHANGED_S, now
+        while not self.is_software and time.monotonic() - still < CLEAR_S:
+            full = False
             with contextlib.suppress(GroundStationError), Pilot(socket_path(), CLIENT) as pilot:
-                told = require_ready(pilot, needs_battery=False)["battery_v"]
-                if told is None or told >= FULL_V:
-                    return
+                telemetry = require_ready(pilot, needs_battery=True)
+                turning = max(abs(rate) for rate in telemetry["gyro_dps"])
+                full = telemetry["battery_v"] >= FULL_V and turning < STILL_DPS
+            if not full:
+                still = time.monotonic()
             if time.monotonic() > deadline:
                 raise GroundStationError(
-                    f"no battery of {FULL_V:g} V and more within {CHANGED_S / 60:.0f} min; put a"
-                    " full one in, and the same command goes on"
+                    f"no craft with a battery of {FULL_V:g} V and more that stood still for"
+                    f" {CLEAR_S:g} s came within {CHANGED_S / 60:.0f} min; put a full one in, and"
+                    " the same command goes on"
                 )
             time.sleep(1.0)
 

@@ -23,7 +23,6 @@ from groundstation.service.motor_stop import STILL_TURN, STOPPED
 
 if TYPE_CHECKING:
     from groundstation.control.firmwares import Firmware
-    from groundstation.control.programme import LowBattery
     from groundstation.links.software_craft import SoftwareCraft
 
 HOLD_HEIGHT = "flightmode.althold"
@@ -101,6 +100,9 @@ def fly_programme(
         if hands.stop:
             return "stopped by hand"
         reason = send(hands)
+        if reason.startswith(LOW_BATTERY) and hands.flies:
+            table = table[:0]  # what is left of it is for the landing
+            break
         if reason and hands.flies:
             return reason
         if hands.begin and hands.flies and tick >= TAKE_OFF_S * RATE_HZ:
@@ -110,7 +112,6 @@ def fly_programme(
         return NOT_TURNING
     pilot.mark(BEGINS)
     turned: deque[float] = deque(maxlen=round(LEVEL_S * RATE_HZ))
-    reason = ""
     for roll, pitch, yaw, *above in table.tolist():
         if isinstance(sticks, CraftHeight) and above:
             sticks.above_m = above[0]
@@ -119,7 +120,6 @@ def fly_programme(
             return "stopped by hand"
         reason = send(hands, roll, pitch, yaw)
         if reason.startswith(LOW_BATTERY):
-            low = None  # what is left of it is for the landing
             break
         if reason:
             return reason
@@ -127,8 +127,8 @@ def fly_programme(
         clock.wait()
     pilot.mark(LANDS)
     met_dps = max(TOUCHED_DPS, TOUCHED * max(turned, default=0.0))
-    come_down = partial(_come_down, pilot, clock, low, met_dps)
-    return _land(pilot, sticks, clock, low, answer, firmware, come_down) or reason
+    come_down = partial(_come_down, pilot, clock, met_dps)
+    return _land(pilot, sticks, clock, answer, firmware, come_down) or reason
 
 
 def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
@@ -164,13 +164,13 @@ def _land(
     pilot: Pilot | SoftwareCraft,
     sticks: Source,
     clock: Clock,
-    low: LowBattery | None,
     last: dict[str, Any],
     firmware: Firmware | None,
     come_down: Callable[[Iterable[Hands]], str],
 ) -> str:
     """A craft that holds its height is asked for less and less of it or to sink, the stand-in of
-    2014's sinks at a little less thrust than hovered, a human lands by hand."""
+    2014's sinks at a little less thrust than hovered, a human lands by hand. A battery that is low
+    ends none of it."""
     from groundstation.control.programme import RATE_HZ, reason_to_abort
 
     if firmware is not None and firmware.is_today and HOLD_HEIGHT in pilot.parameters():
@@ -196,7 +196,7 @@ def _land(
         hands = sticks.read()
         if hands.stop or not hands.flies:
             return ""
-        reason = reason_to_abort(_sent(pilot, hands), low)
+        reason = reason_to_abort(_sent(pilot, hands), None)
         if reason:
             return reason
         clock.wait()
@@ -219,7 +219,6 @@ def _sent(
 def _come_down(
     pilot: Pilot | SoftwareCraft,
     clock: Clock,
-    low: LowBattery | None,
     met_dps: float,
     steps: Iterable[Hands],
 ) -> str:
@@ -228,7 +227,7 @@ def _come_down(
 
     for hands in steps:
         answer = _sent(pilot, hands)
-        reason = reason_to_abort(answer, low, LANDING)
+        reason = reason_to_abort(answer, None, LANDING)
         if reason:
             return reason
         if _fastest_dps(answer) > met_dps:

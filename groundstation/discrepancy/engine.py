@@ -181,7 +181,8 @@ def _verdict(findings: Findings, judged: FittedRows) -> Verdict:
     if given <= LEFT or findings.verdict is Verdict.UNEXPLAINED:
         return findings.verdict
     explained = (given**2 - found**2) / (given**2 - 1.0)
-    if explained < LEAST_EXPLAINED or (not findings.effects and found > LEFT):
+    nameless = not findings.effects and (found > LEFT or findings.possible)
+    if explained < LEAST_EXPLAINED or nameless:
         return Verdict.UNEXPLAINED
     return findings.verdict
 

@@ -140,7 +140,7 @@ def _alternatives(
     found: dict[str, Instead] = {}
     for other, one in enumerate(variants):
         share, margin, name = float(stood[other]) / len(chosen), float(margins[other]), one.effect
-        if np.isnan(margin) or name == variants[number].effect:
+        if not np.isfinite(margin) or name == variants[number].effect:
             continue
         if margin < RIVAL or (share >= INSTEAD and rate[other] > OFTENER * usual[other]):
             before = found.get(name)

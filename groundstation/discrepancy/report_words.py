@@ -72,6 +72,9 @@ def found_in_words(report: DiscrepancyReport) -> str:
         rest = [title_of(one.name) for one in effects[2:]]
         first = f"Missing in the model: {listed([*names, *rest])}."
         return f"{first} {_how_sure(report)}"
+    if report.verdict == "unexplained" and report.possible:
+        maybe = listed([title_of(one.name) for one in report.possible])
+        return f"Something acts on the craft, and no name is sure: {gap}; possible: {maybe}."
     if report.verdict == "unexplained":
         return (
             f"Something acts on the craft that no effect in the list describes: {gap}, and no name"

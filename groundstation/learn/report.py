@@ -19,7 +19,7 @@ from groundstation.learn.story import (
     GAINS,
     NEW_STEPS,
     mean_rms,
-    open_names,
+    open_words,
 )
 from groundstation.report.figure import figure
 from groundstation.report.page import Page
@@ -203,9 +203,7 @@ def _open(page: Page, outcome: Outcome) -> None:
     found = outcome.found
     if found is None:
         return
-    lines = [f"{name} could also be {', '.join(others)}"
-             for name, others in open_names(found).items()]  # fmt: skip
-    lines += [one.words for one in found.left]
+    lines = [*open_words(found), *(one.words for one in found.left)]
     page.bullets(lines or ["no named effect has another name that explains as much"])
     if found.not_shown:
         page.table(

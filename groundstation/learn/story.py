@@ -56,6 +56,8 @@ WORTH = 0.1
 WORSE = 1.02
 """RMS of new gains over that of the old ones that is no more than noise."""
 BODY_MODEL, GAINS, DESIGN = "body.json", "gains.toml", "design.html"
+MODEL = "model.json"
+"""The last one, with what it lacked."""
 STOCK_STEPS, NEW_STEPS = "steps_before.mcap", "steps_after.mcap"
 PROOF_FLIGHT = "proof.mcap"
 
@@ -146,6 +148,7 @@ class Learner:
             self._tell(f"search{number}", partial(_found_line, found))
             if not open_names(found):
                 break
+        (self.folder / MODEL).write_bytes((self.folder / model).read_bytes())
         self._gains(model)
 
     # flights
@@ -188,7 +191,7 @@ class Learner:
                     )
                 )
                 journal.save(self.folder)
-        if journal.is_empty:
+        if journal.is_empty and journal.flights[-1].file == kept.name:
             self._fly(file, plan, **how)
         elif aborted:
             raise GroundStationError(
@@ -398,6 +401,17 @@ def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
     return {name: [other.name for other in others] for name, others in rivals.items()}
 
 
+def open_words(found: DiscrepancyReport) -> list[str]:
+    """The same in words."""
+    possible = {one.name for one in found.possible}
+    words = []
+    for name, others in open_names(found).items():
+        could = f"could also be {' or '.join(others)}" if others else ""
+        maybe = "is possible, not sure" if name in possible else ""
+        words.append(f"{name} {' and '.join(part for part in (maybe, could) if part)}")
+    return words
+
+
 def known_errors(found: DiscrepancyReport) -> dict[str, float]:
     """What flights say already of effects' sizes, by key: of those that are open nothing."""
     open_ones = {name for pair in open_names(found).items() for name in (pair[0], *pair[1])}
@@ -416,7 +430,6 @@ def _found_line(found: DiscrepancyReport) -> str:
     )
     gap = found.gap.validation
     after = gap.before if gap.after is None else gap.after
-    open_ones = open_names(found)
     corrected = [one for one in found.effects if _corrects(one)]
     hardly = sorted({one.name for one in found.effects}
                     - {one.name for one in (*corrected, *named_effects(found))})  # fmt: skip
@@ -426,8 +439,8 @@ def _found_line(found: DiscrepancyReport) -> str:
         told += f"; the fit's constants are corrected by {said_effect(one.name, one.parameters)}"
     if hardly:
         told += f"; {', '.join(hardly)} too small to be named"
-    for name, others in open_ones.items():
-        told += f"; {name} could also be {', '.join(others)}"
+    for words in open_words(found):
+        told += f"; {words}"
     return told
 
 

@@ -191,6 +191,7 @@ def _command(station: Station) -> list[Operation]:
         )
 
     async def stop(_: None) -> Any:
+        station.jobs.end_flying()
         return requests.Stopped(motors=await commander.stop())
 
     async def stop_own(body: requests.Holder) -> Any:

@@ -93,6 +93,7 @@ class Jobs:
         self._own: dict[str, Job] = {}
         self._new = asyncio.Event()
         self._process: asyncio.subprocess.Process | None = None
+        self._ending: asyncio.Task[None] | None = None
 
     def add(
         self,
@@ -186,6 +187,18 @@ class Jobs:
             self._finished(job)
         return job
 
+    def end_flying(self) -> None:
+        """End a job that flies the craft: the operator has stopped its motors."""
+        for job in self._own.values():
+            if job.kind == "learn" and job.state in ("waiting", "running"):
+                self._ending = asyncio.create_task(self._end_later(job))
+
+    async def _end_later(self, job: Job) -> None:
+        """In flight it ends by itself, and puts back what it has to."""
+        await asyncio.sleep(STOP_S)
+        with contextlib.suppress(BadInputError):  # it has
+            await self.cancel(job.id)
+
     async def run(self) -> None:
         """Do what is asked for, one after the other, for as long as the daemon lives."""
         while True:
@@ -198,6 +211,8 @@ class Jobs:
 
     async def close(self) -> None:
         """End what runs; what waits is forgotten. Safe to call twice."""
+        if self._ending is not None:
+            self._ending.cancel()
         for job in self._own.values():
             if job.state in ("waiting", "running"):
                 job.state, job.text = "cancelled", "the daemon has ended"
@@ -296,6 +311,8 @@ class Jobs:
     def _model(self, name: str, folder: Path) -> str:
         if name == "thesis":
             return name
+        if (self._job_folder(name) / LEARNT / _MODEL).is_file():
+            return str(folder / FOLDER / name / LEARNT / _MODEL)
         if not (self._job_folder(name) / _MODEL).is_file():
             raise BadInputError(f"{name}: no model; give thesis, or the id of a fit that is done")
         return str(folder / FOLDER / name / _MODEL)

@@ -44,7 +44,7 @@ def page(done: Sequence[Done], seconds: float) -> Page:
         ["number", "what it is", "what came out"],
         [
             (
-                one.entry.number.replace(" ", "\u00a0"),
+                one.entry.number.replace(" ", "\u00a0"),  # in one line
                 one.entry.title,
                 _first_sentence(one.made.says),
             )
@@ -67,11 +67,6 @@ def page(done: Sequence[Done], seconds: float) -> Page:
     made.text(COMMANDS_TEXT)
     made.code(_all_commands(done))
     return made
-
-
-def _whole(number: str) -> str:
-    """In one line, however narrow its column."""
-    return number.replace(" ", "\u00a0")
 
 
 def _first_sentence(text: str) -> str:

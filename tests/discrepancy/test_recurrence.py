@@ -54,6 +54,7 @@ def test_what_is_there_is_chosen_again_and_what_is_not_is_hardly(problem):
     found = recurrences(problem, fit, [DAMPING, ABSENT], VARIANTS)
     assert found[DAMPING.label].share == 1.0
     assert found[ABSENT.label].share < 0.6
+    assert all(np.isfinite(other.margin) for one in found.values() for other in one.instead)
 
 
 def test_what_stands_in_a_names_place_is_its_alternative(problem):

@@ -49,6 +49,10 @@ def test_what_is_possible_is_told_apart_with_what_stands_in_its_place():
     (line,) = possible_in_words(told)
     assert line.startswith("possible: tipping moment of blade flapping, chosen in 45 %")
     assert "damping of roll and pitch in 30 %" in line
+    alone = replace(one, effects=(), possible=(doubtful,), verdict=Verdict.UNEXPLAINED)
+    said = found_in_words(report(alone, proof(alone)))
+    assert "no name is sure" in said
+    assert said.endswith("possible: tipping moment of blade flapping.")
     (possible,) = msgspec.to_builtins(told)["possible"]
     assert (possible["name"], possible["recurrence"]) == (NAME, 0.45)
 

@@ -15,7 +15,7 @@ from support.programs import Program
 from support.waiting import until
 
 CRAFT = "software:crazyflie21"
-BESIDE = {"learn.json", "log.txt", "commands.sh", "craft.toml"}
+BESIDE = {"learn.json", "log.txt", "commands.sh", "craft.toml", "model.json"}
 
 
 def learn(folder, link=CRAFT):
