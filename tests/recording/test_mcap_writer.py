@@ -288,7 +288,8 @@ def test_under_the_low_space_mark_the_file_is_finished_cleanly(small_disk, fault
 def test_a_full_disk_keeps_every_whole_chunk_and_says_so_once(small_disk, faults):
     listen, heard = fault_event(faults)
     path = small_disk / "flight.mcap"
-    recorder = McapRecorder(path, METADATA, low_space_bytes=0, flush_s=0.01, on_fault=listen)
+    never = -(1 << 30)  # no room is too little to go on: the write itself has to fail
+    recorder = McapRecorder(path, METADATA, low_space_bytes=never, flush_s=0.01, on_fault=listen)
     given = record_until(lambda: recorder.status().samples >= 500, recorder)
     fill(small_disk / "something_else")
     given = record_until(heard.is_set, recorder, given)
