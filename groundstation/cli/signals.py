@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
@@ -44,9 +45,19 @@ def stopped_by_signals(stop: Callable[[], None], last_resort: Callable[[], None]
     numbers = [n for n in _NUMBERS if n != signal.SIGHUP or signal.getsignal(n) != signal.SIG_IGN]
     # not the loop's own handlers: those say nothing while the loop is blocked
     before = {number: signal.signal(number, handle) for number in numbers}
+    # a signal that comes just before the loop waits would wait with it
+    awake, wake = socket.socketpair()
+    for end in (awake, wake):
+        end.setblocking(False)
+    former = signal.set_wakeup_fd(wake.fileno(), warn_on_full_buffer=False)
+    loop.add_reader(awake, awake.recv, 64)
     try:
         yield
     finally:
         ended.set()
+        loop.remove_reader(awake)
+        signal.set_wakeup_fd(former)
+        awake.close()
+        wake.close()
         for number, handler in before.items():
             signal.signal(number, handler)
