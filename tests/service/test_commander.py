@@ -5,6 +5,7 @@ What happens and in which order; when it does is told on a clock that the test t
 """
 
 import asyncio
+import contextlib
 import math
 import time
 
@@ -283,7 +284,12 @@ def test_an_operator_holds_the_craft_level_and_leaves_the_thrust_to_the_client(f
             pilot.stop()
         assert ask(path, "GET", "/status")["command"]["held_level"] is False
         with Pilot(path, "another") as pilot:
+            until(lambda: is_taken(pilot), "the stop is over")
             steer(pilot, 0.1, roll=13.0)
+
+    def is_taken(pilot):
+        with contextlib.suppress(GroundStationError):
+            return pilot.setpoint(0.0, 0.0, 0.0, 0)
 
     sent = [
         entry for entry in setpoints(fly(conversation, **PATIENT)) if entry["client"] != "dead man"
