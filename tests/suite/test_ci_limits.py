@@ -115,6 +115,18 @@ def test_a_file_that_skips_itself_fails_the_run(suite, tmp_path):
     assert "no library" in done.stdout
 
 
+def test_a_test_that_fails_is_run_again_and_named_and_one_that_is_broken_fails(suite, tmp_path):
+    (tmp_path / "tests" / "test_race.py").write_text(
+        "RUNS = []\n"
+        "def test_race():\n    RUNS.append(1)\n    assert len(RUNS) > 1, 'too early'\n"
+        "def test_broken():\n    assert False\n"
+    )
+    done = suite("-p", "pytest_rerunfailures", "tests/test_race.py::test_race")
+    assert done.returncode == 0, done.stdout
+    assert "run again: tests/test_race.py::test_race: AssertionError: too early" in done.stdout
+    assert suite("-p", "pytest_rerunfailures", "tests/test_race.py").returncode == 1
+
+
 def test_nobody_but_ci_is_held_to_the_lists(suite):
     done = suite("-k", "quick or skips", ci="")
     assert (done.returncode, told(done)) == (0, {}), done.stdout

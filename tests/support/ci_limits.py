@@ -6,6 +6,9 @@ a node id; ``#`` begins its reason.
 ``allowed_skips.txt``: may be skipped; a reason is due.
 ``heavy_tests.txt``: over the limit, and in the short suite all the same; a reason is due.
 ``long_tests.txt``: in the long suite, where no limit holds.
+
+A test that fails there is run again, and named where it then passes: a race that is still to be
+found ends no run of an hour, and is not forgotten.
 """
 
 import os
@@ -21,6 +24,9 @@ FAILS_S = 3 * LIMIT_S
 """From here on the run fails, below it is told only: the first test that needs something made once,
 a fit say, pays for those after it, and which test is the first depends on the workers."""
 PROPERTY = "processor_s"
+RUNS_AGAIN, MOST_AGAIN = 2, 8
+"""How often a test that failed is run again, and how often that may be done by each worker: what
+is broken fails in many tests."""
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -28,6 +34,8 @@ def pytest_configure(config):
     if os.environ.get("CI") != "true":
         return
     config.pluginmanager.register(_Measure(), "ci-measure")
+    options = config.option  # of pytest-rerunfailures
+    options.only_rerun, options.reruns, options.max_suite_reruns = None, RUNS_AGAIN, MOST_AGAIN
     if not hasattr(config, "workerinput"):  # workers measure, who started them judges
         config.pluginmanager.register(_Judge(config.rootpath / "tests"), "ci-limits")
 
@@ -89,7 +97,7 @@ class _Judge:
             **names(folder / "heavy_tests.txt"),
             **names(folder / "long_tests.txt", reasons=False),
         }
-        self._faults, self._slower = {}, {}
+        self._faults, self._slower, self._again = {}, {}, {}
 
     def pytest_collectreport(self, report):
         """A file may skip itself while it is imported."""
@@ -97,6 +105,9 @@ class _Judge:
 
     def pytest_runtest_logreport(self, report):
         self._judge_skip(report)
+        if report.outcome == "rerun":
+            crash = getattr(report.longrepr, "reprcrash", None)
+            self._again[report.nodeid] = str(crash.message if crash else report.longrepr)
         took_s = dict(report.user_properties).get(PROPERTY, 0.0)
         if report.when == "call" and took_s > LIMIT_S and not named(report.nodeid, self._slow):
             told = self._faults if took_s > FAILS_S else self._slower
@@ -120,5 +131,7 @@ class _Judge:
             terminalreporter.section("not allowed in CI", red=True, bold=True)
         for node_id, fault in self._faults.items():
             terminalreporter.write_line(f"CI: {node_id}: {fault}", red=True)
+        for node_id, fault in self._again.items():
+            terminalreporter.write_line(f"run again: {node_id}: {fault[:300]}", yellow=True)
         for node_id, fault in self._slower.items():
             terminalreporter.write_line(f"slow: {node_id}: {fault}", yellow=True)
