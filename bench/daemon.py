@@ -15,12 +15,13 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from bench.table import Row
 from groundstation.errors import GroundStationError
-from groundstation.service.client import Client, live
+from groundstation.service.client import Client, ask, live
 
 SETTLE_S, MEASURED_S = 15.0, 30.0
 PORTS = ("--set", "viewer.port=19876", "--set", "viewer.web_port=19090")
@@ -47,31 +48,52 @@ def at_line_rate(*arguments: str) -> Iterator[Path]:
             [sys.executable, "-m", "firmware_sim", "--serial", f"pty:{folder / 'craft'}"],
             stdout=subprocess.DEVNULL,
         )
-        daemon = subprocess.Popen(
-            [Path(sys.executable).with_name("groundstation"), "run",
-             "--link", f"serial:{folder / 'craft'}", "--recordings", folder / "sessions",
-             *arguments],
-            env={**os.environ, "GROUNDSTATION_SOCKET": str(folder / "control.sock")},
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        line = f"serial:{folder / 'craft'}"
         try:
-            _await_packets(folder / "control.sock")
-            yield folder / "control.sock"
+            with run_daemon(folder, "--link", line, *arguments) as control:
+                until_status(
+                    control, lambda status: (status.get("statistics") or {}).get("packets")
+                )
+                yield control
         finally:
-            for process in (daemon, craft):
-                process.terminate()
-                process.wait(30)
+            craft.terminate()
+            craft.wait(30)
 
 
-def _await_packets(socket: Path) -> None:
-    """Until the daemon receives: on a machine's first start kernels are compiled before that."""
+@contextlib.contextmanager
+def run_daemon(folder: Path, *arguments: str) -> Iterator[Path]:
+    """The control socket of an installed daemon that records to ``folder``, as soon as it has been
+    started."""
+    control = folder / "control.sock"
+    daemon = subprocess.Popen(
+        [Path(sys.executable).with_name("groundstation"), "run",
+         "--recordings", folder / "sessions", *arguments],
+        env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        yield control
+    finally:
+        daemon.terminate()
+        daemon.wait(30)
+
+
+def until_status(control: Path, holds: Callable[[dict[str, Any]], Any]) -> None:
+    """Until the daemon's status is so: on a machine's first start kernels are compiled before it
+    receives."""
     end_s = time.monotonic() + STARTS_WITHIN_S
     while time.monotonic() < end_s:
-        with contextlib.suppress(GroundStationError), Client(socket) as client:
-            if (client.ask("GET", "/status").get("statistics") or {}).get("packets"):
+        with contextlib.suppress(GroundStationError):
+            if holds(ask(control, "GET", "/status")):
                 return
-        time.sleep(0.2)
-    raise TimeoutError(f"the daemon received nothing within {STARTS_WITHIN_S:g} s")
+        time.sleep(0.1)
+    raise TimeoutError(f"the daemon was not ready within {STARTS_WITHIN_S:g} s")
+
+
+def page_address(control: Path) -> str:
+    """Of the page, once it is served."""
+    until_status(control, lambda status: status["page"]["state"] == "serving")
+    return str(ask(control, "POST", "/page/address")["url"])
 
 
 def _measure(socket: Path) -> tuple[float, float, float, float]:

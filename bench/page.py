@@ -7,7 +7,6 @@ machine does meets both.
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import json
 import statistics
@@ -19,9 +18,8 @@ from urllib.parse import urlsplit
 
 import psutil
 
-from bench.daemon import at_line_rate
+from bench.daemon import at_line_rate, page_address
 from bench.table import Row
-from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 
 SETTLE_S, WINDOW_S, WINDOWS = 12.0, 10.0, 6
@@ -37,7 +35,7 @@ def rows() -> Iterator[Row]:
         at_line_rate("--viewer", "off", "--no-page") as bare,
         at_line_rate("--viewer", "off", *page) as shown,
     ):
-        _address(shown)
+        page_address(shown)
         process = _page_process()
         for count in BROWSERS:
             yield from _asked_by(count, bare, shown, process)
@@ -48,7 +46,7 @@ def rows() -> Iterator[Row]:
 def _asked_by(count: int, bare: Path, shown: Path, process: psutil.Process) -> Iterator[Row]:
     ended = threading.Event()
     browsers = [
-        threading.Thread(target=_browse, args=(_address(shown), ended), daemon=True)
+        threading.Thread(target=_browse, args=(page_address(shown), ended), daemon=True)
         for _ in range(count)
     ]
     for one in browsers:
@@ -88,15 +86,6 @@ def _used_s(bare: Path, shown: Path, page: psutil.Process) -> tuple[float, float
 def _spread(values: list[float]) -> float:
     low, _, high = statistics.quantiles(values, n=4)
     return 0.5 * (high - low)
-
-
-def _address(control: Path) -> str:
-    """Of the page, once it is served."""
-    while True:
-        with contextlib.suppress(GroundStationError):
-            if ask(control, "GET", "/status")["page"]["state"] == "serving":
-                return str(ask(control, "POST", "/page/address")["url"])
-        time.sleep(0.2)
 
 
 def _page_process() -> psutil.Process:

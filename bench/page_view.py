@@ -9,8 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import subprocess
-import sys
+import statistics
 import tempfile
 import time
 from collections.abc import Iterator
@@ -19,8 +18,8 @@ from typing import Any
 
 import psutil
 
+from bench.daemon import page_address, run_daemon
 from bench.table import Row
-from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
 from groundstation.viewer.viewer import free_port
 
@@ -73,8 +72,12 @@ def rows() -> Iterator[Row]:
         )
         page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         page.add_init_script(_COUNT)
-        with _daemon() as (control, address):
-            page.goto(address)
+        port = f"page.port={free_port('127.0.0.1')}"
+        with (
+            tempfile.TemporaryDirectory(prefix="bench-") as name,
+            run_daemon(Path(name), "--page", "--set", port) as control,
+        ):
+            page.goto(page_address(control))
             waited_s = _until_moving(page) - _received_s(control)
             yield Row("'receiving' to the first moving craft", waited_s, None, "s", most=3.0)
             page.goto(page.url)
@@ -95,15 +98,11 @@ def _costs(page: Any) -> Iterator[Row]:
         after, lasted_s = _used_s(), time.monotonic() - began_s
         frames.append((page.evaluate("window.frames_seen") - drawn) / lasted_s)
         shares.append({name: (after[name] - before[name]) / lasted_s for name in before})
-    yield Row("frames of the craft", _middle(frames), None, "1/s", least=29.0)
+    yield Row("frames of the craft", statistics.median(frames), None, "1/s", least=29.0)
     for name, most in PROCESSES.items():
         what = "the page's process" if name == "page" else f"Chromium's {name}"
-        share = _middle([one[name] for one in shares])
+        share = statistics.median([one[name] for one in shares])
         yield Row(f"{what}: processor", share, None, "core", most=most)
-
-
-def _middle(values: list[float]) -> float:
-    return sorted(values)[len(values) // 2]
 
 
 def _until_moving(page: Any) -> float:
@@ -138,31 +137,3 @@ def _used_s() -> dict[str, float]:
             if kind in used:
                 used[kind] += times.user + times.system
     return used
-
-
-@contextlib.contextmanager
-def _daemon() -> Iterator[tuple[Path, str]]:
-    """Its control socket and the page's address, as soon as it is served."""
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        control = Path(name) / "control.sock"
-        daemon = subprocess.Popen(
-            [Path(sys.executable).with_name("groundstation"), "run",
-             "--page", "--set", f"page.port={free_port('127.0.0.1')}"],
-            cwd=name, env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        try:
-            yield control, _address(control)
-        finally:
-            daemon.terminate()
-            daemon.wait(30)
-
-
-def _address(control: Path) -> str:
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
-        with contextlib.suppress(GroundStationError):
-            if ask(control, "GET", "/status")["page"]["state"] == "serving":
-                return str(ask(control, "POST", "/page/address")["url"])
-        time.sleep(0.1)
-    raise TimeoutError(f"no page within {PATIENCE_S:g} s")

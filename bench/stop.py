@@ -12,8 +12,6 @@ import multiprocessing
 import os
 import re
 import socket
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from bench.daemon import page_address, run_daemon, until_status
 from bench.table import Row
 from groundstation.errors import GroundStationError
 from groundstation.service.client import ask
@@ -29,12 +28,20 @@ from groundstation.service.client import ask
 PRESSES, EVERY_S, SETTLE_S = 40, 0.1, 2.0
 MOST_S = 0.3
 PAGE_PORT, COMMAND_PORT = 19081, 19851
+DAEMON = (
+    *("--link", "stand-in", "--command", f"udp://127.0.0.1:{COMMAND_PORT}"),
+    *("--viewer", "off", "--page", "--set", f"page.port={PAGE_PORT}"),
+)
 FLOOD, SILENT = 6, 230
 PATIENCE_S = 60.0
 
 
 def rows() -> Iterator[Row]:
-    with tempfile.TemporaryDirectory(prefix="bench-") as name, _daemon(Path(name)) as control:
+    with (
+        tempfile.TemporaryDirectory(prefix="bench-") as name,
+        run_daemon(Path(name), *DAEMON) as control,
+    ):
+        until_status(control, lambda status: status["command"]["state"] == "connected")
         browser = _Browser(control)
         for _ in range(FLOOD):
             time.sleep(0.5)
@@ -77,7 +84,7 @@ class _Browser:
     """One that was let in."""
 
     def __init__(self, control: Path) -> None:
-        parts = urlsplit(_address(control))
+        parts = urlsplit(page_address(control))
         answer = self._ask("GET", f"{parts.path}?{parts.query}", {})
         self._cookie = {"Cookie": str(answer.headers["set-cookie"]).split(";")[0]}
         document = self._ask("GET", "/", self._cookie).read().decode()
@@ -168,36 +175,3 @@ def _sit(sitting: list[socket.socket], ended: threading.Event) -> None:
 def _spin() -> None:
     while True:
         pass
-
-
-@contextlib.contextmanager
-def _daemon(folder: Path) -> Iterator[Path]:
-    control = folder / "control.sock"
-    daemon = subprocess.Popen(
-        [Path(sys.executable).with_name("groundstation"), "run", "--link", "stand-in",
-         "--command", f"udp://127.0.0.1:{COMMAND_PORT}", "--viewer", "off", "--page",
-         "--set", f"page.port={PAGE_PORT}", "--recordings", folder / "sessions"],
-        env={**os.environ, "GROUNDSTATION_SOCKET": str(control)},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        _wait(control, lambda status: status["command"]["state"] == "connected")
-        yield control
-    finally:
-        daemon.terminate()
-        daemon.wait(30)
-
-
-def _address(control: Path) -> str:
-    _wait(control, lambda status: status["page"]["state"] == "serving")
-    return str(ask(control, "POST", "/page/address")["url"])
-
-
-def _wait(control: Path, holds: Callable[[dict], bool]) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < end_s:
-        with contextlib.suppress(GroundStationError):
-            if holds(ask(control, "GET", "/status")):
-                return
-        time.sleep(0.2)
-    raise GroundStationError("bench: the daemon is not ready")

@@ -18,7 +18,12 @@ from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import BODY_KEYS, Variant, value
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import Noise, Spectrum, quadratic
+from groundstation.identification.likelihood.spectra import (
+    Noise,
+    Spectrum,
+    quadratic,
+    white_rows,
+)
 
 Array = NDArray[np.float64]
 
@@ -292,18 +297,10 @@ def _alone(problem: Problem, linear: Linear, variant: Variant) -> Array:
 
 def _block_scores(s: Spectrum, column: Array, problem: Problem, channel: int) -> Array:
     """Scores of whitened rows, summed over blocks of a second."""
-    from scipy.fft import irfft
-
-    root = 1.0 / np.sqrt(problem.noise[channel].at(s.hz))
-    bins = len(s.hz) // 2
-    size = 2 * (bins - 1)
-
-    def rows_of(values: Array) -> Array:
-        white = values * root
-        return np.asarray(irfft(white[:bins] + 1j * white[bins:], size))
-
-    rows = rows_of(column) * rows_of(s.residual) * 0.5 * float(s.weight.sum())
-    step = 1.0 / (2.0 * s.hz[bins - 1])
+    noise = problem.noise[channel]
+    rows = white_rows(s, noise, column) * white_rows(s, noise, s.residual)
+    rows *= 0.5 * float(s.weight.sum())
+    step = 1.0 / (2.0 * s.hz[-1])
     block = max(1, round(BLOCK_S / step))
     count = len(rows) // block
     return np.asarray(rows[: count * block].reshape(count, block).sum(axis=1))

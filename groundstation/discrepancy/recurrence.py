@@ -21,7 +21,7 @@ from groundstation.discrepancy.subsets import Subsets
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import Spectrum
+from groundstation.identification.likelihood.spectra import white_rows
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,10 @@ def by_blocks(problem: Problem, linear: Linear, sizes: Sequence[str]) -> Blocks:
     flight = np.repeat([*pieces], [*pieces.values()])
     normal, gradient = np.zeros((len(flight), count, count)), np.zeros((len(flight), count))
     for s in linear.spectra:
-        rows = white_rows(problem, s)
+        rows = white_rows(
+            s, problem.noise[s.channel], np.concatenate([s.residual[None], s.columns])
+        )
+        rows *= np.sqrt(0.5 * float(s.weight.sum()))
         ends = np.linspace(0, rows.shape[1], pieces[s.flight] + 1).astype(int).tolist()
         for number, (a, b) in enumerate(pairwise(ends), first[s.flight]):
             columns, residual = rows[1:, a:b], rows[0, a:b]
@@ -179,14 +182,3 @@ def by_blocks(problem: Problem, linear: Linear, sizes: Sequence[str]) -> Blocks:
         flight,
         (prior.normal, prior.gradient - prior.normal @ step),
     )
-
-
-def white_rows(problem: Problem, s: Spectrum) -> Array:
-    """A spectrum's residual and columns as whitened rows of time (1 + k, n), the sums of whose
-    products over all of it are those of the likelihood."""
-    from scipy.fft import irfft
-
-    root = np.sqrt(0.5 * float(s.weight.sum()) / problem.noise[s.channel].at(s.hz))
-    bins = len(s.hz) // 2
-    white = np.concatenate([s.residual[None], s.columns]) * root
-    return np.asarray(irfft(white[:, :bins] + 1j * white[:, bins:], 2 * (bins - 1), axis=1))

@@ -33,8 +33,8 @@ MOST_ROUNDS = 16
 class Outcome:
     """final: the joint fit. errors: standard errors by key, everything being free. residual: what
     it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
-    -2 log L on flights left out when it was weighed last. first, last: columns at the model as it
-    was given and at the end; scores: of the first."""
+    -2 log L on flights left out when it was weighed last. first: columns at the model as it was
+    given; scores: of these."""
 
     final: Fit
     errors: dict[str, float]
@@ -44,7 +44,6 @@ class Outcome:
     held_out: dict[str, float]
     first: Screening
     scores: list[Scored]
-    last: Screening
 
 
 def search_effects(search: SearchState) -> None:
@@ -89,5 +88,4 @@ def concluded(search: SearchState) -> Outcome:
         held_out=search.held_out,
         first=search.first,
         scores=search.scores,
-        last=search.last,
     )

@@ -248,6 +248,15 @@ def trimmed(s: Spectrum, noise: Noise) -> Spectrum:
     return replace(s, residual=residual, columns=columns)
 
 
+def white_rows(s: Spectrum, noise: Noise, values: Array) -> Array:
+    """Values (..., 2 m) of a spectrum's channel, whitened, as rows of time (..., n); the sums of
+    their products, times half the sum of its weights, are those of the likelihood."""
+    from scipy.fft import irfft
+
+    white, bins = values * (1.0 / np.sqrt(noise.at(s.hz))), len(s.hz) // 2
+    return np.asarray(irfft(white[..., :bins] + 1j * white[..., bins:], 2 * (bins - 1)))
+
+
 def leverage(spectrum: Spectrum, noise: Noise, covariance: Array) -> Array:
     """Degrees of freedom (2 m,) that a fit with this covariance takes from each value."""
     part = covariance[np.ix_(spectrum.place, spectrum.place)]
