@@ -17,7 +17,7 @@ from groundstation.fleet.gather import gathered
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
 
-SUFFIXES = (".mcap", ".csv", ".npz", ".rrd", ".db3", ".ulg")
+SUFFIXES = (".mcap", ".csv", ".npz", ".db3", ".ulg")
 """Of recordings; a microSD log has no suffix of its own and is named itself."""
 UNFIT = ("damaged", "bad")
 """States of recordings that nothing is made of."""

@@ -18,7 +18,6 @@ from groundstation.recording.ros_bag import is_bag
 from groundstation.recording.session import Recording
 from groundstation.recording.ulog_file import MAGIC as ULOG_MAGIC
 
-_RRD_MAGIC = (b"RRF2", b"RRF1", b"RRF0", b"RRIO")
 _MICROSD_MAGIC = tuple(b"\xbc" + bytes([version, 0]) for version in range(1, 10))
 """Its first byte and the version behind it; later versions are told by their reader."""
 _ZIP_MAGIC = b"PK\x03\x04"
@@ -32,9 +31,9 @@ def is_text(head: bytes) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """has: told by a file's first bytes. reader, writer: ``module.function`` in this package, the
-    writer empty where the format is only read; writers go by the new file's suffix. mapped: reads
-    by a column map, empty where the format takes none."""
+    """has: told by a file's first bytes. reader, writer: ``module.function`` in this package, empty
+    where the format is only written, or only read; writers go by the new file's suffix. mapped:
+    reads by a column map, empty where the format takes none."""
 
     has: Callable[[bytes], bool]
     reader: str
@@ -66,7 +65,7 @@ FORMATS = (
         "parquet_file.write_parquet",
         mapped="parquet_file.read_parquet",
     ),
-    Format(lambda head: head.startswith(_RRD_MAGIC), "rrd.read_rrd", ".rrd", "rrd.write_rrd"),
+    Format(lambda head: False, "", ".rrd", "rrd.write_rrd"),
     Format(lambda head: head.startswith(_MICROSD_MAGIC), "microsd.read_microsd"),
     Format(lambda head: head.startswith(_ZIP_MAGIC), "npz_file.read_npz", keeps_raw=True),
     Format(
@@ -89,8 +88,8 @@ def read_as(path: Path, head: bytes, raw: bool) -> Recording:
         if one.has(head):
             return _read(path, one.reader, {"raw": raw} if one.keeps_raw else {})
     raise RecordingError(
-        f"{path}: neither MCAP, CSV, a microSD log, a rerun recording, a ROS bag, a ULog, a Parquet"
-        " table nor the stand-in's .npz"
+        f"{path}: neither MCAP, CSV, a microSD log, a ROS bag, a ULog, a Parquet table"
+        " nor the stand-in's .npz"
     )
 
 

@@ -18,7 +18,7 @@ _HEAD_BYTES = 4096
 def open_recording(
     path: str | Path, *, raw: bool = False, column_map: str | Path | None = None
 ) -> Recording:
-    """Read an MCAP, CSV, microSD or rerun recording, a ROS bag (also its folder), a ULog or a
+    """Read an MCAP, CSV or microSD recording, a ROS bag (also its folder), a ULog or a
     Parquet table, whatever its name ends with.
 
     raw: also the packets as received, where the file has them.

@@ -40,7 +40,7 @@ class Recording:
 
     path: Path
     kind: str
-    """mcap, csv, microsd or rrd."""
+    """mcap, csv, microsd, parquet, npz, ulog or rosbag."""
     samples: SampleBatch
     raw: RawBatch | None = None
     commands: list[dict[str, Any]] = field(default_factory=list)

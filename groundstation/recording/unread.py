@@ -44,6 +44,11 @@ UNREAD = (
         "a compressed file",
         _UNPACK,
     ),
+    Unread(
+        (b"RRF2", b"RRF1", b"RRF0", b"RRIO"),
+        "a rerun recording",
+        "give the recording that it was made of",
+    ),
     Unread(b"ustar", "a tar archive", _UNPACK, at=257),
     Unread(
         (b"\xd4\xc3\xb2\xa1", b"\x0a\x0d\x0d\x0a"),

@@ -1,16 +1,14 @@
 """What the viewer calls things, and the units in which people read them.
 
-People get degrees, deg/s, g, per cent, volts and rpm; the values stay exact, because a float32
-in SI survives the way through float64 and back (``scaled``, ``unscaled``).
+People get degrees, deg/s, g, per cent, volts and rpm.
 
 | entity | values |
 |---|---|
 | /craft | orientation of the craft: body FLU in the world ENU |
 | /telemetry/attitude, rates, accelerometer, motors, battery, rotors | see ``GROUPS`` |
-| /telemetry/packet | ticks, tick_s, segment, copies, debug: for an exact read-back |
-| /link, /link/NAME | link statistics: all as JSON, and those of ``STATISTICS`` as numbers |
-| /events, /commands | what happened and what was commanded: as text, and as JSON |
-| /tables/NAME/VARIABLE | live only: what a craft logs besides its telemetry |
+| /link/NAME | link statistics: those of ``STATISTICS`` |
+| /events, /commands | what happened and what was commanded, as text |
+| /tables/NAME/VARIABLE | what a craft logs besides its telemetry, further tables of a file |
 | /twin/rates, attitude, accelerometer, gap | live only: measured beside predicted (``twin_log``) |
 
 Timelines: ``device_time`` (duration), ``seq`` (number of the sample) and ``host_time`` (Unix).
@@ -33,17 +31,10 @@ SEQUENCE = "seq"
 HOST_TIME = "host_time"
 
 CRAFT = "/craft"
-PACKET = "/telemetry/packet"
 TABLES = "tables"
 EVENTS = "/events"
 COMMANDS = "/commands"
 LINK = "/link"
-
-SCALARS = "Scalars:scalars"
-OWN_PREFIX = "groundstation."
-PACKET_COLUMNS = ("ticks", "segment", "copies", "debug")
-PACKET_ARCHETYPE = "groundstation.Packet"
-ENTRY_ARCHETYPE = "groundstation.Entry"
 
 ROLL, PITCH, YAW = (239, 83, 80), (102, 187, 106), (66, 165, 245)
 MOTORS = ((255, 167, 38), (38, 198, 218), (171, 127, 230), (212, 225, 87))
@@ -115,9 +106,3 @@ STATISTICS: dict[str, tuple[str, tuple[int, int, int]]] = {
 def scaled(group: Group, values: NDArray[np.float32]) -> NDArray[np.float64]:
     """SI values in the unit that people read."""
     return values.astype(np.float64) * group.per_si
-
-
-def unscaled(group: Group, shown: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Undo ``scaled``, to the last bit of the float32."""
-    with np.errstate(over="ignore"):  # a damaged file: its checksum tells
-        return (shown / group.per_si).astype(np.float32)

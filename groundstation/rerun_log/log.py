@@ -15,14 +15,10 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.rerun_log.channels import (
     CRAFT,
     DEVICE_TIME,
-    ENTRY_ARCHETYPE,
     FLIGHT_TIME,
     GROUPS,
     HOST_TIME,
     LINK,
-    PACKET,
-    PACKET_ARCHETYPE,
-    PACKET_COLUMNS,
     SEQUENCE,
     STATISTICS,
     TABLES,
@@ -84,7 +80,7 @@ class ViewerLog:
     def entries(self, entity: str, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log events or commands: dictionaries with ``time_ns`` (Unix) and whatever JSON can say.
 
-        People read ``link`` and ``text`` where an entry has them, and the JSON otherwise.
+        Shown as ``link`` and ``text`` where an entry has them, and as JSON otherwise.
         """
         for rows in self._parts(self._clock.at_host(_times(entries))):
             self._entries(entity, entries[rows])
@@ -95,8 +91,7 @@ class ViewerLog:
             text = str(entry.get("text") or _json(entry))
             texts.append(f"{entry['link']}: {text}" if entry.get("link") else text)
             levels.append(_LEVELS.get(str(entry.get("kind")), rr.TextLogLevel.INFO))
-        columns = rr.TextLog.columns(text=texts, level=levels)
-        self._send(entity, _times(entries), [*columns, *_json_columns(entries)])
+        self._send(entity, _times(entries), rr.TextLog.columns(text=texts, level=levels))
 
     def statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log link statistics: dictionaries with ``time_ns`` (Unix) and numbers by name."""
@@ -105,7 +100,6 @@ class ViewerLog:
 
     def _statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         times = _times(entries)
-        self._send(LINK, times, _json_columns(entries))
         for name in STATISTICS:
             values = np.array([entry.get(name) for entry in entries], np.float64)
             known = ~np.isnan(values)
@@ -151,9 +145,6 @@ def sample_columns(batch: SampleBatch) -> Iterator[tuple[str, Any]]:
             yield group.entity, rr.Scalars.columns(scalars=scaled(group, values))
     if not np.isnan(batch.attitude).any():
         yield CRAFT, rr.Transform3D.columns(quaternion=quaternions(batch.attitude))
-    columns = {name: getattr(batch, name) for name in PACKET_COLUMNS}
-    columns["tick_s"] = np.full(len(batch), batch.tick_s)
-    yield PACKET, rr.DynamicArchetype.columns(PACKET_ARCHETYPE, components=columns)
 
 
 def quaternions(attitude: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -175,9 +166,3 @@ def _times(entries: Sequence[Mapping[str, Any]]) -> NDArray[np.int64]:
 
 def _json(entry: Mapping[str, Any]) -> str:
     return json.dumps(dict(entry), default=str)
-
-
-def _json_columns(entries: Sequence[Mapping[str, Any]]) -> Any:
-    return rr.DynamicArchetype.columns(
-        ENTRY_ARCHETYPE, components={"json": [_json(entry) for entry in entries]}
-    )

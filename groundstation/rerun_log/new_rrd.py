@@ -7,10 +7,16 @@ import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from groundstation.errors import BadInputError, RecordingError
 from groundstation.paths import taken
+from groundstation.rerun_log.channels import DEVICE_TIME
 from groundstation.rerun_log.installed import require_rerun
+
+ROWS_PER_CHUNK = 4096
 
 
 @contextlib.contextmanager
@@ -40,6 +46,22 @@ def fresh_rrd(path: Path) -> Iterator[Path]:
         ) from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def send_series(stream: Any, entity: str, time_s: Any, values: Any) -> None:
+    """Log the rows (n,) of a series that are known, by device time; the others are gaps."""
+    import rerun as rr
+
+    known = np.flatnonzero(np.isfinite(values))
+    for first in range(0, len(known), ROWS_PER_CHUNK):
+        rows = known[first : first + ROWS_PER_CHUNK]
+        times = np.rint(time_s[rows] * 1e9).astype("timedelta64[ns]")
+        stream.send_columns(
+            entity,
+            indexes=[rr.TimeColumn(DEVICE_TIME, duration=times)],
+            columns=rr.Scalars.columns(scalars=values[rows]),
+            strict=True,
+        )
 
 
 def _require_footer(path: Path) -> None:

@@ -7,8 +7,7 @@ from typing import Any
 
 from groundstation.discrepancy.rerun_overlay import SERIES, Overlay
 from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME
-from groundstation.rerun_log.new_rrd import fresh_rrd
-from groundstation.viewer.panels import send_series
+from groundstation.rerun_log.new_rrd import fresh_rrd, send_series
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255))
 """Measured, model, improved model: on the viewer's dark ground."""

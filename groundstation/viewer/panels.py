@@ -6,15 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from groundstation.identification.fit_record import Panel
 from groundstation.rerun_log.channels import APPLICATION, DEVICE_TIME
-from groundstation.rerun_log.new_rrd import fresh_rrd
+from groundstation.rerun_log.new_rrd import fresh_rrd, send_series
 
 COLORS = ((225, 228, 232), (255, 140, 60), (86, 180, 255), (120, 220, 160))
 """On the viewer's dark ground."""
-ROWS_PER_CHUNK = 4096
 ABOUT = "/about"
 MOST_COLUMNS = 2
 
@@ -26,22 +23,6 @@ def write_panels(panels: Sequence[Panel], text: str, path: Path) -> None:
     """
     with fresh_rrd(path) as part:
         _write(panels, text, part, path.name)
-
-
-def send_series(stream: Any, entity: str, time_s: Any, values: Any) -> None:
-    """The rows (n,) of a series that are known; the others are gaps."""
-    import rerun as rr
-
-    known = np.flatnonzero(np.isfinite(values))
-    for first in range(0, len(known), ROWS_PER_CHUNK):
-        rows = known[first : first + ROWS_PER_CHUNK]
-        times = np.rint(time_s[rows] * 1e9).astype("timedelta64[ns]")
-        stream.send_columns(
-            entity,
-            indexes=[rr.TimeColumn(DEVICE_TIME, duration=times)],
-            columns=rr.Scalars.columns(scalars=values[rows]),
-            strict=True,
-        )
 
 
 def _write(panels: Sequence[Panel], text: str, path: Path, name: str) -> None:

@@ -7,7 +7,6 @@ from groundstation.errors import BadInputError, RecordingError
 from groundstation.recording import formats
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.open_recording import open_recording
-from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
 from support.packets import assert_same_samples, flight, write_flight
 
@@ -43,13 +42,6 @@ def test_a_csv_file_is_known_by_its_content(path):
     assert (recording.samples.ticks == flight(0, 50)[1].ticks).all()
 
 
-def test_a_rerun_recording_is_known_by_its_content(path):
-    write_rrd(Recording(path, "made", flight(0, 50)[1]), path)
-    recording = open_recording(path)
-    assert recording.kind == "rrd"
-    assert len(recording.samples) == 50
-
-
 def test_a_microsd_log_is_known_by_its_content(path):
     header = b"\xbc\x02\x00\x01\x00\xff\xfffixedFrequency\x00\x01\x00gyro.x(f)\x00"
     path.write_bytes(header + b"\0" * 4)
@@ -57,7 +49,7 @@ def test_a_microsd_log_is_known_by_its_content(path):
 
 
 def test_a_column_map_is_for_files_of_other_programs(path, tmp_path):
-    write_rrd(Recording(path, "made", flight(0, 50)[1]), path)
+    path.write_bytes(b"\xbc\x02\x00\x00")
     with pytest.raises(BadInputError, match="takes no column map"):
         open_recording(path, column_map=tmp_path / "map.toml")
 

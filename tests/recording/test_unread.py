@@ -17,6 +17,7 @@ FILES = {
     + REST,
     "a text dump of an ArduPilot log": b"FMT, 128, 89, FMT, BBnNZ, Type,Length\n",
     "a MAVLink telemetry log": (1_600_000_000_000_000).to_bytes(8, "big") + b"\xfd\x1c\x00" + REST,
+    "a rerun recording, which is not read; give the recording that it was made of": b"RRF2" + REST,
     "HDF5": b"\x89HDF\r\n\x1a\n" + REST,
     "a MATLAB file": b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + REST,
     "a compressed file, which is not read; unpack it": b"\x1f\x8b\x08\x00" + REST,

@@ -67,10 +67,10 @@ def test_the_committed_mcap_is_the_committed_csv(tmp_path):
     assert as_csv.read_bytes() == EXCERPT.read_bytes()
 
 
-def test_the_excerpt_converts_to_rerun_and_back(tmp_path):
+def test_the_excerpt_converts_to_rerun_which_is_not_read_back(tmp_path):
     as_rrd = convert(EXCERPT, tmp_path / "excerpt.rrd")
-    as_csv = convert(as_rrd, tmp_path / "excerpt.csv")
-    assert as_csv.read_bytes() == EXCERPT.read_bytes()
+    line = require_failure(in_process("convert", as_rrd, tmp_path / "excerpt.csv"))
+    assert "give the recording that it was made of" in line
 
 
 def test_a_physical_table_has_units_in_its_header_and_the_values(tmp_path):
