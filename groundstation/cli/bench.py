@@ -116,7 +116,6 @@ def motor(
         motor=number,
         segment=None,
         html=html,
-        rerun=None,
         as_json=as_json,
     )
 

@@ -12,6 +12,10 @@ from groundstation.cli.progress import watched
 
 FORMER = {
     "config --reload": "a change takes effect with the next start of the daemon",
+    **dict.fromkeys(
+        (f"fit {what} --rerun" for what in ("motor", "body", "arx")),
+        "--html draws the same series",
+    ),
     "jobs": "jobs are begun and watched on the page ('groundstation page') and by the control API"
     " (POST /jobs/start, GET /jobs)",
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
@@ -41,7 +45,8 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         for word in args:
-            _require_current(ctx, f"{ctx.info_name} {word.partition('=')[0]}")
+            option = word.partition("=")[0]
+            _require_current(ctx, f"{ctx.command_path.partition(' ')[2]} {option}")
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
         for one in given:
             single = one.nargs == 1 and not getattr(one, "multiple", False)

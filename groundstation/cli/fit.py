@@ -34,7 +34,7 @@ from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation import Model, Recording, Run, Vehicle
-    from groundstation.identification.fit_record import Evidence, Identified, Progress
+    from groundstation.identification.fit_record import Identified, Progress
     from groundstation.identification.segments import Selection
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings; several are fitted together.")
@@ -46,9 +46,6 @@ MODEL = typer.Option(
     None, "--model", help="Model to start from: its motor, its effects, what is not fitted."
 )
 WITH = typer.Option("", "--with", help="Effects known to be there, separated by commas.")
-RERUN = typer.Option(
-    None, "--rerun", help="Write what it was fitted to, and says, to this new .rrd for the viewer."
-)
 SEGMENT = typer.Option(
     None, "--segment", metavar="FROM:TO", help="Only these seconds of each recording; repeatable."
 )
@@ -77,7 +74,6 @@ def fit_motor(
     motor: int = typer.Option(1, min=1, max=4, help="Motor that carries the speed sensor."),
     segment: list[str] | None = SEGMENT,
     html: Path | None = HTML,
-    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit a0, a1, a2 on recordings of the motor bench, or of each rotor on flights with recorded
@@ -98,7 +94,7 @@ def fit_motor(
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, rerun, as_json),
+        _Files(recordings, validate or [], output, html, as_json),
         *(vehicle, mass, model, segment),
         motor_runs_in,
     )
@@ -118,7 +114,6 @@ def fit_body(
     ),
     segment: list[str] | None = SEGMENT,
     html: Path | None = HTML,
-    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Fit c0, c1, c2 and thrust_per_mass on flights, in closed loop as they were flown.
@@ -139,7 +134,7 @@ def fit_body(
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, rerun, as_json),
+        _Files(recordings, validate or [], output, html, as_json),
         *(vehicle, mass, model, segment),
         bridged_runs_in,
     )
@@ -164,7 +159,6 @@ def fit_arx(
     ),
     segment: list[str] | None = SEGMENT,
     html: Path | None = HTML,
-    rerun: Path | None = RERUN,
     as_json: bool = AS_JSON,
 ) -> None:
     """Search ARX models of the angles, as the thesis does (its tables 7.3 and 7.5).
@@ -193,7 +187,7 @@ def fit_arx(
 
     _carry_out(
         identify,
-        _Files(recordings, validate or [], output, html, rerun, as_json),
+        _Files(recordings, validate or [], output, html, as_json),
         *(vehicle, mass, model, segment),
     )
 
@@ -204,7 +198,6 @@ class _Files:
     validate: Sequence[Path]
     output: Path
     html: Path | None
-    rerun: Path | None
     as_json: bool
 
 
@@ -231,7 +224,7 @@ def _carry_out(
     from groundstation.recording.craft_family import vehicle_of
     from groundstation.recording.plausibility import require_possible
 
-    for path in (files.output, files.html, files.rerun):
+    for path in (files.output, files.html):
         if path is not None:
             require_new(path)
     require_apart(files.recordings, files.validate)
@@ -286,11 +279,6 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
 
         progress(0.9, "drawing the report")
         report(whole, account, found.evidence).write(files.html)
-    if files.rerun is not None:
-        from groundstation.viewer.panels import write_panels
-
-        progress(0.95, "writing for the viewer")
-        write_panels(found.evidence.panels(), _about(account, found.evidence, files), files.rerun)
     if files.as_json:
         show_json(json.loads(files.output.read_bytes()))
     else:
@@ -298,22 +286,6 @@ def _finish(found: Identified, files: _Files, progress: Progress) -> None:
         for line in origin_notes(whole):
             show(f"  in the file: {line}")
         say_written(files.html)
-        say_written(files.rerun)
-
-
-def _about(account: dict[str, Any], evidence: Evidence, files: _Files) -> str:
-    """The text beside the viewer's plots."""
-    names = ", ".join(path.name for path in files.recordings)
-    found = [f"# {account['what']} of {names}", f"by {account['method']}", ""]
-    estimates = account.get("estimates")
-    if estimates:
-        columns = (estimates[key] for key in ("names", "values", "stderr"))
-        found += [f"- {n}: {v:.5g} ± {e:.2g}" for n, v, e in zip(*columns, strict=True)]
-    for axis, one in account.get("axes", {}).items():
-        found.append(f"- {axis}: {one['chosen']}")
-    found += ["", "Plots: what the recording became before the fit, and held-out rows:", ""]
-    found += [f"- {one.channel}: {one.note}" for one in evidence.traces]
-    return "\n".join(found)
 
 
 def _unit_of(name: str) -> str:

@@ -83,24 +83,8 @@ class Step:
     chosen: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """Channels over time for the viewer. title: with its unit. time_s, lines: (n,) since the
-    recording's first row, and values by name; NaN where there is none. singly: readings that come
-    one by one."""
-
-    title: str
-    time_s: Array
-    lines: Mapping[str, Array]
-    singly: bool = False
-
-
 class Preparation(Protocol):
     """What was made of the recordings before the fit."""
-
-    def panels(self) -> list[Panel]:
-        """The whole run, channel by channel."""
-        ...
 
     def figures(self) -> list[tuple[Figure, str]]:
         """Figures with what one sees in them."""
@@ -116,21 +100,6 @@ class Evidence:
     residuals: Sequence[ResidualTest] = ()
     steps: Sequence[Step] = ()
     preparation: Preparation | None = None
-
-    def panels(self) -> list[Panel]:
-        """What the viewer shows: what the fit was made of, and what it says of held-out rows."""
-        prepared = [] if self.preparation is None else self.preparation.panels()
-        return [
-            *prepared,
-            *(
-                Panel(
-                    f"{one.channel.capitalize()} ({one.unit}), held out",
-                    one.time_s,
-                    {"measured": one.measured, "modelled": one.modelled},
-                )
-                for one in self.traces
-            ),
-        ]
 
 
 @dataclass(frozen=True, slots=True, repr=False)

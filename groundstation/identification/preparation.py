@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.motor import armature_mv
-from groundstation.identification.fit_record import Panel, liveliest
+from groundstation.identification.fit_record import liveliest
 from groundstation.identification.motor.rotor_speed import GateReading, speed_from_gate
 from groundstation.identification.runs import Run
 from groundstation.identification.stretches import Stretch
@@ -56,17 +56,6 @@ class BenchPreparation:
             ),
         ]
 
-    def panels(self) -> list[Panel]:
-        """Half periods, rotor speed and armature voltage of the whole run."""
-        run, name = self.run, f"M{self.motor + 1}"
-        time, gate = run.time_s - run.recording_start_s, speed_from_gate(run)
-        periods = _half_periods_ms(run, gate)
-        return [
-            Panel("Half periods (ms)", time, periods, singly=True),
-            Panel("Rotor speed (rev/s)", time, {name: gate.rev_s}),
-            Panel("Armature voltage (V)", time, {name: self._volts(), "battery": run.supply_v}),
-        ]
-
     def _volts(self) -> Array:
         return np.asarray(armature_mv(self.run.duty, self.run.supply_v)[:, self.motor] / 1e3)
 
@@ -96,23 +85,6 @@ class FlightPreparation:
             if np.isfinite(angle).all():
                 made = against(time[rows], angle, f"{name}, deg", torque[rows, axis], TORQUE)
                 found.append((made, f"{name.capitalize()} and, dashed, its torque."))
-        return found
-
-    def panels(self) -> list[Panel]:
-        """Armature voltages, rotor speeds, angles and torques of the run that the stretch is of."""
-        run, squares = self.stretch.run, self.stretch.squares
-        torque, time = squares.mixed(self.configuration), run.time_s - run.recording_start_s
-        volts = _by_motor(armature_mv(run.duty, run.supply_v) / 1e3)
-        found = [
-            Panel("Armature voltages (V)", time, volts),
-            Panel("Rotor speeds (rev/s)", time, _by_motor(np.sqrt(squares.end))),
-        ]
-        for axis, name in enumerate(AXES):
-            angle = {name: np.degrees(run.attitude[:, axis])}
-            found.append(Panel(f"{name.capitalize()} (deg)", time, angle))
-            found.append(
-                Panel(f"{name.capitalize()} torque: {TORQUE}", time, {name: torque[:, axis]})
-            )
         return found
 
     def _liveliest(self, values: Array) -> slice:

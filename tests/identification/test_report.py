@@ -128,20 +128,3 @@ def test_what_is_drawn_is_where_the_channel_moves_not_where_it_shakes():
     rows = liveliest(shaking + moving, 0.002, 2.0)
     assert 0.002 * rows.start >= 6.5
     assert rows.stop - rows.start == 1000
-
-
-def test_the_viewer_is_given_what_the_fit_was_made_of(pages):
-    bench, body, arx = (
-        {one.title: one for one in pages[kind][0].evidence.panels()}
-        for kind in ("motor", "body", "arx")
-    )
-    halves = bench["Half periods (ms)"]
-    assert {"kept", "left out"} == set(halves.lines)
-    both = np.isfinite(halves.lines["kept"]) & np.isfinite(halves.lines["left out"])
-    assert not both.any()
-    for panels in (bench, body):
-        assert any(title.startswith("Armature volt") for title in panels)
-    assert set(body["Rotor speeds (rev/s)"].lines) == {"M1", "M2", "M3", "M4"}
-    angle, torque = body["Roll (deg)"], body["Roll torque: u', (rev/s)^2"]
-    assert len(angle.time_s) == len(torque.lines["roll"]) > 15000
-    assert [name for name in arx if name.startswith("Roll")]

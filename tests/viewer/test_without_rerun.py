@@ -25,9 +25,9 @@ def without_rerun(*arguments, cwd):
     [
         ("run", "--link", f"replay:{FLIGHT}", "--viewer", "serve", "--no-record"),
         ("convert", FLIGHT, "flight.rrd"),
-        ("fit", "body", FLIGHT, "-o", "body.json", "--rerun", "body.rrd"),
+        ("discrepancy", FLIGHT, "--model", "thesis", "--rerun", "shown.rrd"),
     ],
-    ids=["live view", "convert", "fit --rerun"],
+    ids=["live view", "convert", "discrepancy --rerun"],
 )
 def test_what_needs_rerun_names_the_extra(arguments, tmp_path):
     said = require_failure(without_rerun(*arguments, cwd=tmp_path))
