@@ -43,22 +43,8 @@ def rows() -> Iterator[Row]:
     ):
         until_status(control, lambda status: status["command"]["state"] == "connected")
         browser = _Browser(control)
-        for _ in range(FLOOD):
-            time.sleep(0.5)
-            ask(control, "POST", "/record/stop")
-            ask(control, "POST", "/record/start")
-        pictures = [f"/file/thumbnail/{one['file']}" for one in ask(control, "GET", "/recordings")]
-        pictures = pictures[:FLOOD]
-        drawn = Path(name) / "sessions" / "thumbnails"
-
-        def thumbnails(number: int) -> None:
-            for picture in drawn.glob("*.svg"):
-                picture.unlink(missing_ok=True)
-            browser.get(pictures[number % len(pictures)])
-
         loads: list[tuple[str, list[Callable[[int], None]], bool]] = [
             ("idle", [], False),
-            ("six thumbnails", [thumbnails], False),
             ("six device scans", [lambda number: browser.get("/devices")], False),
             (
                 "a flood of wrong tokens",

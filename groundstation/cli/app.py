@@ -15,7 +15,6 @@ COMMANDS = (
     "control",
     "files",
     "devices",
-    "export",
     "fit",
     "simulate",
     "compare",

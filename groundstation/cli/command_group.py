@@ -12,10 +12,12 @@ from groundstation.cli.progress import watched
 
 FORMER = {
     "config --reload": "a change takes effect with the next start of the daemon",
+    "export": "the header is groundstation/telemetry/groundstation_telemetry.h, also in a wheel",
     **dict.fromkeys(
         (f"fit {what} --rerun" for what in ("motor", "body", "arx")),
         "--html draws the same series",
     ),
+    "inspect --thumbnail": "the page opens a recording with all its plots",
     "jobs": "jobs are begun and watched on the page ('groundstation page') and by the control API"
     " (POST /jobs/start, GET /jobs)",
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"

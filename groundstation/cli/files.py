@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from groundstation import BadInputError
-from groundstation.cli.model_files import AS_JSON, require_new, write_new
+from groundstation.cli.model_files import AS_JSON, require_new
 from groundstation.cli.progress import shown, spoken
 from groundstation.cli.recordings import list_folder
 from groundstation.cli.terminal import show, show_json
@@ -51,7 +51,6 @@ def inspect(
         help="A recording, another program's log, or a folder of recordings, which is listed."
     ),
     columns: str | None = COLUMNS,
-    thumbnail: Path | None = typer.Option(None, help="A new small SVG picture of the flight."),
     as_json: bool = AS_JSON,
 ) -> None:
     """What is in a recording, its quality and its gaps.
@@ -62,17 +61,11 @@ def inspect(
     from groundstation.recording.ros_bag import is_bag_folder
 
     if file.is_dir() and not is_bag_folder(file):
-        if columns is not None or thumbnail is not None:
-            raise BadInputError(f"{file}: is a folder; --columns and --thumbnail are for one file")
+        if columns is not None:
+            raise BadInputError(f"{file}: is a folder; --columns is for one file")
         list_folder(file, as_json)
         return
-    if thumbnail is not None:
-        require_new(thumbnail)
     recording = _open(file, columns)
-    if thumbnail is not None:
-        from groundstation.recording.thumbnail import thumbnail as drawn
-
-        write_new(thumbnail, drawn(recording.samples))
     report = inspect_recording(recording)
     if as_json:
         show_json(report)

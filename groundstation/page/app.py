@@ -71,12 +71,6 @@ _REPORT = (
 """Of a report: it holds its styles and figures, runs nothing, and belongs to no site."""
 
 
-_PICTURE = {
-    "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; sandbox",
-    "cache-control": "private, max-age=600",
-}
-
-
 def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
     """The page of the daemon at ``control``."""
     document = (STATIC / "page.html").read_text()
@@ -299,9 +293,6 @@ def _file(control: Path, kind: str, name: str) -> Response:
         if name in [one["file"] for one in ask(control, "GET", "/recordings")]:
             folder = Path(ask(control, "GET", "/config")["recording.folder"])
             return FileResponse(folder / name, filename=name)
-    elif kind == "thumbnail":
-        svg = ask(control, "POST", "/recordings/thumbnail", {"file": name})["svg"]
-        return Response(svg, media_type="image/svg+xml", headers=_PICTURE)
     elif kind == "log":
         text = ask(control, "POST", "/jobs/log", {"id": name})["text"]
         return PlainTextResponse(text)

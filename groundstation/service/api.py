@@ -76,9 +76,6 @@ def _telemetry(station: Station) -> list[Operation]:
         await station.switch_link(name, model)
         return overview.status(station)
 
-    async def thumbnail(body: requests.RecordingName) -> Any:
-        return requests.Thumbnail(svg=await station.thumbnails.of(body.file))
-
     async def devices(_: None) -> Any:
         return await station.devices.look()
 
@@ -92,8 +89,6 @@ def _telemetry(station: Station) -> list[Operation]:
                   requests.Mark, requests.Done),
         Operation("GET", "/recordings", "The folder's recordings by name", recordings,
                   answer=list[CatalogueEntry]),
-        Operation("POST", "/recordings/thumbnail", "A recording as a small picture", thumbnail,
-                  requests.RecordingName, requests.Thumbnail),
         Operation("POST", "/link", "Receive from another link, recording on", switch,
                   requests.LinkName, Status),
         Operation("GET", "/devices", "What is plugged in or in reach", devices,

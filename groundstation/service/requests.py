@@ -82,18 +82,6 @@ class Mark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 File = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]
 
 
-class RecordingName(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file of the recordings folder."""
-
-    file: File
-
-
-class Thumbnail(msgspec.Struct, frozen=True, kw_only=True):
-    """svg: motors as an area, roll and pitch as lines, over the whole recording."""
-
-    svg: str
-
-
 EffectName = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 
 

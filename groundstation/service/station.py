@@ -37,7 +37,6 @@ from groundstation.service.recording_manager import RecordingManager
 from groundstation.service.sessions import Sessions
 from groundstation.service.stream import Stream
 from groundstation.service.supervisor import Supervisor
-from groundstation.service.thumbnails import Thumbnails
 from groundstation.service.twin import SOURCE, TwinService
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import RawBatch, SampleBatch
@@ -118,7 +117,6 @@ class Station:
         self.page = PageService(config.page, socket)
         self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"), socket)
         self.devices = DeviceList(self.craft.flies_by_dongle)
-        self.thumbnails = Thumbnails(lambda: self.sessions.folder)
         self.models = Models(self.jobs.entries)
         self.twin = TwinService(
             config.twin.model,

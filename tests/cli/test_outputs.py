@@ -23,7 +23,7 @@ def commands(group, *path):
 
 
 EVERY = dict(commands(typer.main.get_command(app)))
-SILENT = {("run",), ("export", "header"), ("install", "udev"), ("install", "service")}
+SILENT = {("run",), ("install", "udev"), ("install", "service")}
 """What answers nothing that a program would read: the daemon is asked with ``status``."""
 
 
@@ -41,7 +41,6 @@ def test_json_is_a_flag_that_prints_and_after_discrepancy_alone_a_file():
 MISSING = [
     ("convert", EXCERPT, "{}"),
     ("recover", TORN, "-o", "{}"),
-    ("export", "header", "-o", "{}"),
     ("attitude", RECORDINGS / "stand_in_flight.mcap", "-o", "{}"),
     ("simulate", "--model", "thesis", "--reference", "hover", "-o", "{}"),
     ("compare", EXCERPT, "--model", "thesis", "--html", "{}"),

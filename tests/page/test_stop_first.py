@@ -64,7 +64,7 @@ def test_a_stop_is_answered_while_all_else_that_was_asked_for_waits(tmp_path):
             asyncio.ensure_future(asked(app, method, path, who, body))
             for _ in range(OTHERS)
             for method, path, who, body in (
-                ("GET", "/file/thumbnail/a.mcap", headers, None),
+                ("GET", "/file/log/fit", headers, None),
                 ("GET", "/devices", headers, None),
                 ("GET", "/?token=x", stranger, None),
                 ("POST", "/do/link", headers, {"name": "stand-in"}),

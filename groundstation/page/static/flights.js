@@ -61,9 +61,8 @@ function make(one) {
   select.setAttribute("aria-label", `Role of ${one.file}`);
   select.append(new Option("–", ""), new Option("fit", "use"), new Option("proof", "proof"));
   const row = element("tr");
-  const cells = [select, one.file, "", "", "", "", "", "",
-    element("span", "links")];
-  cells[8].append(button("Open", one.file, () => openRecording(one.file)),
+  const cells = [select, one.file, "", "", "", "", "", element("span", "links")];
+  cells[7].append(button("Open", one.file, () => openRecording(one.file)),
     link(`file/recording/${encodeURIComponent(one.file)}`, "Download", one.file, true));
   for (const content of cells) {
     const cell = element("td");
@@ -77,48 +76,10 @@ function update(row, one) {
   const records = one.state === "recording";
   const began = one.start_ns ? one.start_ns / 1e6 : begunAt(one.file);
   const long = one.duration_s ?? (records && began ? (Date.now() - began) / 1000 : null);
-  const texts = { 3: began ? dated(began) : "",
-    4: long === null ? "" : `${long.toFixed(1)} s`, 5: one.link ?? "",
-    6: `${(one.bytes / 1e6).toFixed(1)} MB`, 7: WORDS[one.state] ?? one.state };
+  const texts = { 2: began ? dated(began) : "",
+    3: long === null ? "" : `${long.toFixed(1)} s`, 4: one.link ?? "",
+    5: `${(one.bytes / 1e6).toFixed(1)} MB`, 6: WORDS[one.state] ?? one.state };
   for (const [place, text] of Object.entries(texts)) {
     writeIn(row.cells[place], text);
   }
-  if (!records && !row.cells[2].firstElementChild) row.cells[2].append(picture(one));
-}
-
-const LOADING_MOST = 2; // of the six requests that a browser has for all its pages, Stop among them
-const waiting = [];
-let loading = 0;
-
-function loadNext() {
-  while (loading < LOADING_MOST && waiting.length) {
-    const { made, src } = waiting.shift();
-    loading += 1;
-    for (const end of ["load", "error"]) made.addEventListener(end, ended, { once: true });
-    made.src = src;
-  }
-}
-
-function ended() {
-  loading -= 1;
-  loadNext();
-}
-
-const seen = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) {
-    if (!isIntersecting) continue;
-    seen.unobserve(target);
-    waiting.push({ made: target, src: target.dataset.src });
-  }
-  loadNext();
-});
-
-function picture(one) {
-  const made = element("img");
-  made.width = 160;
-  made.height = 40;
-  made.alt = `Motors, roll and pitch of ${one.file}`;
-  made.dataset.src = `file/thumbnail/${encodeURIComponent(one.file)}`;
-  seen.observe(made); // drawn by the daemon when somebody looks
-  return made;
 }

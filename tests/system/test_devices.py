@@ -1,24 +1,20 @@
-"""``devices`` and ``export`` through the installed command, on what this machine really has."""
+"""``devices`` through the installed command, on what this machine really has."""
 
 import json
 import os
 import pty
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import usb.core
 import usb.util
 from serial.tools.list_ports import comports
 
-from groundstation import cli
 from groundstation.cli.devices import port_row
 from groundstation.cli.usb_devices import usb_devices
 from support.daemons import COMMAND, in_process, require_failure
 from support.programs import Program, run_program
-
-HEADER = Path(cli.__file__).parents[1] / "telemetry" / "groundstation_telemetry.h"
 
 
 @pytest.fixture
@@ -178,19 +174,6 @@ def test_a_bus_that_cannot_be_read_is_told(monkeypatch):
     assert "USB cannot be listed" in problem
 
 
-def test_the_header_goes_to_stdout_or_to_a_file(tmp_path):
-    assert in_process("export", "header").stdout == HEADER.read_text()
-    path = tmp_path / "groundstation_telemetry.h"
-    assert in_process("export", "header", "-o", path).returncode == 0
-    assert path.read_text() == HEADER.read_text()
-
-
-def test_a_header_that_cannot_be_written_is_one_line(tmp_path):
-    line = require_failure(in_process("export", "header", "-o", tmp_path))
-    assert str(tmp_path) in line
-
-
-@pytest.mark.parametrize("command", [["devices"], ["export", "header"]])
-def test_help_has_an_example(command):
-    result = run_program([COMMAND, *command, "--help"])
+def test_help_has_an_example():
+    result = run_program([COMMAND, "devices", "--help"])
     assert "Example: groundstation" in result.stdout
