@@ -1,13 +1,12 @@
-"""``bench``: a craft that is fixed, its motors driven and identified (thesis 7.2)."""
+"""``bench``: a craft that is fixed, its motors driven and recorded (thesis 7.2)."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from groundstation import BadInputError, GroundStationError, Pilot, socket_path
+from groundstation import GroundStationError, Pilot, socket_path
 from groundstation.cli.command_group import Commands
 from groundstation.cli.commanding import (
     await_connection,
@@ -18,8 +17,7 @@ from groundstation.cli.commanding import (
     require_ended,
     require_ready,
 )
-from groundstation.cli.fit import fit_motor
-from groundstation.cli.model_files import AS_JSON, HTML, MASS, VEHICLE, require_new
+from groundstation.cli.model_files import AS_JSON
 from groundstation.cli.pid_manoeuvres import SetpointClock, stop_motors
 from groundstation.cli.terminal import say, show, show_json
 
@@ -36,8 +34,8 @@ WARNING = (
 def add_commands(app: typer.Typer) -> None:
     bench = Commands(
         no_args_is_help=True,
-        help="A craft fixed to a bench: drive its motors and identify them."
-        "\n\nExample: [bold]groundstation bench motor --profile steps -o motor.json[/bold]",
+        help="A craft fixed to a bench: drive its motors, for them to be identified."
+        "\n\nExample: [bold]groundstation bench motor --profile steps[/bold]",
     )
     bench.command("motor")(motor)
     app.add_typer(bench, name="bench")
@@ -52,27 +50,19 @@ def motor(
     hold: float = typer.Option(0.4, help="How long each level is held, s."),
     seconds: float = typer.Option(40.0, help="How long the motors are driven."),
     seed: int = typer.Option(0, help="Of the random levels."),
-    output: Path | None = typer.Option(
-        None, "-o", "--output", help="Fit the motor to this new model file."
-    ),
-    number: int = typer.Option(1, "--motor", min=1, max=4, help="Which carries the speed sensor."),
-    effects: str = typer.Option("", "--with", help="Effects to fit, as 'fit motor --with'."),
-    vehicle: str | None = VEHICLE,
-    mass: float | None = MASS,
     dry_run: bool = typer.Option(False, "--dry-run", help="Show what would be driven."),
     yes: bool = typer.Option(
         False, "--yes", help="Do not ask before the propellers of a real craft turn."
     ),
-    html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
-    """Drive the motors of a fixed craft through a thrust profile, record, and fit a motor.
+    """Drive the motors of a fixed craft through a thrust profile and record it, for 'fit motor'.
 
     A client of a running daemon with a command link ('groundstation run --command ...'). Needs a
     speed sensor on one propeller, or a craft that logs its rotors' speeds. Ctrl-C stops the
     motors.
 
-    Example: [bold]groundstation bench motor --profile steps -o motor.json[/bold]
+    Example: [bold]groundstation bench motor --profile steps[/bold]
     """
     from groundstation.control.thrust_profile import ThrustProfile, require_drivable
 
@@ -85,11 +75,6 @@ def motor(
         seed=seed,
     )
     require_drivable(planned)
-    for path in (output, html):
-        if path is not None:
-            require_new(path)
-    if html is not None and output is None:
-        raise BadInputError("--html: a report of a fit, which needs -o")
     if dry_run:
         if as_json:
             show_json({"profile": planned.as_dict()})
@@ -99,37 +84,10 @@ def motor(
         return
     report = _drive(planned, yes)
     require_ended(report, "bench")
-    if output is None:
-        if as_json:
-            show_json(report)
-        else:
-            show(f"recording: {report['recording']}; 'groundstation fit motor' fits it")
-        return
-    fit_motor(
-        recordings=[_recorded(report)],
-        output=output,
-        validate=None,
-        vehicle=vehicle,
-        mass=mass,
-        model=None,
-        effects=effects,
-        motor=number,
-        segment=None,
-        html=html,
-        as_json=as_json,
-    )
-
-
-def _recorded(report: dict[str, Any]) -> Path:
-    """The recording of what was driven. Raises BadInputError where it cannot be read from here."""
-    recording = Path(report["recording"])
-    if not recording.exists():
-        raise BadInputError(
-            f"driven and recorded to {recording}, which is not there: start bench motor where it"
-            " can read the daemon's recordings"
-        )
-    say(f"recording: {recording}", error=True)
-    return recording
+    if as_json:
+        show_json(report)
+    else:
+        show(f"recording: {report['recording']}; 'groundstation fit motor' fits it")
 
 
 def _drive(profile: ThrustProfile, yes: bool) -> dict[str, Any]:

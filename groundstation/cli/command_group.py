@@ -14,6 +14,13 @@ FORMER = {
     "config --reload": "a change takes effect with the next start of the daemon",
     "export": "the header is groundstation/telemetry/groundstation_telemetry.h, also in a wheel",
     **dict.fromkeys(
+        (
+            f"bench motor {one}"
+            for one in ("-o", "--output", "--html", "--with", "--motor", "--mass", "--vehicle")
+        ),
+        "'groundstation fit motor' fits the recording that is made",
+    ),
+    **dict.fromkeys(
         (f"fit {what} --rerun" for what in ("motor", "body", "arx")),
         "--html draws the same series",
     ),

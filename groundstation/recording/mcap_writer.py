@@ -93,7 +93,6 @@ class McapRecorder:
     metadata: name -> key -> text; see ``session_metadata`` for the one named ``session``.
     flush_s: how often what is queued is written and synced, seconds.
     batch_s: consecutive batches are merged into messages of up to this long, seconds.
-    ros2_hz: as ``RecordingFile`` takes it.
     queue_bytes: bound of what waits for the disk.
 
     Raises BadInputError where ``path`` exists, RecordingError where it cannot be created or
@@ -107,12 +106,11 @@ class McapRecorder:
         *,
         flush_s: float = 0.2,
         batch_s: float = 0.05,
-        ros2_hz: float = 0.0,
         low_space_bytes: int = 16 * MEBIBYTE,
         queue_bytes: int = 64 * MEBIBYTE,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:
-        self._out = RecordingFile(path, metadata, ros2_hz=ros2_hz)
+        self._out = RecordingFile(path, metadata)
         self._path = path
         self._flush_s, self._batch_s = flush_s, batch_s
         self._low_space_bytes, self._queue_bytes = low_space_bytes, queue_bytes

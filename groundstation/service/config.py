@@ -80,14 +80,6 @@ class RecordingConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         float,
         _key("delete the oldest recordings beyond this, MiB; 0: never delete", ge=0, le=1e9),
     ] = 0.0
-    ros2_hz: Annotated[
-        float,
-        _key(
-            "rows a second also written for ROS 2's tools (profile ros2), 500: all; 0: none",
-            ge=0,
-            le=1000,
-        ),
-    ] = 0.0
 
 
 class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -172,6 +164,7 @@ class Config(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 FORMER = {
     "control.tcp_port": "the control API is on its Unix socket alone; from another machine, or by a"
     " port, 'ssh -N -L PORT:SOCKET HOST' leads to it",
+    "recording.ros2_hz": "'groundstation convert FILE bag.mcap --ros2 500' makes a bag of it",
 }
 """Keys of earlier versions, and what does their work now."""
 

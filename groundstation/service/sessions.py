@@ -43,12 +43,11 @@ class Sessions:
         metadata: dict[str, dict[str, str]],
         *,
         low_space_bytes: int,
-        ros2_hz: float = 0.0,
         on_fault: Callable[[str], None],
         clock: HostClock | None = None,
     ) -> None:
         self.folder = folder
-        self.low_space_bytes, self._ros2_hz = low_space_bytes, ros2_hz
+        self.low_space_bytes = low_space_bytes
         self._metadata = metadata
         self._on_fault = on_fault
         self._clock = clock or steady_clock()
@@ -77,7 +76,6 @@ class Sessions:
                 **self._metadata,
             },
             low_space_bytes=self.low_space_bytes,
-            ros2_hz=self._ros2_hz,
             on_fault=partial(self._fault, path),
         )
         self._session, self._part = session, part

@@ -153,7 +153,6 @@ class Station:
                 "configuration": _recorded_configuration(self.config),
             },
             low_space_bytes=round(recording.low_space_mb * MEBIBYTE),
-            ros2_hz=recording.ros2_hz,
             on_fault=self._recorder_fault,
             clock=self.clock,
         )

@@ -1,5 +1,6 @@
 """``bench motor`` against a real daemon: thrust out over CRTP, blade times back, a motor."""
 
+import json
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.recording.open_recording import open_recording
 from groundstation.service.client import ask
-from support.daemons import COMMAND, Daemon, require_failure
+from support.daemons import COMMAND, Daemon
 from support.programs import Program, free_port, run_program
 from support.waiting import until
 
@@ -46,22 +47,22 @@ def bench(daemon, *arguments):
 
 def test_a_motor_driven_over_the_command_link_is_the_one_that_was_fitted(daemon, tmp_path):
     model, page = tmp_path / "motor.json", tmp_path / "motor.html"
-    done = bench(daemon, "--seconds", 8, "--seed", 3, "-o", model, "--html", page)
+    done = bench(daemon, "--seconds", 8, "--seed", 3, "--json")
     assert done.returncode == 0, done.stderr
+    recorded = json.loads(done.stdout)["recording"]
+    fit = [COMMAND, "fit", "motor", recorded, "-o", str(model), "--html", str(page)]
+    run_program(fit, check=True, timeout=120)
     assert "PROPELLERS WILL TURN at up to 80% of full thrust for 8 s" in done.stderr
     truth, motor = load_vehicle("crazyflie1").motor, load_model(model).motor
     for name in ("a0", "a1", "a2"):
         assert getattr(motor, name) == pytest.approx(getattr(truth, name), rel=0.03)
     assert "<svg" in page.read_text()
-    name = done.stderr.split("recording: ")[1].splitlines()[0]
-    recording = open_recording(Path(name))
+    recording = open_recording(Path(recorded))
     sent = [e["thrust"] for e in recording.commands if e["kind"] == "setpoint"]
     assert max(sent) <= 0.8 * 65535 + 1
     assert sent[-1] == 0
     assert not recording.samples.duty[-20:].any()
     assert any(e["text"] == "bench motor begins" for e in recording.events)
-    refused = require_failure(bench(daemon, "--seconds", 8, "-o", model))
-    assert "motor.json" in refused
 
 
 def begun(daemon):
