@@ -30,6 +30,7 @@ FORMER = {
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
     " 'groundstation link stand-in:ID' flies one, POST /models/watch watches with one",
     "recordings": "'groundstation inspect FOLDER' lists a folder of recordings",
+    "pid evaluate --thesis": "'groundstation thesis' has the printed tables",
     "run --page-port": "give --set page.port=PORT",
     "run --viewer-port": "give --set viewer.port=PORT",
     "run --web-port": "give --set viewer.web_port=PORT",

@@ -29,7 +29,7 @@ def add_commands(app: typer.Typer) -> None:
     pid = Commands(
         no_args_is_help=True,
         help="Controllers: evaluate gains on a model, design them, fly them."
-        "\n\nExample: [bold]groundstation pid evaluate --thesis[/bold]",
+        "\n\nExample: [bold]groundstation pid evaluate --model body.json[/bold]",
     )
     pid.command("evaluate")(evaluate)
     pid.command("design")(pid_design.design)
@@ -43,9 +43,6 @@ def evaluate(
     gains: Path | None = typer.Option(None, "--gains", help="TOML file of gains."),
     loop: str = typer.Option(
         "", "--loop", help="direct (u' in (rev/s)^2), whole (Figure 8.10) or firmware."
-    ),
-    thesis: bool = typer.Option(
-        False, "--thesis", help="The printed controllers beside the printed tables 8.5-8.7."
     ),
     delay: int | None = DELAY,
     firmware: str | None = FIRMWARE,
@@ -75,13 +72,6 @@ def evaluate(
 
     if html is not None:
         require_new(html)
-    if thesis:
-        if html is not None:
-            raise BadInputError(
-                "--thesis: its figures are drawn by 'groundstation thesis -o FOLDER'"
-            )
-        _evaluate_thesis(delay, as_json)
-        return
     if not 0.1 <= seconds <= 60.0:
         raise BadInputError(f"--seconds {seconds}: must be 0.1..60")
     given: dict[str, PidGains] | dict[str, float] = {} if gains is None else load_gains(gains)
@@ -108,44 +98,3 @@ def evaluate(
     for line in table_lines(METRICS_HEAD, [metrics_row(one) for one in results]):
         show(line)
     say_written(html)
-
-
-def _evaluate_thesis(delay: int | None, as_json: bool) -> None:
-    from groundstation.control.report import THESIS_HEAD, table_lines, thesis_rows
-    from groundstation.control.thesis_tables import (
-        DELAYS,
-        FINDING,
-        printed_cases,
-    )
-
-    delays = DELAYS if delay is None else (delay,)
-    cases = printed_cases(delays)
-    if as_json:
-        show_json(
-            {
-                "finding": FINDING,
-                "cases": [
-                    {
-                        "axis": case.axis,
-                        "controller": case.controller,
-                        "delay_samples": case.delay,
-                        "stable": case.stable,
-                        "most_delay_samples": case.most_delay,
-                        **case.metrics.as_dict(),
-                        "printed": dict(
-                            zip(
-                                ("rms", "overshoot_pct", "settling_s"),
-                                case.printed,
-                                strict=True,
-                            )
-                        ),
-                    }
-                    for case in cases
-                ],
-            },
-        )
-        return
-    for line in table_lines(THESIS_HEAD, thesis_rows(cases)):
-        show(line)
-    show()
-    show(FINDING)

@@ -12,7 +12,6 @@ from groundstation.control.evaluate import AxisResult
 from groundstation.control.loop_figures import add_loop_figures
 from groundstation.control.metrics import StepMetrics
 from groundstation.control.step_analysis import Flown, FlownAxis
-from groundstation.control.thesis_tables import PrintedCase
 from groundstation.report.figure import HEAT, figure
 from groundstation.report.page import Page
 from groundstation.report.theme import BAD, IMPROVED, MEASURED, MODELLED, NEUTRAL
@@ -225,42 +224,6 @@ def flight_figure(flown: Flown) -> Figure:
         panel.legend(loc="lower right")
     panels[0].set_ylabel("response / step")
     return made
-
-
-THESIS_HEAD = (
-    "axis",
-    "controller",
-    "delay samples",
-    "RMS error",
-    "printed",
-    "overshoot %",
-    "printed",
-    "settling s",
-    "printed",
-    "settled at",
-    "stable up to samples",
-)
-
-
-def thesis_rows(cases: Sequence[PrintedCase]) -> list[list[Any]]:
-    """Rows under ``THESIS_HEAD``."""
-    rows: list[list[Any]] = []
-    for case in cases:
-        rms, overshoot, settling = case.printed
-        m = case.metrics
-        ours: list[Any] = ["unstable", "", "", ""]
-        if case.stable:
-            end = "" if m.settling_s is None else f"{1 - m.steady_state_error:.2f}"
-            settled = "not in window" if m.settling_s is None else f"{m.settling_s:.3f}"
-            ours = [f"{m.rms:.3f}", f"{m.overshoot_pct:.0f}", settled, end]
-        most = "never" if case.most_delay is None else str(case.most_delay)
-        rows.append(
-            [
-                case.axis, case.controller, case.delay, ours[0], f"{rms:.4f}", ours[1],
-                f"{overshoot:.0f}", ours[2], f"{settling:.1f}", ours[3], most,
-            ]
-        )  # fmt: skip
-    return rows
 
 
 def front_figure(

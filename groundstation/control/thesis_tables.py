@@ -1,8 +1,14 @@
-"""What the thesis prints of its controllers: gains (Tables 8.1-8.4), results (8.5-8.7)."""
+"""What the thesis prints of its controllers: gains (Tables 8.1-8.4), results (8.5-8.7).
+
+``python -m groundstation.control.thesis_tables`` prints both beside what the printed gains give, as
+JSON.
+"""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from typing import Any
 
 from groundstation.control.linear_loop import axis_plant, is_stable, most_delay, step_direct
 from groundstation.control.metrics import StepMetrics
@@ -92,6 +98,17 @@ class PrintedCase:
     most_delay: int | None
     printed: tuple[float, float, float]
 
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "axis": self.axis,
+            "controller": self.controller,
+            "delay_samples": self.delay,
+            "stable": self.stable,
+            "most_delay_samples": self.most_delay,
+            **self.metrics.as_dict(),
+            "printed": dict(zip(("rms", "overshoot_pct", "settling_s"), self.printed, strict=True)),
+        }
+
 
 def printed_cases(delays: tuple[int, ...] = DELAYS, model: Model = THESIS) -> list[PrintedCase]:
     """Every printed controller on the printed models, and on roll and yaw as the rounding of their
@@ -128,3 +145,7 @@ def printed_plant(label: str, delay: int, model: Model = THESIS) -> ArxAxis:
     if label not in rounded:
         return plant
     return ArxAxis(plant.na, plant.nb, plant.nk, (rounded[label], *plant.a[1:]), plant.b, plant.ts)
+
+
+if __name__ == "__main__":
+    print(json.dumps([case.as_dict() for case in printed_cases()], indent=2))

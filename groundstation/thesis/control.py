@@ -79,7 +79,7 @@ def _results(key: str, unit: str, scale: str) -> Callable[[Workshop], Made]:
     def make(workshop: Workshop) -> Made:
         cases = {
             (case["controller"], case["axis"], case["delay_samples"]): case
-            for case in workshop.said("controllers.json")["cases"]
+            for case in workshop.said("controllers.json")
         }
         rows: list[list[Cell]] = []
         for name in GAINS:

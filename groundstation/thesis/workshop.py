@@ -46,7 +46,7 @@ RECIPES = {
     "by_body.json": "groundstation compare held.csv --model body.json --json > by_body.json",
     "by_arx.json": "groundstation compare held.csv --model arx.json --json > by_arx.json",
     "by_rates.json": "groundstation compare held.csv --model rates.json --json > by_rates.json",
-    "controllers.json": "groundstation pid evaluate --thesis --json > controllers.json",
+    "controllers.json": "python -m groundstation.control.thesis_tables > controllers.json",
     "limits.json": "groundstation pid design --model thesis --loop direct --delay 2 --axis roll"
     " --json > limits.json",
     "whole.toml": "groundstation pid convert printed.toml --model thesis --to whole -o whole.toml",

@@ -27,25 +27,6 @@ def pid(*arguments):
     return result.stdout
 
 
-def test_the_printed_tables_stand_beside_what_the_printed_gains_give(tmp_path):
-    report = json.loads(pid("evaluate", "--thesis", "--json"))
-    assert "P barely holds" in report["finding"]
-    assert len(report["cases"]) == 40
-    pi = next(
-        case
-        for case in report["cases"]
-        if (case["axis"], case["controller"], case["delay_samples"]) == ("roll", "PI", 2)
-    )
-    assert pi["rms"] == pytest.approx(0.325, abs=0.001)
-    assert pi["printed"] == {"rms": 0.3292, "overshoot_pct": 100.0, "settling_s": 0.4}
-    assert pi["most_delay_samples"] == 5
-    with pytest.raises(BadInputError, match="groundstation thesis -o"):
-        pid("evaluate", "--thesis", "--html", tmp_path / "thesis.html")
-    table = pid("evaluate", "--thesis", "--delay", "3")
-    assert "stable up to samples" in table
-    assert len(table.splitlines()) == 1 + 20 + 2
-
-
 def test_stock_and_designed_gains_are_evaluated_on_a_fitted_model(tmp_path):
     stock = json.loads(pid("evaluate", "--model", BODY, "--json"))
     page = tmp_path / "pid.html"

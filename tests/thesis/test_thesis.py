@@ -80,7 +80,7 @@ def test_a_part_is_made_with_its_page_and_its_commands(tmp_path):
         assert re.search(r"\nCommands? \d", section), one["number"]
     script = (tmp_path / "some" / "commands.sh").read_text()
     assert "'groundstation thesis' ran" in script
-    assert "groundstation pid evaluate --thesis --json > controllers.json" in script
+    assert "python -m groundstation.control.thesis_tables > controllers.json" in script
 
 
 def test_a_folder_that_holds_something_is_refused(tmp_path):
