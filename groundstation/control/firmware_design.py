@@ -7,10 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.control.design import Design, Limits, optimise, reasons
+from groundstation.control.design import (
+    SENSITIVITY,
+    Design,
+    Limits,
+    closest,
+    optimise,
+    reasons,
+)
 from groundstation.control.firmware_loop import (
     GAIN_MOST,
     SUPPLY_MV,
@@ -102,23 +110,15 @@ def design_cascade(
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
-    require_certain(model, axes)
-    firmware = firmware_of_vehicle(model_vehicle(model), release)
 
     def one(axis: str) -> AxisDesign:
-        plants = [
-            plant_of_model(other, release=release, turning=turning)
-            for other in corners(model, axis)
-        ]
-        judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
-        kind = "yaw" if axis == "yaw" else "roll"
-        low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
+        plants, judge, low, high, stock = _searched(
+            model, axis, limits, supply_mv, release, turning
+        )
         design = optimise(
             judge, low, high, limits, seed, budget, progress=lambda s: progress(axis, s)
         )
-        names = firmware.gain_names(axis)
-        gains = {n: _rounded(v) for n, v in zip(names, design.gains, strict=True)}
-        stock = {name: firmware.stock[name] for name in names}
+        gains = {n: _rounded(v) for n, v in zip(stock, design.gains, strict=True)}
         alone = CascadeJudge(plants[:1], axis, WINDOW_S, 0.0, supply_mv)
         nominal = alone(np.array([list(gains.values())]))[0]
         return AxisDesign(
@@ -129,11 +129,59 @@ def design_cascade(
             nominal,
             cascade_margins(plants[0], gains, axis, supply_mv),
             cascade_margins(plants[0], stock, axis, supply_mv),
-            reasons(alone, gains, {name: gain_meaning(name)[1] for name in names}, limits),
+            reasons(alone, gains, {name: gain_meaning(name)[1] for name in gains}, limits),
         )
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return list(pool.map(one, axes))
+
+
+def closest_cascade(
+    model: Model,
+    axis: str,
+    limits: Limits,
+    seed: int = 0,
+    supply_mv: float = SUPPLY_MV,
+    budget: Budget = BUDGET,
+    release: str | None = None,
+) -> tuple[dict[str, float], Array, Array]:
+    """Gains of an axis that follow a step the closest within the limits, which they keep as
+    ``design_cascade``'s do; their judgement, and that of the stock gains that it begins with. Where
+    those are more sensitive than the limit, the gains may be as sensitive.
+
+    Raises BadInputError where the model is too uncertain, or no gains keep the limits.
+    """
+    _, judge, low, high, stock = _searched(model, axis, limits, supply_mv, release)
+    before = np.array([list(stock.values())])
+    judged_before = judge(before)[0]
+    if np.isfinite(own := judged_before[SENSITIVITY]):
+        limits = msgspec.structs.replace(limits, sensitivity=max(limits.sensitivity, float(own)))
+    start = np.clip(before, low, high)
+    gains, judged = closest(judge, low, high, limits, start, seed, budget)
+    rounded = {n: _rounded(v) for n, v in zip(stock, gains, strict=True)}
+    return rounded, judged, judged_before
+
+
+def _searched(
+    model: Model,
+    axis: str,
+    limits: Limits,
+    supply_mv: float,
+    release: str | None,
+    turning: Turning | None = None,
+) -> tuple[list[Plant], CascadeJudge, Array, Array, dict[str, float]]:
+    """Plants of a model (the nominal one first), their judge, where gains are searched, (d,) each,
+    and the stock gains. Raises BadInputError where the model is too uncertain."""
+    require_certain(model, (axis,))
+    firmware = firmware_of_vehicle(model_vehicle(model), release)
+    plants = [
+        plant_of_model(other, release=release, turning=turning) for other in corners(model, axis)
+    ]
+    judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
+    kind = "yaw" if axis == "yaw" else "roll"
+    low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
+    stock = {name: firmware.stock[name] for name in firmware.gain_names(axis)}
+    return plants, judge, low, high, stock
 
 
 def robustness(

@@ -246,6 +246,10 @@ UNUSABLE = 4.0
 """Maximum sensitivity beyond which a loop is not worth simulating."""
 
 
+STILL_S, STILL_RAD_S = 0.3, 1e-6
+"""A craft in trim turns no faster in so long."""
+
+
 COLUMNS = {
     "pid_rate": {"kp": 0, "ki": 1, "kd": 5},
     "pid_attitude": {"kp": 2, "ki": 3, "kd": 4},
@@ -255,7 +259,8 @@ COLUMNS = {
 
 class CascadeJudge:
     """Judges gains (m, d) of one axis, as ``Firmware.gain_names`` orders them, by a step of
-    ``STEP_RAD``.
+    ``STEP_RAD``; a craft that does not hover level with equal motors (an uneven rotor, a gyro's
+    offset) by the mean of one up and one down, in which its trim cancels.
 
     plants: of one firmware.
     Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of a
@@ -290,6 +295,7 @@ class CascadeJudge:
         for name in names:
             self._stock[_column(name)] = firmware.stock[name]
         self._columns = [_column(name) for name in firmware.gain_names(axis)]
+        self._sides = [(1.0, -1.0) if _drifts(plant, supply_mv) else (1.0,) for plant in plants]
         if not firmware.is_today:
             self._stock[_column(f"pid_rate.{axis}_kd")] = 0.0  # without effect
 
@@ -300,30 +306,37 @@ class CascadeJudge:
         gains = np.tile(self._stock, (len(candidates), 1))
         gains[:, self._columns] = candidates
         worst, one = np.zeros((len(gains), 7)), np.zeros((len(gains), 7))
-        peak, effort, compliance = (np.empty(len(gains)) for _ in range(3))
-        y = np.zeros((len(gains), self._rows))
+        peak, compliance = np.empty(len(gains)), np.empty(len(gains))
         room = self._rest.copy()
-        for plant, parts in zip(self._plants, self._parts, strict=True):
+        for plant, parts, sides in zip(self._plants, self._parts, self._sides, strict=True):
             left = np.flatnonzero(np.isfinite(worst[:, 0]))
             level = 512.0 * plant.hover_duty(self._supply)
-            cascade_many(
-                plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
-                *plant.turned_by, plant.start,
-                self._rest[0], room[0], self._index, gains[left], *parts,
-                self._late, *self._ratios, UNUSABLE, self._size,
-                plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
-                peak[: len(left)], effort[: len(left)], compliance[: len(left)],
-                y[: len(left)],
-            )  # fmt: skip
-            measure_many(y[: len(left)], SAMPLE_PERIOD_S, self._band, one)
+            y = np.zeros((len(sides), len(left), self._rows))
+            effort = np.empty((len(sides), len(left)))
+            for side, response, largest in zip(sides, y, effort, strict=True):
+                cascade_many(
+                    plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
+                    *plant.turned_by, plant.start,
+                    self._rest[0], room[0], self._index, gains[left], *parts,
+                    self._late, *self._ratios, UNUSABLE, side * self._size,
+                    plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
+                    peak[: len(left)], largest, compliance[: len(left)], response,
+                )  # fmt: skip
+            measure_many(y.mean(axis=0), SAMPLE_PERIOD_S, self._band, one)
             here = one[: len(left)]
             here[:, 2] = np.where(np.isnan(here[:, 2]), np.inf, here[:, 2])
             here[:, 3] = np.abs(here[:, 3])
-            here[:, 4], here[:, 5] = peak[: len(left)], effort[: len(left)]
+            here[:, 4], here[:, 5] = peak[: len(left)], effort.max(axis=0)
             here[:, 6] = compliance[: len(left)]
             here[~np.isfinite(here[:, 4])] = np.inf
             worst[left] = np.maximum(worst[left], here)
         return worst
+
+
+def _drifts(plant: Plant, supply_mv: float) -> bool:
+    """Whether stock gains have something to trim where nothing is asked for."""
+    still = run_cascade(plant, {}, np.zeros((round(STILL_S / SAMPLE_PERIOD_S), 3)), None, supply_mv)
+    return bool(np.abs(still.gyro).max() > STILL_RAD_S)
 
 
 def _column(name: str) -> int:

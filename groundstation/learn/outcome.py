@@ -10,22 +10,17 @@ from typing import Any
 import msgspec
 
 from groundstation.control.step_analysis import Flown as Steps
-from groundstation.control.step_recording import analyse_recording
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
 from groundstation.dynamics.model import Model, load_model
+from groundstation.learn.gains import flown_steps, mean_missed
 from groundstation.learn.journal import Journal
 from groundstation.learn.story import (
     BODY_MODEL,
-    CLIENT,
-    NEW_STEPS,
-    STOCK_STEPS,
-    mean_rms,
     named_effects,
     open_names,
     read_found,
     said_effect,
 )
-from groundstation.recording.open_recording import open_recording
 
 WITHIN = 1.96
 """Standard errors that hold 95 % of estimates."""
@@ -76,7 +71,7 @@ class Outcome:
         if self.names_right is False:
             faults.append("names")
         if self.steps is not None and self.journal.gains.startswith("written"):
-            before, after = map(mean_rms, self.steps)
+            before, after = map(mean_missed, self.steps)
             faults += ["steps"] if after >= before else []
         return faults
 
@@ -113,7 +108,7 @@ class Outcome:
             "gains": self.journal.gains,
             "step_rms": None
             if self.steps is None
-            else dict(zip(("before", "after"), map(mean_rms, self.steps), strict=True)),
+            else dict(zip(("before", "after"), map(mean_missed, self.steps), strict=True)),
             "hidden": None
             if self.hidden is None
             else [{"effect": s.effect, "parameter": s.parameter, "true": s.true, "value": s.value,
@@ -132,14 +127,10 @@ def outcome_of(journal: Journal, folder: Path) -> Outcome:
     found = None if last is None else read_found(last)
     model = BODY_MODEL if last is None else f"{last.stem}.model.json"
     loaded = load_model(str(folder / model))
-    flights = journal.good(STOCK_STEPS), journal.good(NEW_STEPS)
+    doublets = [one for one in journal.flights if one.file.startswith("steps_") and not one.aborted]
     steps = None
-    if flights[0] is not None and flights[1] is not None:
-        before, after = (
-            analyse_recording(open_recording(folder / one.file), loaded, one.gains, CLIENT)
-            for one in flights
-            if one is not None
-        )
+    if len(doublets) > 1:
+        before, after = (flown_steps(folder, doublets[n], loaded) for n in (0, -1))
         steps = before, after
     hidden = None if journal.task.hide is None else _hidden(folder, found)
     return Outcome(journal, folder, loaded, found, "" if last is None else last.stem, steps, hidden)

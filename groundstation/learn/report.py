@@ -11,14 +11,12 @@ from groundstation.control.step_analysis import Flown as Steps
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
 from groundstation.discrepancy.report_words import meaning
 from groundstation.dynamics.meanings import meaning_of, title_of
+from groundstation.learn.gains import mean_missed
 from groundstation.learn.journal import JOURNAL
 from groundstation.learn.outcome import Outcome, said_named
 from groundstation.learn.story import (
     BODY_MODEL,
-    DESIGN,
     GAINS,
-    NEW_STEPS,
-    mean_rms,
     open_words,
 )
 from groundstation.report.figure import figure
@@ -151,14 +149,13 @@ def _gains(page: Page, outcome: Outcome) -> None:
     page.heading("Gains before and after")
     page.verdict(f"{outcome.journal.gains[:1].upper()}{outcome.journal.gains[1:]}.",
                  "good" if outcome.journal.gains.startswith("written") else "neutral")  # fmt: skip
-    flown = {one.file: one.gains for one in outcome.journal.flights}
-    if outcome.journal.former and NEW_STEPS in flown:
-        page.table(
-            ["gain", "before", "designed"],
-            [[name, old, flown[NEW_STEPS][name]] for name, old in outcome.journal.former.items()],
-        )
     if outcome.steps is None:
         return
+    flown = [one for one in outcome.journal.flights if not one.aborted][-1].gains
+    page.table(
+        ["gain", "before", "designed"],
+        [[name, old, flown[name]] for name, old in outcome.journal.former.items()],
+    )
     before, after = outcome.steps
     page.figure(
         steps_figure(before, after),
@@ -176,8 +173,8 @@ def _gains(page: Page, outcome: Outcome) -> None:
             for old, new in zip(before.axes, after.axes, strict=True)
             for _rms in [lambda one, step=old.step: None if one is None else one.rms / step]
         ],
-        f"RMS: of the step's size. Mean of the axes: {mean_rms(before):.3f} before,"
-        f" {mean_rms(after):.3f} after.",
+        f"RMS: of the step's size. Mean of the axes: {mean_missed(before):.3f} before,"
+        f" {mean_missed(after):.3f} after.",
     )  # fmt: skip
 
 
@@ -228,6 +225,6 @@ def _behind(page: Page, outcome: Outcome) -> None:
     names = [one.file for one in outcome.journal.flights]
     names += [BODY_MODEL, "body.html", *(f"plan{n}.json" for n in (1, 2))]
     names += [f"{outcome.found_name}{end}" for end in (".html", ".json", ".model.json")]
-    names += [GAINS, DESIGN, SCRIPT, LOG, JOURNAL, "craft.toml", "sealed.toml"]
+    names += [GAINS, SCRIPT, LOG, JOURNAL, "craft.toml", "sealed.toml"]
     there = [name for name in dict.fromkeys(names) if (outcome.folder / name).exists()]
     page.links([(name, name) for name in there])

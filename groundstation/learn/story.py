@@ -10,23 +10,25 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from groundstation.control.design import RMS, SENSITIVITY
-from groundstation.control.design import Limits as DesignLimits
-from groundstation.control.design_report import firmware_page, firmware_report
-from groundstation.control.firmware_design import AxisDesign, cascade_limits, design_cascade
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.pid import AXES
-from groundstation.control.programme import Programme
-from groundstation.control.search import Budget
-from groundstation.control.step_analysis import Flown as Steps
-from groundstation.control.step_recording import analyse_recording
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
-from groundstation.dynamics.model import load_model, model_vehicle
+from groundstation.dynamics.model import Model, load_model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.unknowns import to_point
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.likelihood.parameters import KEYS
+from groundstation.learn.gains import (
+    AFTER,
+    BEFORE,
+    axis_of,
+    designed_gains,
+    flown_steps,
+    mean_missed,
+    of_better_axes,
+    step_flight,
+)
 from groundstation.learn.journal import Journal, Landed
 from groundstation.learn.manoeuvres import (
     BODY,
@@ -41,24 +43,19 @@ from groundstation.learn.manoeuvres import (
 from groundstation.learn.planning import Planned, plan_flight
 from groundstation.recording.open_recording import open_recording
 from groundstation.shell import Shell
+from groundstation.text import listed
 
-CLIENT = "learn"
 BATTERY_S = 300.0
 """In the air on one battery: the firmware lands a Crazyflie after some 6 to 7 minutes."""
 DESIGNED_S = 45.0
 """Of a flight that is designed."""
 ROUNDS = 2
 """Designed flights at most: one for everything, one for names that the first could not settle."""
-BUDGET = Budget(first=120, population=16, generations=20)
-STEPS_HOLD_S, STEPS_REPEATS = 0.7, 2
 WORTH = 0.1
 """Of the size worth finding: what is smaller in every number is told, and not named."""
-WORSE = 1.02
-"""RMS of new gains over that of the old ones that is no more than noise."""
-BODY_MODEL, GAINS, DESIGN = "body.json", "gains.toml", "design.html"
+BODY_MODEL, GAINS = "body.json", "gains.toml"
 MODEL = "model.json"
 """The last one, with what it lacked."""
-STOCK_STEPS, NEW_STEPS = "steps_before.mcap", "steps_after.mcap"
 PROOF_FLIGHT = "proof.mcap"
 
 
@@ -94,15 +91,6 @@ class Pilot(Protocol):
     def write(self, gains: Mapping[str, float]) -> None: ...
 
     def await_battery(self) -> None: ...
-
-
-class StepFlight(Programme):
-    """Doublets of every axis, with what the journal wants to know."""
-
-    purpose = "doublets, to see how the gains follow"
-
-    def timeline(self) -> list[dict[str, Any]]:
-        return [{"at_s": 0.0, "seconds": self.seconds, "fly": f"{self.repeats} doublets an axis"}]
 
 
 class Learner:
@@ -253,74 +241,61 @@ class Learner:
     # gains
 
     def _gains(self, model: str) -> None:
-        if self.journal.gains:
+        """Fly the steps with the gains before and with the designed ones, without those of an axis
+        that does not follow better, until all that are left do; those are written."""
+        journal, loaded = self.journal, load_model(str(self.folder / model))
+        if journal.gains:
             return
         try:
-            gains = self._design(model)
+            gains = self._design(loaded)
         except BadInputError as error:
             self._settle(f"none: {error}")
             return
-        angle = self.limits.lean(10.0, STEPS_HOLD_S)
-        flight = StepFlight(angle_deg=angle, hold_s=STEPS_HOLD_S, repeats=STEPS_REPEATS)
-        self._fly(STOCK_STEPS, flight, steps=True)
-        before = self.journal.good(STOCK_STEPS)
-        assert before is not None
-        self.journal.former = {name: before.gains[name] for name in gains}
-        try:
-            self._fly(NEW_STEPS, flight, steps=True, gains=gains)
-        except GroundStationError as error:
-            if "cut short" not in str(error):
-                raise
-            self._settle(f"put back: {error}")
-            return
-        old, new = self.steps(STOCK_STEPS, model), self.steps(NEW_STEPS, model)
-        worse = [
-            one.axis
-            for one, other in zip(new.axes, old.axes, strict=True)
-            if one.measured.rms / one.step > WORSE * other.measured.rms / other.step
-        ]
-        was, now = mean_rms(old), mean_rms(new)
-        told = f"steps miss by {now:.3f} of their size (RMS), by {was:.3f} before"
-        if worse or now >= was:
-            why = f"worse about {', '.join(worse)}" if worse else "no better"
-            self._settle(f"put back: {told}; {why}")
+        steps = step_flight(self.limits)
+        self._fly(BEFORE, steps, steps=True)
+        former = self._landed(BEFORE)
+        journal.former = {name: former.gains[name] for name in gains}
+        before = after = flown_steps(self.folder, former, loaded)
+        number, flew = 0, dict[str, float]()
+        while gains and gains != flew:
+            number, flew = number + 1, gains
+            try:
+                self._fly(AFTER.format(number), steps, steps=True, gains=gains)
+            except GroundStationError as error:
+                if "cut short" not in str(error):
+                    raise
+                self._settle(f"put back: {error}")
+                return
+            after = flown_steps(self.folder, self._landed(AFTER.format(number)), loaded)
+            gains = of_better_axes(gains, before, after)
+        told = f"steps miss by {mean_missed(after):.3f} of their size (RMS),"
+        told += f" by {mean_missed(before):.3f} before"
+        if not gains:
+            self._settle(f"put back: {told}; worse about every axis that was changed")
             return
         self.pilot.write(gains)
+        kept = [axis for axis in AXES if axis not in map(axis_of, gains)]
+        told += f"; {listed(kept)} as before" if kept else ""
+        journal.former = {name: former.gains[name] for name in gains}
         self._settle(f"written: {told}")
+
+    def _landed(self, file: str) -> Landed:
+        flight = self.journal.good(file)
+        assert flight is not None
+        return flight
 
     def _settle(self, what: str) -> None:
         self.journal.gains = what
         self._tell("gains", lambda: what)
 
-    def _design(self, model: str) -> dict[str, float]:
-        """As ``pid design``, with fewer candidates, and of those on its front that keep the limits
-        the ones that miss a step the least. Raises BadInputError where there are none."""
-        if not (self.folder / GAINS).exists():
+    def _design(self, model: Model) -> dict[str, float]:
+        """Those in the folder, or new ones. Raises BadInputError where there are none."""
+        path = self.folder / GAINS
+        if not path.exists():
             self._say("designing gains for the model that was found")
-            loaded = load_model(str(self.folder / model))
-            release = firmware_of_vehicle(model_vehicle(loaded)).name
-            limits = cascade_limits()
-            designs = design_cascade(loaded, AXES, limits, budget=BUDGET, release=release)
-            report = firmware_report(loaded, release, designs, None, limits)
-            page = self.folder / DESIGN
-            page.unlink(missing_ok=True)
-            firmware_page(loaded, model, designs, None, report).write(page)
-            found = {k: v for one in designs for k, v in followers(one, limits).items()}
-            if not found:
-                raise BadInputError("by the model the stock gains follow steps best on every axis")
-            (self.folder / GAINS).write_text(gains_text(found, release), encoding="utf-8")
-        gains = load_gains(self.folder / GAINS)
-        return {name: value for name, value in gains.items() if isinstance(value, float)}
-
-    def steps(self, file: str, model: str) -> Steps:
-        """The doublets of a flight, measured, and as a model predicts them."""
-        flight = self.journal.good(file)
-        if flight is None:
-            raise BadInputError(f"{self.folder / file}: was not flown to its end")
-        recording = open_recording(self.folder / file)
-        return analyse_recording(
-            recording, load_model(str(self.folder / model)), flight.gains, CLIENT
-        )
+            release = firmware_of_vehicle(model_vehicle(model)).name
+            path.write_text(gains_text(designed_gains(model), release), encoding="utf-8")
+        return {k: v for k, v in load_gains(path).items() if isinstance(v, float)}
 
     # words
 
@@ -353,19 +328,6 @@ class Learner:
             )
         )
         return f"{told}; the next flights are for what this model lacks, and for the proof"
-
-
-def followers(design: AxisDesign, limits: DesignLimits) -> dict[str, float]:
-    """Of an axis's front, within the limits, the gains with the least RMS of a step; none where by
-    the model the stock gains follow it as closely."""
-    front, gains, stock = design.design.front, design.design.front_gains, design.before
-    kept = np.flatnonzero(front[:, SENSITIVITY] <= limits.sensitivity)
-    best = min(kept, key=lambda row: front[row, RMS], default=None)
-    if best is None or front[best, RMS] >= design.design.judgement[RMS]:
-        return design.gains if design.design.judgement[RMS] < stock[RMS] else {}
-    if front[best, RMS] >= stock[RMS]:
-        return {}
-    return {name: float(f"{v:.4g}") for name, v in zip(design.gains, gains[best], strict=True)}
 
 
 def read_found(path: Path) -> DiscrepancyReport:
@@ -454,11 +416,6 @@ def said_effect(name: str, parameters: Mapping[str, Any]) -> str:
     return f"{name} ({', '.join(parts)})"
 
 
-def mean_rms(flown: Steps) -> float:
-    """RMS of the steps as a share of their size, mean of the axes."""
-    return float(np.mean([one.measured.rms / one.step for one in flown.axes]))
-
-
 def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
     """How many flights there are to come at most, and s in the air."""
     seed = journal.task.seed
@@ -470,8 +427,8 @@ def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
     seconds = {name: plan.seconds for name, plan in plans.items()}
     seconds |= {f"flight{n + 2}.mcap": DESIGNED_S + TAKE_OFF_S + LANDING_S
                 for n in range(1, ROUNDS + 1)}  # fmt: skip
-    steps = StepFlight(hold_s=STEPS_HOLD_S, repeats=STEPS_REPEATS).seconds
-    seconds |= dict.fromkeys((STOCK_STEPS, NEW_STEPS), steps + TAKE_OFF_S + LANDING_S)
+    steps = step_flight(limits).seconds + TAKE_OFF_S + LANDING_S
+    seconds |= {BEFORE: steps} | {AFTER.format(n): steps for n in range(1, len(AXES) + 1)}
     left = [s for name, s in seconds.items() if journal.good(name) is None]
     return len(left), sum(left)
 
