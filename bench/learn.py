@@ -1,4 +1,4 @@
-"""``python -m bench.learn``: crafts learnt whole, effects hidden by seed, the seal opened in the end.
+"""``python -m bench.learn``: crafts learnt whole, effects hidden by seed, the seal opened at last.
 
 A folder a craft and seed: one that was begun is gone on with, one that ``results.jsonl`` has is
 not learnt again.

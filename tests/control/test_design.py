@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from firmware_sim.craft import StandIn, StandInSettings
 from groundstation.control.design import (
     OVERSHOOT,
+    RMS,
     SENSITIVITY,
     SETTLING,
     Limits,
@@ -28,6 +29,7 @@ from groundstation.control.firmware_design import (
     WINDOW_S,
     Robustness,
     cascade_limits,
+    closest_cascade,
     design_cascade,
     robustness,
 )
@@ -166,6 +168,14 @@ def test_a_design_for_the_firmware_keeps_its_limits_and_beats_stock_gains():
     assert np.isfinite(row[SETTLING])
     assert len(one.reasons) == len(one.gains) == 2
     assert all(name in reason for name, reason in zip(one.gains, one.reasons, strict=True))
+
+
+def test_the_closest_followers_keep_the_limits_and_follow_closer_than_stock_gains_and_designs():
+    gains, judged, stock = closest_cascade(MODEL, "yaw", cascade_limits(), budget=SMALL)
+    assert judged[SENSITIVITY] <= 2.0
+    assert judged[RMS] <= designed_yaw().design.judgement[RMS]
+    assert judged[RMS] < 0.9 * stock[RMS]
+    assert list(gains) == ["pid_rate.yaw_kp", "pid_rate.yaw_ki"]
 
 
 def test_the_stored_gains_hold_on_models_drawn_from_the_covariance():

@@ -275,6 +275,23 @@ def test_many_gains_are_judged_as_each_alone():
             assert row[4] == pytest.approx(peak, rel=0.02)
 
 
+def test_trim_has_no_part_in_how_gains_are_judged():
+    uneven = EffectTerm("rotor_mismatch", {"rotor": Estimate(1.0), "excess": Estimate(0.03)})
+    model = late_model(vehicle="crazyflie21")
+    table = np.array([[250.0, 500.0, 2.5, 6.0, 3.0], [120.0, 50.0, 4.0, 8.0, 1.0]])
+    even, trimmed = (
+        CascadeJudge(
+            [plant_of_model(msgspec.structs.replace(model, effects=effects))], "pitch", 1.5
+        )
+        for effects in (model.effects, (*model.effects, uneven))
+    )
+    # rms, overshoot, settling, offset
+    for one, other, within in zip(
+        even(table).T, trimmed(table).T, (0.003, 1.0, 0.02, 0.01), strict=False
+    ):
+        assert one == pytest.approx(other, abs=within)
+
+
 def test_a_judge_calls_unstable_what_runs_away():
     plant = plant_of_model(late_model())
     table = np.array([[70.0, 3.5, 2.0, 0.0], [200.0, 3.5, 2.0, 0.0], [15.0, 3.0, 1.0, 0.0]])

@@ -51,7 +51,7 @@ def test_ctrl_c_in_a_flight_stops_the_motors_keeps_what_was_flown_and_it_goes_on
 
     said = interrupted(folder, in_second_flight, "the second flight begins")
     lines = said.splitlines()
-    assert "ahead: 7 flights" in said
+    assert "ahead: 9 flights" in said
     assert lines.index(next(one for one in lines if one.startswith("ahead"))) < lines.index(
         next(one for one in lines if one.startswith("flying"))
     )
@@ -107,6 +107,22 @@ def test_ctrl_c_in_a_later_phase_loses_nothing_and_it_goes_on_there(tmp_path, ph
         assert {name: (folder / name).read_bytes() for name in before} == before
         made = {path.name for path in folder.iterdir()} - {*before}
         assert all(name.partition(".")[2].startswith("cut") for name in made - BESIDE)
+
+
+def test_an_axis_that_flies_worse_keeps_its_gains_and_the_others_are_flown_again(tmp_path):
+    folder, link = tmp_path / "learnt", "software:crazyflie1"
+    begun(folder, link, "crazyflie1", "steps")
+    lazy_roll, quick_yaw = '"pid_rate.roll_kp" = 5.0', '"pid_rate.yaw_kp" = 109.0'
+    (folder / "gains.toml").write_text(f'firmware = "2014"\n{lazy_roll}\n{quick_yaw}\n')
+    ended = groundstation("learn", "--link", link, "-o", folder)
+    assert ended.returncode == 0, ended.stderr
+    flights = {one["file"]: one["gains"] for one in journal(folder)["flights"]}
+    stock, both, kept = (flights[f"steps_{one}.mcap"] for one in ("before", "after1", "after2"))
+    assert (both["pid_rate.roll_kp"], both["pid_rate.yaw_kp"]) == (5.0, 109.0)
+    assert kept == {**stock, "pid_rate.yaw_kp": 109.0}
+    assert journal(folder)["gains"].startswith("written: ")
+    assert journal(folder)["gains"].endswith("; roll and pitch as before")
+    assert journal(folder)["former"] == {"pid_rate.yaw_kp": stock["pid_rate.yaw_kp"]}
 
 
 def software(tmp_path, more):
