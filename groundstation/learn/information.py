@@ -115,15 +115,19 @@ def _require_definite(prior: Array, scale: Array) -> None:
 
 
 def choose(
-    told: Information, seconds: Mapping[str, float], budget_s: float, least: float = LITTLE
+    told: Information,
+    seconds: Mapping[str, float],
+    budget_s: float,
+    least: float = LITTLE,
+    flown: Sequence[str] = (),
 ) -> list[Choice]:
     """The manoeuvres with the most information a second, one after the other, each as often as it
     still tells more than the others; until the time is spent or the best gains less than ``least``
-    nats a second."""
+    nats a second. flown: those that were flown before."""
     chosen: list[Choice] = []
     left_s = budget_s
     while True:
-        names = [one.name for one in chosen]
+        names = [*flown, *(one.name for one in chosen)]
         fitting = [name for name in told.parts if seconds[name] <= left_s]
         gains = {name: told.gain(names, name) for name in fitting}
         best = max(fitting, key=lambda name: gains[name] / seconds[name], default=None)

@@ -95,43 +95,70 @@ class FlightPlan:
 
 
 def library(limits: Limits, seed: int = 0) -> dict[str, Manoeuvre]:
-    """Every manoeuvre by name. seed: of the random ones."""
-    tilt, still = limits.lean(9.0, 0.5), np.zeros(round(6.0 * RATE_HZ))
-    chirp = limits.lean(6.0, 0.4)
-    sway = limits.lean(limits.tilt_deg, 0.45)
-    time = np.arange(len(still)) / RATE_HZ
-    doublet = np.select([np.mod(time, 1.5) < 0.5, np.mod(time, 1.5) < 1.0], [1.0, -1.0], 0.0)
-    sweep = np.sin(2 * math.pi * (0.6 * time + (5.0 - 0.6) * time**2 / 12.0))
-    to_and_fro = np.sin(2 * math.pi * time / 2.0)
+    """Every manoeuvre by name, each within the limits and back where it began. seed: of the random
+    ones."""
+    time = np.arange(round(6.0 * RATE_HZ)) / RATE_HZ
+    still = np.zeros(len(time))
+    doublet = np.repeat([1.0, -1.0, 0.0, -1.0, 1.0, 0.0] * 2, RATE_HZ // 2)
+    sweep = np.cos(2 * math.pi * (0.6 * time + (5.0 - 0.6) * time**2 / 12.0))
+    to_and_fro = np.cos(2 * math.pi * time / 2.0)
     steps = np.repeat([1.0, -1.0, 1.0, 0.0, -1.0, 0.0], RATE_HZ)
     random = np.random.default_rng(seed)
+    tilt = limits.tilt_deg
 
-    def levels(size: float, hold_s: float) -> Array:
+    def levels(hold_s: float, *pattern: float) -> Array:
+        """A pattern of levels, again and again with signs at random."""
         count = round(hold_s * RATE_HZ)
-        drawn = random.uniform(-size, size, len(still) // count + 1)
-        return np.asarray(np.repeat(drawn, count)[: len(still)])
+        signs = random.choice([-1.0, 1.0], len(time) // (count * len(pattern)) + 1)
+        return np.asarray(np.repeat(np.outer(signs, pattern), count)[: len(time)])
 
     def of(name: str, **axes: Array) -> Manoeuvre:
-        columns = [axes.get(axis, still) for axis in ("roll", "pitch", "yaw", "above")]
-        return Manoeuvre(name, np.column_stack(columns))
+        """Leans are those of the heading at its begin, so that they come back in a turn too."""
+        roll, pitch, yaw, above = (
+            axes.get(one, still) for one in ("roll", "pitch", "yaw", "above")
+        )
+        lean = (pitch - 1j * roll) * np.exp(-1j * _heading(yaw))
+        table = np.column_stack([-lean.imag, lean.real, yaw, above])
+        table[:, :2] *= min(
+            1.0,
+            limits.tilt_deg / max(np.abs(table[:, :2]).max(), 1e-9),
+            limits.reach_m / max(carried_m(table), 1e-9),
+        )
+        return Manoeuvre(name, table)
 
+    back = (1.0, -1.0, -1.0, 1.0)
     made = [
         of("hover"),
         of("thrust steps", above=limits.step_m * steps),
-        of("roll doublets", roll=tilt * doublet),
-        of("pitch doublets", pitch=tilt * doublet),
+        of("roll doublets", roll=0.75 * tilt * doublet),
+        of("pitch doublets", pitch=0.75 * tilt * doublet),
         of("yaw steps", yaw=90.0 * doublet),
-        of("roll chirp", roll=chirp * sweep),
-        of("pitch chirp", pitch=chirp * sweep),
+        of("roll chirp", roll=0.5 * tilt * sweep),
+        of("pitch chirp", pitch=0.5 * tilt * sweep),
         of("yaw chirp", yaw=60.0 * sweep),
-        of("to and fro, left and right", roll=sway * to_and_fro),
-        of("to and fro, ahead and back", pitch=sway * to_and_fro),
-        of("turn with doublets", yaw=0.0 * still + 90.0, pitch=tilt * doublet,
-           roll=tilt * np.roll(doublet, 75)),
-        of("all axes at random", roll=levels(tilt, 0.35), pitch=levels(tilt, 0.35),
-           yaw=levels(90.0, 0.5), above=levels(limits.step_m, 1.5)),
+        of("to and fro, left and right", roll=tilt * to_and_fro),
+        of("to and fro, ahead and back", pitch=tilt * to_and_fro),
+        of("turn with doublets", yaw=0.0 * still + 90.0, pitch=0.75 * tilt * doublet,
+           roll=0.75 * tilt * np.roll(doublet, RATE_HZ // 2)),
+        of("all axes at random", roll=0.75 * tilt * levels(0.25, *back), pitch=0.75 * tilt
+           * levels(0.3, *back), yaw=60.0 * levels(0.5, 1.0, -1.0), above=limits.step_m
+           * levels(1.5, 1.0)),
     ]  # fmt: skip
     return {one.name: one for one in made}
+
+
+def carried_m(table: Array) -> float:
+    """How far leans carry a craft that nothing slows down from where it was, at most, until the
+    end of the rest that follows."""
+    roll, pitch, yaw = np.vstack([table[:, :3], np.zeros((RATE_HZ, 3))]).T
+    pushed = np.tan(np.radians(pitch)) - 1j * np.tan(np.radians(roll))
+    moved = np.cumsum(np.cumsum(GRAVITY * pushed * np.exp(1j * _heading(yaw)))) / RATE_HZ**2
+    return float(np.abs(moved).max())
+
+
+def _heading(yaw_dps: Array) -> Array:
+    """Of every row of a table, rad from its begin."""
+    return np.asarray(np.radians(np.cumsum(yaw_dps)) / RATE_HZ)
 
 
 HOVER = ("hover", "thrust steps", "yaw steps")

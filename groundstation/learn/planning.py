@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -80,15 +80,17 @@ def plan_flight(
     budget_s: float,
     seed: int = 0,
     known: Mapping[str, float] | None = None,
+    flown: Sequence[str] = (),
 ) -> Planned:
     """The flight of at most ``budget_s`` that tells the most of what ``model`` leaves open.
 
-    known: standard errors of effects' sizes that flights have given already, by key.
+    known: standard errors of effects' sizes that flights have given already, by key. flown:
+    manoeuvres of flights whose part in them is not known.
     """
     told = rehearsed(rehearsal, model, limits, seed, known)
     seconds = {name: one.seconds + REST_S for name, one in library(limits).items()}
-    choices = tuple(choose(told, seconds, budget_s))
-    expected = told.errors([one.name for one in choices])
+    choices = tuple(choose(told, seconds, budget_s, flown=flown))
+    expected = told.errors([*flown, *(one.name for one in choices)])
     return Planned(_flight(choices, limits, seed), choices, expected, seed)
 
 

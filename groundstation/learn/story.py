@@ -218,6 +218,7 @@ class Learner:
             return Planned.read(path, self.limits)
         self._say("planning the next flight")
         known = {} if found is None else known_errors(found)
+        flown = [] if found is not None else [*HOVER, *BODY]
         planned = plan_flight(
             self._rehearse(self.folder / model),
             load_model(str(self.folder / model)),
@@ -225,6 +226,7 @@ class Learner:
             DESIGNED_S,
             seed=self.journal.task.seed + 10 * number,
             known=known,
+            flown=flown,
         )
         planned.write(path)
         return planned

@@ -23,6 +23,11 @@ def test_the_first_is_what_tells_most_and_the_next_what_is_then_open(told):
     assert chosen[0].gain == pytest.approx(0.5 * np.log(9.0))
 
 
+def test_what_was_flown_before_is_not_flown_for_again(told):
+    chosen = choose(told, SECONDS, budget_s=6.0, flown=["roll", "roll"])
+    assert [one.name for one in chosen] == ["yaw"]
+
+
 def test_what_is_flown_again_tells_less_each_time(told):
     gains = [told.gain(["roll"] * times, "roll") for times in range(4)]
     assert gains == sorted(gains, reverse=True)

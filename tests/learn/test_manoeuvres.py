@@ -27,6 +27,24 @@ def test_no_manoeuvre_leans_further_than_allowed_or_comes_near_the_ground(limits
         assert limits.height_m + one.table[:, 3].min() >= 0.5 * limits.height_m
 
 
+@pytest.mark.parametrize("limits", LIMITS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_every_manoeuvre_stays_in_its_room_and_ends_at_rest_where_nothing_slows_it_down(
+    limits, seed
+):
+    for one in library(limits, seed).values():
+        place, velocity, heading = np.zeros(2), np.zeros(2), 0.0
+        for roll, pitch, yaw, _ in np.radians(one.table):
+            heading += yaw / 100
+            ahead, left = GRAVITY * np.tan(pitch), -GRAVITY * np.tan(roll)
+            turned = np.cos(heading), np.sin(heading)
+            pushed = ahead * turned[0] - left * turned[1], ahead * turned[1] + left * turned[0]
+            velocity += np.array(pushed) / 100
+            place += velocity / 100
+            assert np.hypot(*place) <= limits.reach_m + 0.01, one.name
+        assert np.hypot(*velocity) < 0.15, one.name
+
+
 def test_a_smaller_room_makes_smaller_leans():
     limits = Limits(reach_m=0.5)
     assert limits.lean(30.0, 1.0) < Limits(reach_m=1.0).lean(30.0, 1.0) <= 12.0
