@@ -241,10 +241,6 @@ def _print_report(report: dict[str, Any]) -> None:
         ("", f"{gap['duration_s'] * 1e3:.1f} ms at {gap['start_s']:.3f} s")
         for gap in report["gaps"][:GAPS_SHOWN]
     ]
-    for name, jitter in report["jitter"].items():
-        if jitter:
-            shown = ", ".join(f"{key} {value * 1e3:.3f} ms" for key, value in jitter.items())
-            facts.append((name.removesuffix("_s").replace("_", " "), shown))
     facts += [("table", f"{name}: {rows} rows") for name, rows in report["tables"].items()]
     facts += [(each["link"], f"{each['kind']}: {each['text']}") for each in report["marks"]]
     for name, text in facts:

@@ -1,4 +1,4 @@
-"""What is in a recording and how good it is: rate, gaps, loss, clipping, jitter, a verdict."""
+"""What is in a recording and how good it is: rate, gaps, loss, clipping, a verdict."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from groundstation.recording.channels import CHANNELS, Channel
 from groundstation.recording.column_map import UNCLEAR_METADATA
-from groundstation.recording.device_time import SYNTHESISED
 from groundstation.recording.plausibility import (
     FASTEST_HZ,
     SLOWEST_HZ,
@@ -62,7 +61,6 @@ MARKS = ("mark", "gap", "gap ended")
 _GYRO_RANGES_DEG_S = (250, 500, 1000, 2000)
 _ACCELEROMETER_RANGES_G = (2, 4, 8, 16, 24)
 _RAIL = 0.9995
-_ENVELOPE_BLOCKS = 50
 
 
 def inspect_recording(recording: Recording) -> dict[str, Any]:
@@ -77,10 +75,9 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     rate_hz (samples over duration), period_s, lost_samples, gaps (start_s, duration_s, lost,
     segment; the 100 longest), gap_count, duplicates (further copies of samples), malformed
     (no telemetry packets), damaged (contradicting the other copies, or fitting nowhere),
-    repeated_times, segments, clipping (channel -> samples), jitter (device_step_s,
-    host_arrival_s), battery, ranges (channel -> unit, min, max, mean), missing (channels
-    without data), tables (name -> rows), marks (events that a client or the live twin put there),
-    damage, verdict.
+    repeated_times, segments, clipping (channel -> samples), ranges (channel -> unit, min,
+    max, mean), missing (channels without data), tables (name -> rows), marks (events that a client
+    or the live twin put there), damage, verdict.
     """
     samples = recording.samples
     steps = row_steps(samples)
@@ -110,11 +107,6 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "clock": "host" if steps.by_host else "craft",
         "segments": segments,
         "clipping": _clipping(samples),
-        "jitter": {
-            "device_step_s": _device_jitter(steps),
-            "host_arrival_s": _host_jitter(recording),
-        },
-        "battery": _battery(samples),
         "ranges": ranges,
         "missing_values": {
             name: len(samples) - count for name, count in known.items() if count < len(samples)
@@ -222,8 +214,9 @@ def _faults(report: dict[str, Any], samples: SampleBatch) -> Iterator[str]:
         mean_g = float(specific_force_g.mean())
         if not 0.5 < mean_g < 2:
             yield f"the accelerometer's mean is {mean_g:.3g} g: check its unit"
-    if report["battery"] and report["battery"]["min_v"] < LOW_BATTERY_V:
-        yield f"the battery went down to {report['battery']['min_v']:.2f} V"
+    least_v = report["ranges"].get("battery", {}).get("min", LOW_BATTERY_V)
+    if least_v < LOW_BATTERY_V:
+        yield f"the battery went down to {least_v:.2f} V"
 
 
 def _gaps(samples: SampleBatch, steps: RowSteps) -> list[dict[str, Any]]:
@@ -297,64 +290,6 @@ def _at_rail(values: NDArray[np.float32], channel: Channel, is_packet: bool) -> 
             count = int(np.count_nonzero(shown >= _RAIL * limit))
             return count if count > 1 else 0  # one alone is a peak that happens to lie there
     return 0
-
-
-def _device_jitter(steps: RowSteps) -> dict[str, float] | None:
-    """How far the device's steps stray from their median; gaps are not jitter."""
-    regular = steps.step_s[steps.lost == 0]
-    if len(regular) == 0:
-        return None
-    median = float(np.median(regular))
-    stray = np.abs(regular - median)
-    return {
-        "median": median,
-        "rms": float(np.sqrt(np.mean(stray**2))),
-        "p99": float(np.percentile(stray, 99)),
-        "max": float(stray.max()),
-    }
-
-
-def _host_jitter(recording: Recording) -> dict[str, float] | None:
-    """How late the host saw each sample, above the lower envelope of (host - device) time.
-
-    The envelope is a line per segment, so that two clocks that drift are not taken for
-    lateness. None where the host stamps were made from device time.
-    """
-    samples = recording.samples
-    if len(samples) < 2 or recording.metadata.get("host_time") == SYNTHESISED:
-        return None
-    late_s = np.empty(len(samples))
-    for number in np.unique(samples.segment):
-        rows = np.flatnonzero(samples.segment == number)
-        device_s = (samples.ticks[rows] - samples.ticks[rows[0]]) * samples.tick_s
-        host_s = (samples.host_time_ns[rows] - samples.host_time_ns[rows[0]]) * 1e-9
-        late_s[rows] = _above_envelope(device_s, host_s - device_s)
-    return {
-        "median": float(np.median(late_s)),
-        "p99": float(np.percentile(late_s, 99)),
-        "max": float(late_s.max()),
-    }
-
-
-def _above_envelope(time_s: NDArray[np.float64], delay_s: NDArray[np.float64]) -> Any:
-    blocks = np.array_split(np.arange(len(time_s)), min(_ENVELOPE_BLOCKS, len(time_s)))
-    lowest = np.array([block[np.argmin(delay_s[block])] for block in blocks])
-    if len(lowest) == _ENVELOPE_BLOCKS and time_s[-1] > time_s[0]:
-        slope, start = np.polyfit(time_s[lowest], delay_s[lowest], 1)
-        delay_s = delay_s - (slope * time_s + start)
-    return delay_s - delay_s.min()
-
-
-def _battery(samples: SampleBatch) -> dict[str, float] | None:
-    volts = samples.battery_v[np.isfinite(samples.battery_v)].astype(np.float64)
-    if len(volts) == 0:
-        return None
-    return {
-        "first_v": float(volts[0]),
-        "last_v": float(volts[-1]),
-        "min_v": float(volts.min()),
-        "max_v": float(volts.max()),
-    }
 
 
 def _renewed(samples: SampleBatch) -> dict[str, NDArray[np.intp]]:

@@ -34,13 +34,10 @@ def _write(recording: Recording, path: Path) -> None:
 
     stream = rr.RecordingStream(APPLICATION, recording_id=recording.path.name)
     clock = RecordedClock(recording.samples)
-    take_off_ns = clock.take_off_ns()
-    layout = pilot_blueprint(
-        window_s=None, tables=bool(recording.tables), from_take_off=take_off_ns is not None
-    )
+    layout = pilot_blueprint(window_s=None, tables=bool(recording.tables))
     stream.save(path, default_blueprint=layout)
     stream.send_recording_name(recording.path.name)
-    target = ViewerLog(stream, clock, take_off_ns)
+    target = ViewerLog(stream, clock)
     target.craft()
     for start in range(0, len(recording.samples), ROWS_PER_CHUNK):
         target.samples(recording.samples[start : start + ROWS_PER_CHUNK], start)

@@ -8,38 +8,27 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TextLogColumn, TimelineColumn
 
-from groundstation.rerun_log.channels import CRAFT, DEVICE_TIME, EVENTS, FLIGHT_TIME, LINK, TABLES
+from groundstation.rerun_log.channels import CRAFT, DEVICE_TIME, EVENTS, LINK, TABLES
 
 LIVE_WINDOW_S = 10.0
 """A live plot shows this much of the newest device time."""
 
 
 def pilot_blueprint(
-    *,
-    window_s: float | None,
-    twin: bool = False,
-    tables: bool = False,
-    from_take_off: bool = False,
+    *, window_s: float | None, twin: bool = False, tables: bool = False
 ) -> rrb.Blueprint:
-    """The views over device time, following the newest data.
+    """The views over device time.
 
-    window_s: length of the plots; None shows all there is, for a finished recording. twin: with
-    a tab, in front, of what the live twin predicts. tables: with a tab of what the craft logs
-    besides its telemetry. from_take_off: over flight time, standing at
-    its beginning.
+    window_s: length of the plots, which follow the newest data; None shows all there is, for a
+    finished recording. twin: with a tab, in front, of what the live twin predicts. tables:
+    with a tab of what the craft logs besides its telemetry.
     """
     bounds = rr.TimeRangeBoundary
-    timeline = FLIGHT_TIME if from_take_off else DEVICE_TIME
-    window = [
-        rr.VisibleTimeRange(
-            name,
-            start=bounds.infinite()
-            if window_s is None
-            else bounds.cursor_relative(seconds=-window_s),
-            end=bounds.infinite() if window_s is None else bounds.cursor_relative(),
-        )
-        for name in dict.fromkeys((timeline, DEVICE_TIME))
-    ]
+    window = rr.VisibleTimeRange(
+        DEVICE_TIME,
+        start=bounds.infinite() if window_s is None else bounds.cursor_relative(seconds=-window_s),
+        end=bounds.infinite() if window_s is None else bounds.cursor_relative(),
+    )
 
     def plot(name: str, *entities: str, low: float | None = None, high: float | None = None) -> Any:
         return rrb.TimeSeriesView(
@@ -63,7 +52,7 @@ def pilot_blueprint(
             origin=EVENTS,
             contents=[EVENTS],
             columns=rrb.TextLogColumns(
-                timeline_columns=[TimelineColumn(timeline)],
+                timeline_columns=[TimelineColumn(DEVICE_TIME)],
                 text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")],
             ),
         ),
@@ -90,9 +79,7 @@ def pilot_blueprint(
         tabs.insert(0, beside)
     if len(tabs) > 1:
         right = rrb.Tabs(*tabs, active_tab=0)
-    return layout_of(
-        rrb.Horizontal(left, right, column_shares=[4, 5]), timeline, follow=not from_take_off
-    )
+    return layout_of(rrb.Horizontal(left, right, column_shares=[4, 5]), follow=window_s is not None)
 
 
 def _craft_view() -> rrb.Spatial3DView:
@@ -111,7 +98,7 @@ def _craft_view() -> rrb.Spatial3DView:
     )
 
 
-def layout_of(views: Any, timeline: str = DEVICE_TIME, follow: bool = False) -> rrb.Blueprint:
+def layout_of(views: Any, follow: bool = False) -> rrb.Blueprint:
     """Views and nothing else, from the first moment on, or following the newest data."""
     return rrb.Blueprint(
         views,
@@ -119,7 +106,7 @@ def layout_of(views: Any, timeline: str = DEVICE_TIME, follow: bool = False) -> 
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(
-            state="collapsed", timeline=timeline, play_state="following" if follow else "paused"
+            state="collapsed", timeline=DEVICE_TIME, play_state="following" if follow else "paused"
         ),
         auto_views=False,
         auto_layout=False,

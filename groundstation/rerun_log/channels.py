@@ -25,8 +25,6 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 APPLICATION = "groundstation"
 DEVICE_TIME = "device_time"
-FLIGHT_TIME = "flight_time"
-"""Device time since the take-off, of what came after it: where a recording opens."""
 SEQUENCE = "seq"
 HOST_TIME = "host_time"
 

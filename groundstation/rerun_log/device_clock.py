@@ -14,13 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.spans import spans
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
-
-TURNING_DUTY = 0.1
-TAKE_OFF_S = 0.5
-"""A motor test turns them one by one, or for less."""
 
 
 class Clock(Protocol):
@@ -76,20 +71,12 @@ class RecordedClock:
 
     def __init__(self, samples: SampleBatch) -> None:
         self._times = LiveClock().advance(samples)
-        self._turning = (samples.duty > TURNING_DUTY).all(axis=1)
         self._hosts = np.maximum.accumulate(samples.host_time_ns)
         self._next = 0
 
     def advance(self, batch: SampleBatch) -> NDArray[np.int64]:
         self._next += len(batch)
         return self._times[self._next - len(batch) : self._next]
-
-    def take_off_ns(self) -> int | None:
-        """When all motors first turn for ``TAKE_OFF_S`` on end; None where they never do."""
-        for begin, end in spans(self._turning):
-            if self._times[end - 1] - self._times[begin] > 1e9 * TAKE_OFF_S:
-                return int(self._times[begin])
-        return None
 
     def at_host(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         if not len(self._times):

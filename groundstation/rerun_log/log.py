@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from groundstation.dynamics.rotations import quaternion_of_attitude
 from groundstation.rerun_log.channels import (
     CRAFT,
     DEVICE_TIME,
-    FLIGHT_TIME,
     GROUPS,
     HOST_TIME,
     LINK,
@@ -38,18 +36,11 @@ _LEVELS = {
 
 
 class ViewerLog:
-    """Writes to one rerun stream, everything on the axis of ``clock``.
+    """Writes to one rerun stream, everything on the axis of ``clock``."""
 
-    take_off_ns: on that axis; what comes from there on has a flight time as well. rerun opens a
-    recording where its timeline begins, and a layout cannot say anything else (rerun 0.41).
-    """
-
-    def __init__(
-        self, stream: rr.RecordingStream, clock: Clock, take_off_ns: int | None = None
-    ) -> None:
+    def __init__(self, stream: rr.RecordingStream, clock: Clock) -> None:
         self._stream = stream
         self._clock = clock
-        self._take_off_ns = take_off_ns
 
     def craft(self) -> None:
         """The drawing of the craft and the names of the series: static, sent once."""
@@ -68,24 +59,19 @@ class ViewerLog:
             return
         times = self._clock.advance(batch)
         numbers = np.arange(first_seq, first_seq + len(batch))
-        for rows in self._parts(times):
-            part = batch[rows]
-            indexes = [
-                *self._indexes(times[rows], part.host_time_ns),
-                rr.TimeColumn(SEQUENCE, sequence=numbers[rows]),
-            ]
-            for entity, columns in sample_columns(part):
-                self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
+        indexes = [
+            _duration(DEVICE_TIME, times),
+            _host_time(batch.host_time_ns),
+            rr.TimeColumn(SEQUENCE, sequence=numbers),
+        ]
+        for entity, columns in sample_columns(batch):
+            self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
 
     def entries(self, entity: str, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log events or commands: dictionaries with ``time_ns`` (Unix) and whatever JSON can say.
 
         Shown as ``link`` and ``text`` where an entry has them, and as JSON otherwise.
         """
-        for rows in self._parts(self._clock.at_host(_times(entries))):
-            self._entries(entity, entries[rows])
-
-    def _entries(self, entity: str, entries: Sequence[Mapping[str, Any]]) -> None:
         texts, levels = [], []
         for entry in entries:
             text = str(entry.get("text") or _json(entry))
@@ -95,10 +81,6 @@ class ViewerLog:
 
     def statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Log link statistics: dictionaries with ``time_ns`` (Unix) and numbers by name."""
-        for rows in self._parts(self._clock.at_host(_times(entries))):
-            self._statistics(entries[rows])
-
-    def _statistics(self, entries: Sequence[Mapping[str, Any]]) -> None:
         times = _times(entries)
         for name in STATISTICS:
             values = np.array([entry.get(name) for entry in entries], np.float64)
@@ -116,25 +98,8 @@ class ViewerLog:
 
     def _send(self, entity: str, times: NDArray[np.int64], columns: Any) -> None:
         if len(times):
-            indexes = self._indexes(self._clock.at_host(times), times)
+            indexes = [_duration(DEVICE_TIME, self._clock.at_host(times)), _host_time(times)]
             self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
-
-    def _parts(self, times_ns: NDArray[np.int64]) -> Iterator[slice]:
-        """Stretches of times (n,) that lie on one side of the take-off."""
-        flown = np.zeros(len(times_ns), bool)
-        if self._take_off_ns is not None:
-            flown = times_ns >= self._take_off_ns
-        for begin, end in pairwise([0, *(np.flatnonzero(np.diff(flown)) + 1), len(flown)]):
-            if end > begin:
-                yield slice(int(begin), int(end))
-
-    def _indexes(
-        self, times_ns: NDArray[np.int64], host_ns: NDArray[np.int64]
-    ) -> list[rr.TimeColumn]:
-        found = [_duration(DEVICE_TIME, times_ns), _host_time(host_ns)]
-        if self._take_off_ns is not None and times_ns[0] >= self._take_off_ns:
-            found.append(_duration(FLIGHT_TIME, times_ns - self._take_off_ns))
-        return found
 
 
 def sample_columns(batch: SampleBatch) -> Iterator[tuple[str, Any]]:

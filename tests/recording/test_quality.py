@@ -11,7 +11,7 @@ from groundstation.recording.csv_file import read_csv, write_table_csv
 from groundstation.recording.microsd import read_microsd
 from groundstation.recording.quality import GAPS_LISTED, inspect_recording
 from groundstation.recording.session import Recording
-from groundstation.telemetry.packet import SAMPLE_TICKS, TICK_S
+from groundstation.telemetry.packet import SAMPLE_TICKS
 from groundstation.telemetry.row_clock import row_steps
 from groundstation.telemetry.samples import RawBatch, empty_samples
 from support.packets import flight, packet_recording, packet_recordings
@@ -43,7 +43,7 @@ def test_a_clean_recording_is_good_and_says_how_long_and_how_fast():
 def test_the_real_excerpt_is_good():
     report = inspect_recording(read_csv(RECORDINGS / "thesis_excerpt.csv"))
     assert report["verdict"] == "good: 0.05 s at 500 Hz, nothing lost"
-    assert report["battery"]["min_v"] == pytest.approx(3.235)
+    assert report["ranges"]["battery"]["min"] == pytest.approx(3.235)
     assert report["ranges"]["pitch"] == {
         "unit": "deg",
         "min": pytest.approx(4.79),
@@ -51,8 +51,6 @@ def test_the_real_excerpt_is_good():
         "mean": pytest.approx(5.662, abs=1e-3),
     }
     assert report["missing"] == ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
-    assert report["jitter"]["host_arrival_s"] is None
-    assert 0 < report["jitter"]["device_step_s"]["max"] < 20e-6
 
 
 def test_the_real_microsd_log_is_measured_by_its_own_period():
@@ -63,7 +61,6 @@ def test_the_real_microsd_log_is_measured_by_its_own_period():
     assert report["period_s"] == pytest.approx(0.000988)
     assert report["lost_samples"] == 5
     assert report["gap_count"] == 3
-    assert report["battery"] is None
     assert {"battery", "roll", "pitch", "yaw"} <= set(report["missing"])
     assert report["tables"] == {"fixedFrequency": 47182}
     assert report["verdict"] == "good: 46.7 s at 1010 Hz, 5 samples lost (0.011 %)"
@@ -228,19 +225,6 @@ def test_repeated_times_are_told():
     assert "1 samples repeat the time" in inspect_recording(packet_recording(ticks))["verdict"]
 
 
-def test_a_host_that_is_late_is_measured_above_the_lower_envelope_of_two_drifting_clocks():
-    ticks = grid(np.arange(20_000))
-    rng = np.random.default_rng(1)
-    late_s = np.where(rng.random(20_000) < 0.1, 0.004, 0.0)
-    late_s[777] = 0.25
-    host_s = 1.7e9 + ticks * TICK_S * (1 + 80e-6) + late_s
-    recording = packet_recording(ticks, host_time_ns=np.rint(host_s * 1e9).astype(np.int64))
-    jitter = inspect_recording(recording)["jitter"]["host_arrival_s"]
-    assert jitter["median"] == pytest.approx(0.0, abs=2e-5)
-    assert jitter["p99"] == pytest.approx(0.004, abs=2e-5)
-    assert jitter["max"] == pytest.approx(0.25, abs=2e-5)
-
-
 def test_no_samples_is_bad():
     report = inspect_recording(Recording(Path("empty.csv"), "csv", empty_samples(0)))
     assert report["verdict"] == "bad: no samples"
@@ -260,7 +244,6 @@ def test_rows_that_come_more_slowly_in_a_later_segment_are_not_taken_for_gaps():
 def test_one_sample_is_described_without_a_rate_to_measure():
     report = inspect_recording(packet_recording([5]))
     assert report["duration_s"] == pytest.approx(0.002)
-    assert report["jitter"]["device_step_s"] is None
 
 
 @given(packet_recordings(), st.booleans())

@@ -56,14 +56,3 @@ def test_a_recorded_event_lies_between_its_neighbours_even_across_a_restart(flig
     inside_the_gap = clock.at_host(hosts[2499:2500] + SECOND_NS)
     assert times[2499] < inside_the_gap[0] < times[2500]
     assert clock.at_host(hosts[:1] - SECOND_NS) == [times[0] - SECOND_NS]
-
-
-def test_the_take_off_is_where_all_motors_begin_to_turn_for_good(wobble):
-    samples = wobble(2000)
-    samples.duty[:] = 0.0
-    assert RecordedClock(samples).take_off_ns() is None
-    samples.duty[100:200] = 0.5  # a fifth of a second: a motor test
-    samples.duty[300:1000, 0] = 0.5  # one motor
-    samples.duty[1200:] = 0.5
-    times = LiveClock().advance(samples)
-    assert RecordedClock(samples).take_off_ns() == times[1200]

@@ -13,8 +13,7 @@ from PIL import Image
 from groundstation.errors import GroundStationError
 from groundstation.recording.rrd import write_rrd
 from groundstation.recording.session import Recording
-from groundstation.rerun_log.channels import DEVICE_TIME, FLIGHT_TIME, GROUPS, MOTORS, STATISTICS
-from groundstation.rerun_log.device_clock import RecordedClock
+from groundstation.rerun_log.channels import GROUPS, MOTORS, STATISTICS
 from groundstation.telemetry.samples import empty_samples
 from support.screenshots import hidden_viewer, software_driver
 
@@ -125,19 +124,3 @@ def test_a_viewer_without_a_graphics_driver_says_what_to_install(tmp_path, monke
         hidden_viewer(tmp_path / "flight.rrd"),
     ):
         pass
-
-
-def test_a_recording_opens_at_the_take_off_with_the_ground_before_it(flight, tmp_path):
-    samples = flight.samples[:2000]
-    samples.duty[:500] = 0.0
-    samples.duty[500:] = 0.5
-    path = tmp_path / "flight.rrd"
-    write_rrd(replace(flight, samples=samples), path)
-    with hidden_viewer(path) as viewer:
-        (shown,) = viewer.client.get_state().recordings
-        assert (shown.current_timeline, shown.current_time) == (FLIGHT_TIME, 0)
-        begins = {one.name: one.start for one in shown.timelines}
-        assert begins[FLIGHT_TIME] == 0
-        at_ns = RecordedClock(samples).take_off_ns()
-        assert at_ns is not None
-        assert begins[DEVICE_TIME] < at_ns
