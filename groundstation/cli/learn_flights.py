@@ -26,6 +26,7 @@ from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
 from groundstation.control.programme import GRAVITY
+from groundstation.learn.journal import Flown
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft
@@ -89,15 +90,6 @@ def _copied(recording: Path, file: Path) -> None:
 
 def _within(value: float, most: float) -> float:
     return min(max(value, -most), most)
-
-
-@dataclass(frozen=True, slots=True)
-class Flown:
-    """aborted: why, or empty. seconds: in the air. gains: those that flew."""
-
-    aborted: str
-    seconds: float
-    gains: dict[str, float]
 
 
 @dataclass(frozen=True, slots=True)

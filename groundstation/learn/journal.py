@@ -13,6 +13,15 @@ from groundstation.errors import BadInputError
 JOURNAL = "learn.json"
 
 
+class Flown(msgspec.Struct, frozen=True):
+    """What a pilot says after a landing. aborted: why, or empty. seconds: in the air. gains: those
+    that flew."""
+
+    aborted: str
+    seconds: float
+    gains: dict[str, float]
+
+
 class Landed(msgspec.Struct, frozen=True, kw_only=True):
     """One flight. seconds: from switching on. battery: which one, from 1. timeline: as
     ``FlightPlan.timeline``. aborted: why, or empty. gains: that flew."""

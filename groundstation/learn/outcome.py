@@ -12,15 +12,10 @@ import msgspec
 from groundstation.control.step_analysis import Flown as Steps
 from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
 from groundstation.dynamics.model import Model, load_model
+from groundstation.learn.found import named_effects, open_names, read_found, said_effect
 from groundstation.learn.gains import flown_steps, mean_missed
 from groundstation.learn.journal import Journal
-from groundstation.learn.story import (
-    BODY_MODEL,
-    named_effects,
-    open_names,
-    read_found,
-    said_effect,
-)
+from groundstation.learn.story import BODY_MODEL
 
 WITHIN = 1.96
 """Standard errors that hold 95 % of estimates."""

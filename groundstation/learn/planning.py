@@ -18,6 +18,7 @@ from groundstation.errors import BadInputError, GroundStationError
 from groundstation.identification.recordings import flights_of
 from groundstation.identification.runs import Run
 from groundstation.learn.information import Choice, Information, choose, information_of
+from groundstation.learn.journal import Flown
 from groundstation.learn.manoeuvres import (
     REST_S,
     FlightPlan,
@@ -28,10 +29,22 @@ from groundstation.learn.manoeuvres import (
 from groundstation.recording.open_recording import open_recording
 
 
-class Rehearsal(Protocol):
-    """Who flies a model."""
+class Pilot(Protocol):
+    """Who flies, a craft or a model: ``cli.learn_flights.Place``."""
 
-    def fly(self, programme: Any, file: Path, *, seed: int) -> Any: ...
+    def fly(
+        self,
+        programme: Any,
+        file: Path,
+        *,
+        seed: int,
+        gains: Mapping[str, float] | None = None,
+        steps: bool = False,
+    ) -> Flown: ...
+
+    def write(self, gains: Mapping[str, float]) -> None: ...
+
+    def await_battery(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +87,7 @@ class Planned:
 
 
 def plan_flight(
-    rehearsal: Rehearsal,
+    rehearsal: Pilot,
     model: Model,
     limits: Limits,
     budget_s: float,
@@ -95,7 +108,7 @@ def plan_flight(
 
 
 def rehearsed(
-    rehearsal: Rehearsal,
+    rehearsal: Pilot,
     model: Model,
     limits: Limits,
     seed: int = 0,

@@ -11,14 +11,11 @@ from groundstation.control.step_analysis import Flown as Steps
 from groundstation.discrepancy.report_figures import evidence_bars, waterfall
 from groundstation.discrepancy.report_words import meaning
 from groundstation.dynamics.meanings import meaning_of, title_of
+from groundstation.learn.found import open_words
 from groundstation.learn.gains import mean_missed
 from groundstation.learn.journal import JOURNAL
 from groundstation.learn.outcome import Outcome, said_named
-from groundstation.learn.story import (
-    BODY_MODEL,
-    GAINS,
-    open_words,
-)
+from groundstation.learn.story import BODY_MODEL, GAINS
 from groundstation.report.figure import figure
 from groundstation.report.page import Page
 from groundstation.report.theme import FAINT, IMPROVED, MEASURED, MODELLED

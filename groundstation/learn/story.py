@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import msgspec
 import numpy as np
 
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.pid import AXES
-from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
+from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.dynamics.model import Model, load_model, model_vehicle
-from groundstation.dynamics.registry import EFFECTS
-from groundstation.dynamics.unknowns import to_point
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.identification.likelihood.parameters import KEYS
+from groundstation.learn.found import found_line, known_errors, open_names, read_found
 from groundstation.learn.gains import (
     AFTER,
     BEFORE,
@@ -40,7 +37,7 @@ from groundstation.learn.manoeuvres import (
     Limits,
     flight_of,
 )
-from groundstation.learn.planning import Planned, plan_flight
+from groundstation.learn.planning import Pilot, Planned, plan_flight
 from groundstation.recording.open_recording import open_recording
 from groundstation.shell import Shell
 from groundstation.text import listed
@@ -51,46 +48,10 @@ DESIGNED_S = 45.0
 """Of a flight that is designed."""
 ROUNDS = 2
 """Designed flights at most: one for everything, one for names that the first could not settle."""
-WORTH = 0.1
-"""Of the size worth finding: what is smaller in every number is told, and not named."""
 BODY_MODEL, GAINS = "body.json", "gains.toml"
 MODEL = "model.json"
 """The last one, with what it lacked."""
 PROOF_FLIGHT = "proof.mcap"
-
-
-class Flight(Protocol):
-    """What came of a flight."""
-
-    @property
-    def aborted(self) -> str: ...
-
-    @property
-    def seconds(self) -> float: ...
-
-    @property
-    def gains(self) -> dict[str, float]: ...
-
-
-class Pilot(Protocol):
-    """Who flies: ``cli.learn_flights.Place``."""
-
-    @property
-    def is_software(self) -> bool: ...
-
-    def fly(
-        self,
-        programme: Any,
-        file: Path,
-        *,
-        seed: int,
-        gains: Mapping[str, float] | None = None,
-        steps: bool = False,
-    ) -> Flight: ...
-
-    def write(self, gains: Mapping[str, float]) -> None: ...
-
-    def await_battery(self) -> None: ...
 
 
 class Learner:
@@ -133,7 +94,7 @@ class Learner:
                 proof = flight_of(PROOF, "proof: nothing is chosen on it", self.limits, seed + 50)
                 self._fly(PROOF_FLIGHT, proof)
             found, model = self._search(number, flights), f"found{number}.model.json"
-            self._tell(f"search{number}", partial(_found_line, found))
+            self._tell(f"search{number}", partial(found_line, found))
             if not open_names(found):
                 break
         (self.folder / MODEL).write_bytes((self.folder / model).read_bytes())
@@ -330,92 +291,6 @@ class Learner:
             )
         )
         return f"{told}; the next flights are for what this model lacks, and for the proof"
-
-
-def read_found(path: Path) -> DiscrepancyReport:
-    return msgspec.json.decode(path.read_bytes(), type=DiscrepancyReport)
-
-
-def named_effects(found: DiscrepancyReport) -> list[EffectFound]:
-    """Effects that were found and are worth a name."""
-    return [one for one in found.effects if not _corrects(one) and _size(one) >= WORTH]
-
-
-def _corrects(found: EffectFound) -> bool:
-    """Whether it only says anew a constant of the model, which was fitted to this very craft."""
-    return found.name in EFFECTS and EFFECTS[found.name].renames is not None
-
-
-def _size(found: EffectFound) -> float:
-    """The largest of an effect's sizes, over the one worth finding; a user's own always counts."""
-    if found.name not in EFFECTS:
-        return np.inf
-    point = to_point(EFFECTS[found.name], {k: one.value for k, one in found.parameters.items()})
-    return max(
-        abs(value - KEYS[key].absent) / KEYS[key].worth
-        for key, value in point.items()
-        if KEYS[key].parameter.kind == "size"
-    )
-
-
-def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
-    """Names with others that explain as much, and what is only possible."""
-    rivals = {one.name: one.alternatives for one in named_effects(found) if one.alternatives}
-    rivals |= {one.name: one.alternatives for one in found.possible}
-    return {name: [other.name for other in others] for name, others in rivals.items()}
-
-
-def open_words(found: DiscrepancyReport) -> list[str]:
-    """The same in words."""
-    possible = {one.name for one in found.possible}
-    words = []
-    for name, others in open_names(found).items():
-        could = f"could also be {' or '.join(others)}" if others else ""
-        maybe = "is possible, not sure" if name in possible else ""
-        words.append(f"{name} {' and '.join(part for part in (maybe, could) if part)}")
-    return words
-
-
-def known_errors(found: DiscrepancyReport) -> dict[str, float]:
-    """What flights say already of effects' sizes, by key: of those that are open nothing."""
-    open_ones = {name for pair in open_names(found).items() for name in (pair[0], *pair[1])}
-    weak = {f"{one.name}.{one.parameter}": one.stderr for one in found.not_shown}
-    known = {}
-    for key, one in KEYS.items():
-        if one.effect.name not in open_ones:
-            known[key] = min(weak.get(key, one.worth / 10.0), one.worth) or 1.0
-    return known
-
-
-def _found_line(found: DiscrepancyReport) -> str:
-    named = (
-        "; ".join(said_effect(one.name, one.parameters) for one in named_effects(found))
-        or "nothing"
-    )
-    gap = found.gap.validation
-    after = gap.before if gap.after is None else gap.after
-    corrected = [one for one in found.effects if _corrects(one)]
-    hardly = sorted({one.name for one in found.effects}
-                    - {one.name for one in (*corrected, *named_effects(found))})  # fmt: skip
-    told = f"named: {named}; on the proof flight predictions miss by {gap.before:.2f} times the"
-    told += f" noise before and {after:.2f} times after"
-    for one in corrected:
-        told += f"; the fit's constants are corrected by {said_effect(one.name, one.parameters)}"
-    if hardly:
-        told += f"; {', '.join(hardly)} too small to be named"
-    for words in open_words(found):
-        told += f"; {words}"
-    return told
-
-
-def said_effect(name: str, parameters: Mapping[str, Any]) -> str:
-    """An effect with its numbers: 'dead_time delay_s 0.0041 ± 0.0001 s'."""
-    parts = []
-    for key, one in parameters.items():
-        unit = EFFECTS[name].parameter(key).unit if name in EFFECTS else one.unit
-        spread = "" if one.stderr is None else f" ± {one.stderr:.2g}"
-        parts.append(f"{key} {one.value:.4g}{spread} {unit}".rstrip())
-    return f"{name} ({', '.join(parts)})"
 
 
 def flights_ahead(journal: Journal, limits: Limits) -> tuple[int, float]:
