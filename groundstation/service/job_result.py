@@ -1,4 +1,4 @@
-"""What a job has found, in a sentence, from the model it wrote and its log."""
+"""What a job has found: the lines of its log that say so, and the advice in the model it wrote."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ import msgspec
 from groundstation.documents import read_document
 from groundstation.text import printable
 
-LEARNT = ("search", "gains: ")
-"""How lines of ``learn`` begin that say what it found."""
-_VERDICT = re.compile(r"verdict\s+(.*)")
+FOUND = {
+    "inspect": r"verdict\s+(.*)",
+    "fit": r"\s+(\w+)\s+(\S+ \+- \S+)",
+    "compare": r"(gap over all channels.*)",
+    "discrepancy": r"(\d+\. \w+: .*|changed: .*|no discrepancy|unexplained)",
+    "learn": r"((?:search|gains: ).*)",
+}
+"""Kind of a job -> its lines that say what was found, and which parts of them."""
 
 
 class Advice(msgspec.Struct, frozen=True, kw_only=True):
@@ -24,25 +29,14 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
     measured_rotors: bool = False
 
 
-def result(kind: str, model: Path | None, lines: Sequence[str]) -> str:
-    """One sentence; the last line of the log where nothing better is known."""
-    document = _read(model)
-    if kind == "fit" and (said := _constants(document)):
-        return said
-    if kind == "discrepancy" and document:
-        return _effects(document)
-    if kind == "inspect":
-        for line in lines:
-            if found := _VERDICT.match(line):
-                return printable(found[1])
-    if kind == "learn":
-        return printable("; ".join(line for line in lines if line.startswith(LEARNT)))
-    if not lines:
-        return ""
-    return printable(lines[0] if kind == "compare" else lines[-1])
+def result(kind: str, lines: Sequence[str]) -> str:
+    """In a line; the last one of the log where none says what was found."""
+    found = [match for line in lines if (match := re.fullmatch(FOUND.get(kind, "(?!)"), line))]
+    told = ", ".join(" ".join(match.groups()) for match in found)
+    return printable(told or (lines[-1] if lines else ""))
 
 
-def advice(model: Path | None) -> Advice:
+def advice(model: Path) -> Advice:
     """What the fit of a body advised; nothing where there is no such model."""
     account = _mapping(_mapping(_read(model), "fit"), "body")
     left_out, warnings = (
@@ -53,37 +47,9 @@ def advice(model: Path | None) -> Advice:
     return Advice(effects=sorted(left_out), measured_rotors=measured)
 
 
-def _constants(document: Mapping[str, Any]) -> str:
-    """Of a fit: each constant and its standard error."""
-    estimates = _mapping(_mapping(_mapping(document, "fit"), "body"), "estimates")
-    columns = (estimates.get(name) or () for name in ("names", "values", "stderr"))
-    return ", ".join(f"{name} {value:.4g} ± {error:.2g}"
-                     for name, value, error in zip(*columns, strict=False))  # fmt: skip
-
-
-def _effects(document: Mapping[str, Any]) -> str:
-    """Of a search: the effects that the model has now, and their sizes."""
-    found = []
-    for term in document.get("effects") or ():
-        sizes = [
-            f"{name} {one['value']:.3g}"
-            + (f" ± {one['stderr']:.2g}" if one.get("stderr") is not None else "")
-            + (f" {one['unit']}" if one.get("unit") not in (None, "", "1") else "")
-            for name, one in _mapping(term, "parameters").items()
-        ]
-        found.append(f"{term['name']} ({', '.join(sizes)})" if sizes else str(term["name"]))
-    changed = _mapping(_mapping(document, "fit"), "discrepancy").get("base_changes") or ()
-    constants = [f"{one['name']} {one['from']:.4g} to {one['to']:.4g}" for one in changed
-                 if {"name", "from", "to"} <= set(one)]  # fmt: skip
-    said = f"the model has {len(found)} effect{'s' if len(found) != 1 else ''} now: " + (
-        ", ".join(found)
-    ) if found else "no effect found"  # fmt: skip
-    return said + (f"; changed: {', '.join(constants)}" if constants else "")
-
-
-def _read(path: Path | None) -> Mapping[str, Any]:
+def _read(path: Path) -> Mapping[str, Any]:
     try:
-        found = msgspec.json.decode(read_document(path)) if path is not None else None
+        found = msgspec.json.decode(read_document(path))
     except (OSError, ValueError, msgspec.MsgspecError):
         found = None
     return found if isinstance(found, Mapping) else {}

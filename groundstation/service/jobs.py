@@ -224,12 +224,9 @@ class Jobs:
         try:
             status = await self._work(job)
             lines = self.log(job.id).strip().splitlines()
-            made = self._job_folder(job.id) / _MODEL
-            written = made if not status and made.is_file() else None
-            last = printable(lines[-1]) if lines else ""
-            job.text = last if status else await asyncio.to_thread(result, job.kind, written, lines)
-            if job.kind == "fit":
-                job.advice = await asyncio.to_thread(advice, written)
+            job.text = result("" if status else job.kind, lines)
+            if job.kind == "fit" and not status:
+                job.advice = await asyncio.to_thread(advice, self._job_folder(job.id) / _MODEL)
         except (OSError, GroundStationError) as error:  # its folder was deleted, say
             status, job.text = 1, printable(str(error))
         self._process = None

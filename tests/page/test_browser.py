@@ -334,6 +334,8 @@ def test_a_recording_is_found_inspected_fitted_and_searched_and_the_reports_read
     report = report_of(page, "fit")
     expect(report.locator("svg").first).to_be_visible()
     expect(report.locator("body")).to_contain_text("thrust_per_mass")
+    fitted = page.locator("#jobs tr").filter(has=page.get_by_role("cell", name="fit", exact=True))
+    expect(fitted).to_contain_text(re.compile(r"thrust_per_mass \S+ \+- \S+"))
     page.locator("#model").select_option(index=0)
     page.get_by_role("button", name="Find the discrepancy").click()
     expect(page.locator("#said")).to_contain_text("Begun")
