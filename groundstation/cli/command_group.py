@@ -12,6 +12,7 @@ from groundstation.cli.progress import watched
 
 FORMER = {
     "config --reload": "a change takes effect with the next start of the daemon",
+    "config --show": "'groundstation config' shows it",
     "export": "the header is groundstation/telemetry/groundstation_telemetry.h, also in a wheel",
     **dict.fromkeys(
         (

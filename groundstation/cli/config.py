@@ -21,19 +21,16 @@ def add_commands(app: typer.Typer) -> None:
 
 def config(
     file: Path | None = typer.Option(None, "--config", help="TOML configuration file."),
-    show: bool = typer.Option(False, "--show", help="Print every key, its value and its default."),
     assign: list[str] = typer.Option(
         [], "--set", metavar="KEY=VALUE", help="Any key, as on the command line of 'run'."
     ),
     as_json: bool = AS_JSON,
 ) -> None:
-    """Show the configuration. A file is overridden by the environment
+    """Show every key, its value and its default. A file is overridden by the environment
     (GROUNDSTATION_RECORDING_FOLDER for recording.folder), and that by the command line.
 
-    Example: [bold]groundstation config --config station.toml --show[/bold]
+    Example: [bold]groundstation config --config station.toml[/bold]
     """
-    if not show:
-        raise typer.BadParameter("give --show")
     found = settings(ConfigSource(file, assignments(assign)).load())
     if as_json:
         keys = {each.name: {"value": each.value, "default": each.default, "text": each.text}
@@ -68,7 +65,7 @@ def assignments(given: list[str]) -> dict[str, Any]:
         key = todays_name(key, "--set ")
         if not equals or key not in known:
             raise typer.BadParameter(
-                f"{text!r}: give KEY=VALUE with a KEY of 'groundstation config --show'",
+                f"{text!r}: give KEY=VALUE with a KEY of 'groundstation config'",
                 param_hint="'--set'",
             )
         values[key] = _value(value)

@@ -72,7 +72,7 @@ def run(
         None, help="Of a stand-in or replay: 1 is real time, 'max' as fast as possible."
     ),
     assign: list[str] = typer.Option(
-        [], "--set", metavar="KEY=VALUE", help="Any key of 'groundstation config --show'."
+        [], "--set", metavar="KEY=VALUE", help="Any key of 'groundstation config'."
     ),
 ) -> None:
     """Receive telemetry, record it and show it live, until Ctrl-C.

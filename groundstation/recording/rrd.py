@@ -40,7 +40,7 @@ def _write(recording: Recording, path: Path) -> None:
     target = ViewerLog(stream, clock)
     target.craft()
     for start in range(0, len(recording.samples), ROWS_PER_CHUNK):
-        target.samples(recording.samples[start : start + ROWS_PER_CHUNK], start)
+        target.samples(recording.samples[start : start + ROWS_PER_CHUNK])
     target.entries(EVENTS, recording.events)
     target.entries(COMMANDS, recording.commands)
     target.statistics(recording.statistics)

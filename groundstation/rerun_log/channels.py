@@ -11,7 +11,7 @@ People get degrees, deg/s, g, per cent, volts and rpm.
 | /tables/NAME/VARIABLE | what a craft logs besides its telemetry, further tables of a file |
 | /twin/rates, attitude, accelerometer, gap | live only: measured beside predicted (``twin_log``) |
 
-Timelines: ``device_time`` (duration), ``seq`` (number of the sample) and ``host_time`` (Unix).
+Timelines: ``device_time`` (duration) and ``host_time`` (Unix).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 APPLICATION = "groundstation"
 DEVICE_TIME = "device_time"
-SEQUENCE = "seq"
 HOST_TIME = "host_time"
 
 CRAFT = "/craft"

@@ -17,7 +17,6 @@ from groundstation.rerun_log.channels import (
     GROUPS,
     HOST_TIME,
     LINK,
-    SEQUENCE,
     STATISTICS,
     TABLES,
     scaled,
@@ -53,17 +52,11 @@ class ViewerLog:
             lines = rr.SeriesLines(names=label, colors=color, widths=1.5)
             self._stream.log(f"{LINK}/{name}", lines, static=True, strict=True)
 
-    def samples(self, batch: SampleBatch, first_seq: int) -> None:
-        """Log a batch whose first sample has the number ``first_seq``."""
+    def samples(self, batch: SampleBatch) -> None:
         if not len(batch):
             return
         times = self._clock.advance(batch)
-        numbers = np.arange(first_seq, first_seq + len(batch))
-        indexes = [
-            _duration(DEVICE_TIME, times),
-            _host_time(batch.host_time_ns),
-            rr.TimeColumn(SEQUENCE, sequence=numbers),
-        ]
+        indexes = [_duration(DEVICE_TIME, times), _host_time(batch.host_time_ns)]
         for entity, columns in sample_columns(batch):
             self._stream.send_columns(entity, indexes=indexes, columns=columns, strict=True)
 

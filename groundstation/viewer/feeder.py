@@ -135,7 +135,7 @@ def _feed(
                 return 0
             match decode_message(data):
                 case SamplesMessage() as message:
-                    log.samples(message.batch(), message.first_seq)
+                    log.samples(message.batch())
                     taken += message.rows
                 case EventMessage(entry):
                     log.entries(EVENTS, [entry])

@@ -19,16 +19,15 @@ MAX_BYTES = 1 << 18
 
 
 class SamplesMessage(msgspec.Struct, tag="samples", array_like=True):
-    first_seq: int
     tick_s: float
     rows: int
     columns: list[bytes]
     """In the order of ``COLUMNS``, native byte order: both ends are on this machine."""
 
     @classmethod
-    def of(cls, batch: SampleBatch, first_seq: int) -> SamplesMessage:
+    def of(cls, batch: SampleBatch) -> SamplesMessage:
         columns = [np.ascontiguousarray(getattr(batch, name)).tobytes() for name in COLUMNS]
-        return cls(first_seq, batch.tick_s, len(batch), columns)
+        return cls(batch.tick_s, len(batch), columns)
 
     def batch(self) -> SampleBatch:
         """The samples, without copying."""

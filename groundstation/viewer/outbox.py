@@ -26,9 +26,8 @@ class Outbox:
         self.sent = 0
         self.dropped = 0
         self._max_rows = max_rows
-        self._batches: deque[tuple[int, SampleBatch]] = deque()
+        self._batches: deque[SampleBatch] = deque()
         self._rows = 0
-        self._next_seq = 0
         self._notes: deque[Note] = deque()
         self._max_notes = max_notes
         self._untaken = 0
@@ -40,14 +39,12 @@ class Outbox:
         return self._rows + len(self._notes)
 
     def put_samples(self, batch: SampleBatch) -> None:
-        """Queue samples and number them; a number that never arrives was dropped."""
         for start in range(0, len(batch), MAX_ROWS):
             piece = batch[start : start + MAX_ROWS] if len(batch) > MAX_ROWS else batch
-            self._batches.append((self._next_seq, piece))
-            self._next_seq += len(piece)
+            self._batches.append(piece)
             self._rows += len(piece)
             while self._rows > self._max_rows:
-                _, oldest = self._batches.popleft()
+                oldest = self._batches.popleft()
                 self._rows -= len(oldest)
                 self.dropped += len(oldest)
 
@@ -63,9 +60,9 @@ class Outbox:
         Raises OSError when the other end is gone.
         """
         while self._batches:
-            first_seq, batches = self._next_run()
+            batches = self._next_run()
             batch = batches[0] if len(batches) == 1 else SampleBatch.concatenate(batches)
-            if not _send(channel, encode_message(SamplesMessage.of(batch, first_seq))):
+            if not _send(channel, encode_message(SamplesMessage.of(batch))):
                 return
             for _ in batches:
                 self._batches.popleft()
@@ -97,16 +94,16 @@ class Outbox:
         self.sent += items
         self._untaken += items
 
-    def _next_run(self) -> tuple[int, list[SampleBatch]]:
+    def _next_run(self) -> list[SampleBatch]:
         """The oldest batches that fit one message: one source, at most ``MAX_ROWS`` rows."""
-        first_seq, first = self._batches[0]
+        first = self._batches[0]
         run, rows = [first], len(first)
-        for _, batch in list(self._batches)[1:]:
+        for batch in list(self._batches)[1:]:
             rows += len(batch)
             if rows > MAX_ROWS or batch.tick_s != first.tick_s:
                 break
             run.append(batch)
-        return first_seq, run
+        return run
 
 
 def _send(channel: socket.socket, data: bytes) -> bool:

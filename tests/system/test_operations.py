@@ -106,18 +106,16 @@ def test_the_status_screen_keeps_showing_and_ends_with_ctrl_c(daemon):
 def test_what_config_shows_is_a_configuration(tmp_path):
     path = tmp_path / "shown.toml"
     given = ("--set", "viewer.port=1111", "--set", "link.speed=max", "--set", "vehicle=crazyflie21")
-    path.write_text(in_process("config", "--show", *given).stdout)
+    path.write_text(in_process("config", *given).stdout)
     config = load_config(path)
     assert (config.viewer.port, config.link.speed, config.vehicle) == (1111, "max", "crazyflie21")
     plain = tmp_path / "plain.toml"
-    plain.write_text(in_process("config", "--show").stdout)
+    plain.write_text(in_process("config").stdout)
     assert load_config(plain) == Config()
-    as_json = json.loads(in_process("config", "--show", "--json").stdout)
+    as_json = json.loads(in_process("config", "--json").stdout)
     assert set(as_json) == {setting.name for setting in settings(Config())}
-    assert "usage" in in_process("config", "--show", "--set", "viewer.prt=1").stderr.lower()
-    assert "viewer.port" in require_failure(
-        in_process("config", "--show", "--set", "viewer.port=web")
-    )
+    assert "usage" in in_process("config", "--set", "viewer.prt=1").stderr.lower()
+    assert "viewer.port" in require_failure(in_process("config", "--set", "viewer.port=web"))
 
 
 def test_the_service_manager_is_told_ready_alive_and_stopping(tmp_path):

@@ -151,11 +151,10 @@ def check_timelines(path, samples):
     for chunk in RrdReader(path).stream():
         if chunk.entity_path == "/telemetry/attitude" and not chunk.is_static:
             batch = chunk.to_record_batch()
-            for name in ("device_time", "seq", "host_time"):
+            for name in ("device_time", "host_time"):
                 times.setdefault(name, []).append(batch[name].to_numpy(zero_copy_only=False))
     times = {name: np.concatenate(parts) for name, parts in times.items()}
-    order = np.argsort(times["seq"])
-    np.testing.assert_array_equal(times["seq"][order], np.arange(len(samples)))
+    order = np.argsort(times["device_time"])
     np.testing.assert_array_equal(
         times["device_time"][order], np.rint(samples.time_s * 1e9).astype("timedelta64[ns]")
     )
