@@ -102,7 +102,9 @@ def optimise(
 
     peak = limits.sensitivity
     if math.isfinite(limits.yielding):
-        limits, start = _not_soft(best, limits, start)
+        stiff_gains, stiff = best(within(lambda j: j[:, COMPLIANCE], peak), start)
+        limits = msgspec.structs.replace(limits, compliance=limits.yielding * stiff[COMPLIANCE])
+        start = stiff_gains[None]
     fast_gains, fast = best(within(lambda j: j[:, SETTLING], peak), start)
     if not _kept(fast[None], limits)[0]:
         raise BadInputError(_impossible(archive, limits))
@@ -138,9 +140,6 @@ def optimise(
     )
 
 
-Best = Callable[[Callable[[Array], Array], Array | None], tuple[Array, Array]]
-
-
 def closest(
     judge: Callable[[Array], Array],
     low: Array,
@@ -151,28 +150,16 @@ def closest(
     budget: Budget = Budget(),
 ) -> tuple[Array, Array]:
     """Of the gains that keep the limits those that follow a step the closest (RMS), and their
-    judgement; two searches, where ``optimise`` draws whole fronts. start: (s, d) to begin with.
+    judgement: one search, where ``optimise`` draws whole fronts. start: (s, d) to begin with.
 
     Raises BadInputError where no gains keep the limits.
     """
     archive = Archive()
-
-    def best(score: Callable[[Array], Array], start: Array | None) -> tuple[Array, Array]:
-        return search(judge, score, low, high, archive, seed, budget, start)
-
-    limits, start = _not_soft(best, limits, start)
-    gains, judged = best(Scorer(lambda j: j[:, RMS], limits, math.inf), start)
+    score = Scorer(lambda j: j[:, RMS], limits, math.inf)
+    gains, judged = search(judge, score, low, high, archive, seed, budget, start)
     if not _kept(judged[None], limits)[0]:
         raise BadInputError(_impossible(archive, limits))
     return gains, judged
-
-
-def _not_soft(best: Best, limits: Limits, start: Array | None) -> tuple[Limits, Array]:
-    """The limits with how far a push may move the craft, and the stiffest gains, after start."""
-    gains, stiff = best(Scorer(lambda j: j[:, COMPLIANCE], limits, math.inf), start)
-    begun = [] if start is None else [start]
-    limits = msgspec.structs.replace(limits, compliance=limits.yielding * stiff[COMPLIANCE])
-    return limits, np.vstack([*begun, gains])
 
 
 class Scorer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.control.design import (
+    COMPLIANCE,
     SENSITIVITY,
     Design,
     Limits,
@@ -22,6 +24,7 @@ from groundstation.control.design import (
 from groundstation.control.firmware_loop import (
     GAIN_MOST,
     SUPPLY_MV,
+    UNUSABLE,
     CascadeJudge,
     cascade_margins,
 )
@@ -145,21 +148,29 @@ def closest_cascade(
     budget: Budget = BUDGET,
     release: str | None = None,
 ) -> tuple[dict[str, float], Array, Array]:
-    """Gains of an axis that follow a step the closest within the limits, which they keep as
-    ``design_cascade``'s do; their judgement, and that of the stock gains that it begins with. Where
-    those are more sensitive than the limit, the gains may be as sensitive.
+    """Gains of an axis that follow a step the closest within the limits; their judgement, and that
+    of the stock gains that it begins with.
+
+    They keep the limits as ``design_cascade``'s do, with two that the stock gains set: where those
+    are more sensitive than the limit the gains may be as sensitive, and a push moves the craft
+    ``limits.yielding`` times as far as with them at most.
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
-    _, judge, low, high, stock = _searched(model, axis, limits, supply_mv, release)
-    before = np.array([list(stock.values())])
-    judged_before = judge(before)[0]
-    if np.isfinite(own := judged_before[SENSITIVITY]):
-        limits = msgspec.structs.replace(limits, sensitivity=max(limits.sensitivity, float(own)))
-    start = np.clip(before, low, high)
+    _, judge, low, high, names = _searched(
+        model, axis, limits, supply_mv, release, unusable=math.inf
+    )
+    stock = np.array([list(names.values())])
+    before = judge(stock)[0]
+    if np.isfinite(before[SENSITIVITY]):
+        limits = msgspec.structs.replace(
+            limits,
+            sensitivity=max(limits.sensitivity, float(before[SENSITIVITY])),
+            compliance=limits.yielding * float(before[COMPLIANCE]),
+        )
+    start = np.clip(stock, low, high)
     gains, judged = closest(judge, low, high, limits, start, seed, budget)
-    rounded = {n: _rounded(v) for n, v in zip(stock, gains, strict=True)}
-    return rounded, judged, judged_before
+    return {n: _rounded(v) for n, v in zip(names, gains, strict=True)}, judged, before
 
 
 def _searched(
@@ -169,6 +180,7 @@ def _searched(
     supply_mv: float,
     release: str | None,
     turning: Turning | None = None,
+    unusable: float = UNUSABLE,
 ) -> tuple[list[Plant], CascadeJudge, Array, Array, dict[str, float]]:
     """Plants of a model (the nominal one first), their judge, where gains are searched, (d,) each,
     and the stock gains. Raises BadInputError where the model is too uncertain."""
@@ -177,7 +189,7 @@ def _searched(
     plants = [
         plant_of_model(other, release=release, turning=turning) for other in corners(model, axis)
     ]
-    judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND)
+    judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND, unusable)
     kind = "yaw" if axis == "yaw" else "roll"
     low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
     stock = {name: firmware.stock[name] for name in firmware.gain_names(axis)}

@@ -266,7 +266,7 @@ class CascadeJudge:
     Columns as ``DirectJudge``; the worst of several plants counts. Effort is the largest step of a
     motor away from hover, as a share of full PWM; compliance is in rad, yaw's in rad/s, per
     rad/s^2. What is unstable or has a sensitivity beyond
-    ``UNUSABLE`` is infinite throughout.
+    ``unusable`` is infinite throughout.
     """
 
     def __init__(
@@ -277,8 +277,9 @@ class CascadeJudge:
         spare_s: float = 0.0,
         supply_mv: float = SUPPLY_MV,
         band: float = 0.05,
+        unusable: float = UNUSABLE,
     ) -> None:
-        self._band = band
+        self._band, self._unusable = band, unusable
         self._index, self._size = AXES.index(axis), STEP_RAD[axis]
         self._rows = round(seconds / SAMPLE_PERIOD_S)
         self._plants = tuple(plants)
@@ -318,7 +319,7 @@ class CascadeJudge:
                     plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
                     *plant.turned_by, plant.start,
                     self._rest[0], room[0], self._index, gains[left], *parts,
-                    self._late, *self._ratios, UNUSABLE, side * self._size,
+                    self._late, *self._ratios, self._unusable, side * self._size,
                     plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
                     peak[: len(left)], largest, compliance[: len(left)], response,
                 )  # fmt: skip
