@@ -165,6 +165,12 @@ def test_an_option_of_one_value_that_is_given_twice_is_refused(tmp_path, command
         (["models", "watch", "ID"], "POST /models/watch"),
         (["config", "--reload"], "the next start"),
         (["recordings"], "inspect FOLDER"),
+        (["config", "--show"], "'groundstation config' shows it"),
+        (["export", "header"], "groundstation_telemetry.h"),
+        (["fit", "body", "flight.mcap", "--rerun=shown.rrd"], "--html draws the same series"),
+        (["bench", "motor", "-o", "motor.json"], "'groundstation fit motor' fits"),
+        (["inspect", "flight.mcap", "--thumbnail", "small.svg"], "opens a recording"),
+        (["pid", "evaluate", "--thesis"], "'groundstation thesis'"),
     ],
 )
 def test_what_is_gone_is_refused_with_what_does_its_work_now(words, successor):

@@ -380,7 +380,7 @@ def test_who_reads_only_the_page_gets_from_two_real_flights_to_what_is_missing_a
         "velocity_moment": "tipping moment of blade flapping",
         "rotor_drag": "drag of the rotors",
     }.items():
-        expect(searched).to_contain_text(f"{name} (")
+        expect(searched).to_contain_text(f"{name}: ")
         expect(report).to_contain_text(words)
     expect(report).to_contain_text(
         re.compile(r"prediction errors fall from [\d.]+ to [\d.]+ times")
