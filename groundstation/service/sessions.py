@@ -59,12 +59,6 @@ class Sessions:
         self.faults: dict[Path, str] = {}
         """What kept a recording from being complete, by file."""
 
-    def start(self, link: str) -> Path:
-        """Begin a new file named after the time and the link."""
-        self.require_idle()
-        self.detach()  # one that has failed ends by itself: nothing to wait for
-        return self.install(self.create(link))
-
     def create(self, link: str, *, continues: bool = False) -> McapRecorder:
         """A recorder for a new file: of a new session, or the next part of the present one."""
         path = dated(self.folder, f"{link.split(':', 1)[0]}.mcap", self._clock())
@@ -91,11 +85,6 @@ class Sessions:
         if self._recorder is not None and self._recorder.status().state == "recording":
             raise BadInputError(f"already recording to {self._recorder.status().file}")
 
-    @property
-    def fault(self) -> str:
-        """The latest of ``faults``, or nothing."""
-        return next(reversed(self.faults.values()), "")
-
     def require_started(self) -> None:
         """Raises BadInputError when there is nothing to stop."""
         if self._recorder is None:
@@ -120,11 +109,6 @@ class Sessions:
         if recorder is self._ended:
             self._last = status
         return status
-
-    def stop(self) -> RecorderStatus | None:
-        """Finish the present file; its final status, None when there was none."""
-        recorder = self.detach()
-        return None if recorder is None else self.finish(recorder)
 
     def wait(self) -> None:
         """Finish what is recorded or being finished, from whatever thread: the last resort."""

@@ -23,11 +23,21 @@ def faults():
 def sessions(tmp_path, faults):
     made = Sessions(tmp_path / "sessions", METADATA, low_space_bytes=0, on_fault=faults.append)
     yield made
-    made.stop()
+    made.wait()
+
+
+def start(sessions, link="stand-in"):
+    sessions.require_idle()
+    sessions.detach()
+    return sessions.install(sessions.create(link))
+
+
+def stop(sessions):
+    return sessions.finish(sessions.detach())
 
 
 def test_a_file_is_named_after_the_time_and_the_kind_of_link(sessions):
-    path = sessions.start("replay:/some/where/flight.mcap")
+    path = start(sessions, "replay:/some/where/flight.mcap")
     assert path.parent == sessions.folder
     assert path.name.endswith("Z_replay.mcap")
 
@@ -35,8 +45,8 @@ def test_a_file_is_named_after_the_time_and_the_kind_of_link(sessions):
 def test_recordings_of_the_same_second_do_not_collide(sessions):
     paths = []
     for _ in range(3):
-        paths.append(sessions.start("stand-in"))
-        sessions.stop()
+        paths.append(start(sessions))
+        stop(sessions)
     assert len(set(paths)) == 3
     assert all(open_recording(path).damage == [] for path in paths)
 
@@ -44,14 +54,14 @@ def test_recordings_of_the_same_second_do_not_collide(sessions):
 def test_everything_goes_into_the_file_of_the_moment(sessions):
     raw, samples = flight(0, 100)
     sessions.samples(samples)  # nothing is recorded yet: dropped on purpose
-    path = sessions.start("stand-in")
+    path = start(sessions)
     sessions.raw(raw)
     sessions.samples(samples)
     sessions.note(LinkEvent(5, "stand-in", "silent", "nothing", {"for_s": 2}))
     statistics = LinkMeter(0).close_window(6, Decoder().counts())
     sessions.note(statistics)
     sessions.command({"time_ns": 7, "thrust": 1})
-    status = sessions.stop()
+    status = stop(sessions)
     sessions.samples(samples)
     assert (status.samples, status.raw_packets, status.dropped) == (100, 100 * COPIES, 0)
     recording = open_recording(path, raw=True)
@@ -67,26 +77,25 @@ def test_status_tells_of_the_present_recording_then_of_the_last(sessions):
     assert sessions.status() == {
         "state": "off", "file": None, "bytes": 0, "samples": 0, "dropped": 0,
     }  # fmt: skip
-    path = sessions.start("stand-in")
+    path = start(sessions)
     assert sessions.status()["state"] == "recording"
     assert sessions.status()["file"] == str(path)
     sessions.samples(flight(0, 10)[1])
-    sessions.stop()
+    stop(sessions)
     assert sessions.status()["state"] == "finished"
     assert sessions.status()["samples"] == 10
     assert sessions.status()["file"] == str(path)
 
 
 def test_starting_twice_is_refused_and_the_recording_goes_on(sessions):
-    path = sessions.start("stand-in")
+    path = start(sessions)
     with pytest.raises(BadInputError, match=f"already recording to {path}"):
-        sessions.start("stand-in")
+        start(sessions)
     sessions.samples(flight(0, 10)[1])
-    assert sessions.stop().samples == 10
+    assert stop(sessions).samples == 10
 
 
-def test_stopping_nothing_is_harmless_here_and_refused_to_an_operator(sessions):
-    assert sessions.stop() is None
+def test_stopping_nothing_is_refused_to_an_operator(sessions):
     with pytest.raises(BadInputError, match="nothing is being recorded"):
         sessions.require_started()
 
@@ -94,8 +103,8 @@ def test_stopping_nothing_is_harmless_here_and_refused_to_an_operator(sessions):
 def test_what_comes_while_a_recording_is_being_finished_is_not_counted_as_lost(sessions):
     raw, samples = flight(0, 5)
     for _ in range(5):
-        sessions.start("stand-in")
-        stopping = threading.Thread(target=sessions.stop)
+        start(sessions)
+        stopping = threading.Thread(target=stop, args=[sessions])
         stopping.start()
         while stopping.is_alive():
             sessions.raw(raw)
@@ -104,7 +113,7 @@ def test_what_comes_while_a_recording_is_being_finished_is_not_counted_as_lost(s
 
 
 def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, faults):
-    path = sessions.start("stand-in")
+    path = start(sessions)
     path.unlink()
 
     async def noticed():
@@ -114,9 +123,9 @@ def test_a_recording_that_failed_is_told_and_another_can_be_started(sessions, fa
 
     asyncio.run(noticed())
     assert faults == [f"{path}: recording stopped: the file was removed"]
-    assert sessions.fault == faults[0]
-    again = sessions.start("stand-in")
+    assert sessions.faults == {path: faults[0]}
+    again = start(sessions)
     sessions.samples(flight(0, 10)[1])
-    assert sessions.stop().state == "finished"
+    assert stop(sessions).state == "finished"
     assert len(open_recording(again).samples) == 10
-    assert sessions.fault == faults[0]
+    assert sessions.faults == {path: faults[0]}
