@@ -187,7 +187,7 @@ class Station:
             closing.push_async_callback(self.jobs.close)
             for name, work in (
                 ("command", self.commander.keep_connected),
-                ("dead man", self.commander.watch),
+                ("failsafe", self.commander.watch),
                 ("statistics", self._close_windows),
                 ("recordings", self.recordings.keep),
                 ("health", self.health.watch),

@@ -70,7 +70,7 @@ def test_every_figure_is_a_metric_of_the_right_kind(tmp_path):
         assert packets.value > 0
         assert families["groundstation_healthy"].samples[0].value == 1
         tasks = {s.labels["task"] for s in families["groundstation_task_restarts"].samples}
-        assert {"dead man", "recordings", "statistics", "health"} <= tasks
+        assert {"failsafe", "recordings", "statistics", "health"} <= tasks
         assert all(family.documentation for family in families.values())
 
     serve(config(tmp_path), path, conversation)
