@@ -5,17 +5,14 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from pathlib import Path
 
 from bench.mutants.fault import Fault
-from bench.mutants.page import write_page
 from bench.mutants.run import Outcome, run_all
 from bench.mutants.table import FAULTS
 
 EXAMPLES = """examples:
   make mutants
   make mutants ARGS="lease-token page-token"
-  make mutants ARGS="--page bench/mutants/RESULTS.md"
 """
 
 
@@ -28,7 +25,6 @@ def main() -> int:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="these faults only")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
-    parser.add_argument("--page", type=Path, help="write the table as a page of the documents")
     arguments = parser.parse_args()
     known = {fault.name: fault for group in FAULTS.values() for fault in group}
     unknown = [name for name in arguments.names if name not in known]
@@ -43,8 +39,6 @@ def main() -> int:
     for outcome in run_all(_runs(arguments.names), arguments.jobs):
         outcomes.append(outcome)
         _report(outcome)
-    if arguments.page is not None:
-        write_page(arguments.page, outcomes)
     return _conclude(outcomes)
 
 
@@ -60,13 +54,13 @@ def _runs(names: list[str]) -> list[tuple[Fault | None, tuple[str, ...]]]:
 
 
 def _report(outcome: Outcome) -> None:
-    ran = len(outcome.failed) + outcome.passed
+    ran = outcome.failed + outcome.passed
     if outcome.fault is None:
         what = "no fault: every test passes" if outcome.is_good else "NO FAULT, AND TESTS FAIL"
         print(f"{outcome.seconds:6.1f} s  {what} ({ran})", flush=True)
     else:
         what = "noticed " if outcome.is_good else "SURVIVED"
-        told = f"{what} by {len(outcome.failed)} of {ran}"
+        told = f"{what} by {outcome.failed} of {ran}"
         print(f"{outcome.seconds:6.1f} s  {told:<22} {outcome.fault.name}", flush=True)
     if not outcome.is_good:
         print(outcome.log[-3000:], file=sys.stderr, flush=True)

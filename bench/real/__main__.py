@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from bench.real import acceptance, nanobench, program
+from bench.real import acceptance, program
 from bench.real.reference import Flight, explained, read_flight, reference_gain
 from bench.real.sets import HERE, PAYLOAD, SETS, FlightSet, Split, drawn
 from groundstation.dynamics.model import load_model
 from groundstation.dynamics.vehicle import load_vehicle
 
-PARTS = ("fit", "agreement", "find", "tasks")
+PARTS = ("fit", "agreement", "find")
 ACCEPT = "accept"
 """Pass or fail, a line each, instead of tables; not among what runs by default."""
 AXES = {"roll": "c0", "pitch": "c1", "yaw": "c2"}
@@ -132,18 +132,6 @@ class Bench:
             found = case if "refused" in case else self.searched(flights, split)
             yield _finding(f"{flights.name} {split.name}", found)
         yield from self._payload()
-
-    def tasks(self) -> Iterator[str]:
-        """NanoBench's first task, by its released code's protocol, and predictions by steps."""
-        for flights in self.sets:
-            if flights.name == "nanobench":
-                cases = []
-                for split in flights.splits:
-                    if "model" in (fitted := self.fitted(flights, split)):
-                        found = self.searched(flights, split)
-                        models = [fitted["model"], found.get("model", fitted["model"])]
-                        cases.append((split, models))
-                yield from nanobench.tables(cases, self.data / flights.folder)
 
     def accept(self) -> Iterator[str]:
         """Each line of acceptance that a folder of flights can show."""

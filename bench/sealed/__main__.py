@@ -1,4 +1,4 @@
-"""``python -m bench.sealed run|make|table|figure``: the acceptance matrix of ``discrepancy``."""
+"""``python -m bench.sealed run|make|table``: the acceptance matrix of ``discrepancy``."""
 
 from __future__ import annotations
 
@@ -66,11 +66,7 @@ def main() -> int:
     make.add_argument("-o", "--output", type=Path, required=True, help="a new folder")
     make.add_argument("--open", action="store_true", help="print what is hidden")
     table = commands.add_parser("table", help="what was judged, in tables")
-    figure = commands.add_parser("figure", help="that of docs/evidence.md")
-    figure.add_argument(
-        "-o", "--output", type=Path, default=Path("docs/images/discrepancy_confusion.svg")
-    )
-    for one in (run, make, table, figure):
+    for one in (run, make, table):
         one.add_argument("--results", type=Path, default=Path("sealed-results"))
     options = parser.parse_args()
     try:
@@ -118,15 +114,7 @@ def _table(options: argparse.Namespace) -> int:
     return 0
 
 
-def _figure(options: argparse.Namespace) -> int:
-    from bench.sealed.figures import draw
-    from bench.sealed.run import judged_again
-
-    draw(judged_again(options.results), options.output)
-    return 0
-
-
-COMMANDS = {"run": _run, "make": _make, "table": _table, "figure": _figure}
+COMMANDS = {"run": _run, "make": _make, "table": _table}
 
 if __name__ == "__main__":
     sys.exit(main())
