@@ -27,7 +27,6 @@ from firmware_sim.layout import (
 )
 from firmware_sim.pilot import LANDED_M, REST_NS, decide
 from firmware_sim.plant import derivative, integrate
-from firmware_sim.polynomials import turn
 from firmware_sim.random_numbers import normal, uniform
 from firmware_sim.stabilizer import angle_loops, stabilize
 from firmware_sim.stabilizer_today import stabilize_today
@@ -173,8 +172,6 @@ def _move(p: Record, s: Record) -> None:
         share = max(s.y[2] / LANDED_M, 0.0)
         for i in range(6):
             s.noise[i] *= share
-    if p.arx_turns != 0:
-        turn(p, s)
     at = s.now_ns
     end = at + PASS_NS
     while True:

@@ -26,8 +26,6 @@ ALL_STATES = 36
 LAW_BODY, LAW_SENSOR, LAW_STATES = 36, 52, 68
 """States of effects whose laws are flown, 16 of the body and 16 of sensors."""
 
-ARX_ORDER, ARX_DEPTH = 24, 128
-"""Past angles and inputs that a craft's ARX polynomials may need."""
 SENSOR_RING = 32
 """Samples on their way from the sensor to the loop: up to 60 ms of delay."""
 CALIBRATION_SAMPLES = 128
@@ -146,12 +144,6 @@ PARAMETERS = np.dtype(
         ("gust_force", "f8"),
         ("gust_moment", "f8"),
         ("gust_hz", "f8"),
-        # the ARX polynomials of a model in the place of the body's rotation
-        ("arx_turns", "i8"),
-        ("arx_order", "i8", (3, 3)),  # na, nb, nk of roll, pitch, yaw
-        ("arx_a", "f8", (3, ARX_ORDER)),  # from a1 on
-        ("arx_b", "f8", (3, ARX_ORDER)),
-        ("arx_mixer", "f8", (3, 4)),
         # pilot
         ("hold_height", "f8"),  # m, with flightmode.althold
         ("resume_ns", "i8"),  # a client silent for so long gives the craft back to the pilot
@@ -273,10 +265,6 @@ STATE = np.dtype(
         ("sampled", "i8"),  # samples taken
         ("read", "i8"),  # index of the sample in the registers
         ("sampled_ns", "i8", (SENSOR_RING,)),
-        # angles (rad) and u' of ARX polynomials, the latest first
-        ("arx_angles", "f8", (ARX_ORDER, 3)),
-        ("arx_inputs", "f8", (ARX_DEPTH, 3)),
-        ("arx_flying", "i8"),
         # optical gate of the motor bench
         ("gate_ns", "f8"),
         ("gate_ticks", "i8"),

@@ -28,11 +28,9 @@ from firmware_sim.layout import (
     PASS_NS,
     SENSOR_RING,
 )
-from firmware_sim.polynomials import TURNING, put_polynomials
 from firmware_sim.programme import load_programme
 from firmware_sim.settings import Sensor, StandInSettings
 from firmware_sim.supervisor import NOT_PASSED
-from groundstation.dynamics.arx import of_rates, turning_of
 from groundstation.dynamics.craft import Acting
 from groundstation.dynamics.effect import Role
 from groundstation.dynamics.model import Model, load_model, model_vehicle, rotor_motors
@@ -176,12 +174,6 @@ def _fly_model(p: Any, model: Model, settings: StandInSettings) -> list[Acting]:
         ):
             if name in terms:  # the firmware's own, which runs in its loop
                 p[field] = today.low_pass(terms.pop(name)["corner_hz"])
-    if turning_of(model, settings.attitude) == "arx":
-        put_polynomials(p, model)
-        for name in (*TURNING, *(() if of_rates(model) else ("attitude_filter_lean",))):
-            IMPLEMENTED[name].clear(p)
-            terms.pop(name, None)
-        p["coupling"] = p["rotor_inertia_gyro"] = p["rotor_inertia_yaw"] = 0.0
     if settings.sensor.delay_s is not None and "dead_time" in terms:
         raise ValueError(
             "sensor delay_s: the model has dead_time, which is the same delay; leave it out"

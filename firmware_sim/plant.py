@@ -237,8 +237,6 @@ def derivative(p: Record, s: Record, time_s: float, y: Any, dy: Any) -> None:
         dy[3] = push_x
         dy[4] = push_y
         dy[5] = push_z - p.gravity
-        if s.arx_flying != 0:  # it turns steadily over a pass, see polynomials.turn
-            roll_acceleration, pitch_acceleration, yaw_acceleration = 0.0, 0.0, 0.0
     else:
         push_x, push_y, push_z = 0.0, 0.0, p.gravity
         for i in range(6):

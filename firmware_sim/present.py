@@ -7,7 +7,6 @@ import msgspec
 from firmware_sim.effects.catalogue import EFFECTS
 from firmware_sim.physics import craft_of, parameters
 from firmware_sim.settings import StandInSettings
-from groundstation.dynamics.arx import arx_labels, turning_of
 from groundstation.dynamics.model import EffectTerm, Estimate
 
 
@@ -35,11 +34,7 @@ def added_by_plant(settings: StandInSettings) -> str:
         added.insert(0, f"body constants of the profile {model.vehicle}")
     if parameters(plain)[0]["shake"].any():
         added.append("vibration")
-    beside = f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
-    if turning_of(model, settings.attitude) == "body":
-        return beside
-    turns = f"the craft turns by its ARX polynomials ({arx_labels(model)}), thrust is the body's"
-    return f"{turns}; {beside}" if beside else turns
+    return f"not in the model, added by the plant: {'; '.join(added)}" if added else ""
 
 
 def _unit(name: str, parameter: str) -> str:

@@ -105,8 +105,6 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         fitted one plus white noise and nothing else.
     craft: vehicle profile (``crazyflie1``, ``crazyflie21``, a TOML file), ``thesis``, or the
         path of a fitted model, whose effects then act in the place of the plant's.
-    attitude: what turns a fitted model: ``body``, or ``arx``, its ARX polynomials, with their
-        delay; None: the polynomials, where ``fit arx`` made the file.
     program: a pilot programme by name or TOML file, see ``programme``.
     effects: name -> parameter -> value of what is hidden in the craft, see ``effects``.
     gains: controller parameters by full name, over stock and the vehicle's own.
@@ -138,7 +136,6 @@ class StandInSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     plant: Literal["reduced", "faithful", "model"] = "faithful"
     craft: str = "crazyflie1"
-    attitude: Literal["body", "arx"] | None = None
     program: str = "excite"
     seed: int = 0
     effects: dict[str, dict[str, float]] = {}

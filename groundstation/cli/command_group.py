@@ -30,6 +30,11 @@ FORMER = {
     " (POST /jobs/start, GET /jobs)",
     "models": "models are on the page ('groundstation page') and in the control API (GET /models);"
     " 'groundstation link stand-in:ID' flies one, POST /models/watch watches with one",
+    "pid design --attitude": "the firmware's loops fly a model's body, --loop direct its"
+    " polynomials",
+    "pid design --rounding": "--sensitivity keeps margins, by more than printed digits leave open",
+    "pid evaluate --attitude": "the firmware's loops fly a model's body, --loop direct and"
+    " whole its polynomials",
     "recordings": "'groundstation inspect FOLDER' lists a folder of recordings",
     "pid evaluate --thesis": "'groundstation thesis' has the printed tables",
     "run --page-port": "give --set page.port=PORT",

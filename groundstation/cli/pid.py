@@ -12,13 +12,12 @@ from groundstation.cli import pid_design, pid_fly
 from groundstation.cli.command_group import Commands
 from groundstation.cli.model_files import (
     AS_JSON,
-    ATTITUDE,
     HTML,
     fitted_model,
     require_new,
     say_written,
 )
-from groundstation.cli.pid_design import DELAY, FIRMWARE, release_of, turned_model
+from groundstation.cli.pid_design import DELAY, FIRMWARE, release_of
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
@@ -46,7 +45,6 @@ def evaluate(
     ),
     delay: int | None = DELAY,
     firmware: str | None = FIRMWARE,
-    attitude: str | None = ATTITUDE,
     seconds: float = typer.Option(1.5, help="Window of the step response."),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
@@ -82,12 +80,11 @@ def evaluate(
         raise BadInputError(f"--loop {chosen}: {gains} holds gains of the {named} loop")
     if chosen not in LOOPS:
         raise BadInputError(f"--loop {loop}: there are {', '.join(LOOPS)}")
-    loaded = fitted_model(model, attitude=chosen != "firmware" and attitude != "body")
-    loaded, turning = turned_model(loaded, attitude, chosen == "firmware")
+    loaded = fitted_model(model, attitude=chosen != "firmware")
     release = release_of(loaded, firmware) if chosen == "firmware" else None
     if release is not None and gains is not None and form == "firmware":
         require_gains_of(gains, release, f"the craft of {model}", said=firmware)
-    results = evaluate_gains(loaded, given, chosen, seconds, delay, release, turning)
+    results = evaluate_gains(loaded, given, chosen, seconds, delay, release)
     if html is not None:
         name = "stock gains" if gains is None else gains.name
         evaluation_page(results, f"{name} on {model}", chosen).write(html)

@@ -11,12 +11,10 @@ import typer
 from groundstation import BadInputError
 from groundstation.cli.model_files import (
     AS_JSON,
-    ATTITUDE,
     HTML,
     fitted_model,
     require_new,
     say_written,
-    told_turning,
     write_new,
 )
 from groundstation.cli.progress import shown
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
     from groundstation.control.design import Design
     from groundstation.control.firmware_design import AxisDesign, Robustness
     from groundstation.control.firmwares import Release
-    from groundstation.dynamics.arx import Turning
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 DELAY = typer.Option(None, "--delay", help="Samples of delay instead of the model's.")
@@ -45,15 +42,11 @@ def design(
         "firmware", "--loop", help="firmware (cascaded) or direct (a PID on u' in (rev/s)^2)."
     ),
     firmware: str | None = FIRMWARE,
-    attitude: str | None = ATTITUDE,
     axis: list[str] | None = AXIS,
     sensitivity: float = typer.Option(2.0, help="Largest maximum sensitivity."),
     spare_ms: float = typer.Option(2.0, help="More delay that the loops must bear, ms."),
     draws: int = typer.Option(1000, help="Models drawn from the fit's covariance to try it on."),
     delay: int | None = DELAY,
-    rounding: bool = typer.Option(
-        False, "--rounding", help="Direct loop: hold for all that the printed digits stand for."
-    ),
     seed: int = typer.Option(0, help="Of the search and the draws."),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
@@ -72,18 +65,17 @@ def design(
     axes = tuple(axis or AXES)
     _require_sense(axes, sensitivity, spare_ms, draws, loop)
     cascaded = loop == "firmware"
-    loaded = fitted_model(model, attitude=not cascaded and attitude != "body")
-    loaded, turning = turned_model(loaded, attitude, cascaded)
+    loaded = fitted_model(model, attitude=not cascaded)
     gains: dict[str, float] | dict[str, PidGains]
     release: Release | None = None
     if cascaded:
         release = release_of(loaded, firmware)
         report, gains, page = _design_firmware(
-            loaded, release, turning, axes, sensitivity, spare_ms / 1e3, draws, seed, model
+            loaded, release, axes, sensitivity, spare_ms / 1e3, draws, seed, model
         )
     else:
         report, gains, page = _design_thesis(
-            loaded, axes, sensitivity, spare_ms / 1e3, delay, rounding, seed, model
+            loaded, axes, sensitivity, spare_ms / 1e3, delay, seed, model
         )
 
     if output is not None:
@@ -123,7 +115,6 @@ def _require_sense(
 def _design_firmware(
     model: Model,
     release: Release,
-    turning: Turning | None,
     axes: tuple[str, ...],
     sensitivity: float,
     spare_s: float,
@@ -138,14 +129,12 @@ def _design_firmware(
         progress = _of_axes(axes, lambda share, what: show(0.9 * share, what))
         limits = cascade_limits(sensitivity, spare_s)
         designs: list[AxisDesign] = design_cascade(
-            model, axes, limits, seed, progress=progress, release=release, turning=turning
+            model, axes, limits, seed, progress=progress, release=release
         )
         gains = {key: value for one in designs for key, value in one.gains.items()}
         show(0.9, f"trying {draws} models")
         tried: Robustness | None = (
-            robustness(model, gains, axes, draws, seed, release=release, turning=turning)
-            if draws
-            else None
+            robustness(model, gains, axes, draws, seed, release=release) if draws else None
         )
     report = firmware_report(model, release, designs, tried, limits)
     return report, gains, firmware_page(model, name, designs, tried, report)
@@ -157,11 +146,10 @@ def _design_thesis(
     sensitivity: float,
     spare_s: float,
     delay: int | None,
-    rounding: bool,
     seed: int,
     name: str,
 ) -> tuple[dict[str, Any], dict[str, PidGains], Any]:
-    from groundstation.control.design import Limits, design_direct, rounding_corners
+    from groundstation.control.design import Limits, design_direct
     from groundstation.control.design_report import thesis_design_page, thesis_report
     from groundstation.control.linear_loop import axis_plant
     from groundstation.dynamics.model import THESIS
@@ -171,17 +159,16 @@ def _design_thesis(
     with shown("designing") as show:
         for number, axis in enumerate(axes):
             plant = axis_plant(model, axis, delay)
-            plants = rounding_corners(plant) if rounding else [plant]
 
             def progress(share: float, number: int = number, axis: str = axis) -> None:
                 show((number + share) / len(axes), f"designing {axis}")
 
-            gains, one, margins = design_direct(plants, limits, seed=seed, progress=progress)
+            gains, one, margins = design_direct(plant, limits, seed=seed, progress=progress)
             found[axis] = gains, one, margins, plant
     printed = model.arx == THESIS.arx
     if not printed:
         _require_followed(model, {axis: gains for axis, (gains, *_) in found.items()}, delay)
-    report = thesis_report(found, limits, rounding, printed)
+    report = thesis_report(found, limits, printed)
     chosen = {axis: gains for axis, (gains, *_) in found.items()}
     return report, chosen, thesis_design_page(name, found, report)
 
@@ -278,20 +265,6 @@ def convert(
         else:
             show(f"{name} = {value:.6g}")
     say_written(output)
-
-
-def turned_model(model: Model, said: str | None, firmware: bool) -> tuple[Model, Turning | None]:
-    """The model as a loop flies it, and what turns it in the firmware's loops.
-
-    Raises BadInputError for a choice that the model does not leave.
-    """
-    import msgspec
-
-    from groundstation.dynamics.arx import turning_of
-
-    if said is not None and turning_of(model, said) == "body":
-        return msgspec.structs.replace(model, arx=None), "body"
-    return model, told_turning(model, said) if firmware else None
 
 
 def release_of(model: Model, said: str | None) -> Release:

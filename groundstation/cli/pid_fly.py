@@ -35,7 +35,6 @@ from groundstation.cli.model_files import (
     fitted_model,
     require_new,
     say_written,
-    told_turning,
 )
 from groundstation.cli.pid_manoeuvres import (
     HOLD_HEIGHT,
@@ -119,9 +118,8 @@ def fly(
         require_release(firmware)
     if model is not None:
         # what is wrong with it is better known before a flight
-        loaded = fitted_model(model, attitude=True)
+        loaded = fitted_model(model)
         plant_of_model(loaded, release=firmware)
-        told_turning(loaded, None)
     if dry_run:
         _show(planned, wanted, as_json)
         return

@@ -74,11 +74,13 @@ def simulate(
         raise BadInputError(f"--supply-v {supply_v:g}: must be 2..10 V")
     require_new(output)
     loaded = fitted_model(model)
-    turning = told_turning(loaded, attitude)
     if recording is not None:
+        turning = told_turning(loaded, attitude)
         report = _on_recording(loaded, recording, output, window, turning)
+    elif attitude is not None:
+        raise typer.BadParameter("--attitude: along a reference the body turns the craft")
     else:
-        report = _along_reference(loaded, str(reference), output, supply_v, turning)
+        report = _along_reference(loaded, str(reference), output, supply_v)
     if as_json:
         show_json(report)
         return
@@ -135,7 +137,6 @@ def _along_reference(
     source: str,
     output: Path,
     supply_v: float,
-    turning: Turning,
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -143,7 +144,7 @@ def _along_reference(
     from groundstation.identification.replayed import channels_of
 
     reference = load_reference(source)
-    made = fly_reference(model, reference, supply_v, turning)
+    made = fly_reference(model, reference, supply_v)
     time = np.arange(len(made.duty)) * made.period_s
     table = np.column_stack(
         [
@@ -165,7 +166,6 @@ def _along_reference(
         "supply_v": supply_v,
         "rms": dict(zip(NAMES[6:], rms.tolist(), strict=True)),
         "effects": [term.name for term in model.effects],
-        "attitude": turning,
     }
 
 

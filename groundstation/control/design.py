@@ -9,7 +9,7 @@ of the Pareto front of overshoot and settling at the limit of maximum sensitivit
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import msgspec
@@ -184,24 +184,22 @@ class Scorer:
 
 
 def design_direct(
-    plants: Sequence[ArxAxis],
+    plant: ArxAxis,
     limits: Limits,
     seconds: float = 2.0,
     seed: int = 0,
     budget: Budget = Budget(),
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PidGains, Design, Margins]:
-    """A PID in the thesis's form for an axis, the worst of several plants counting.
+    """A PID in the thesis's form for an axis, and its margins.
 
-    plants: the nominal one first. The margins are the nominal plant's.
-
-    Raises BadInputError where no gains keep the limits on all of them.
+    Raises BadInputError where no gains keep the limits.
     """
-    low, high = direct_bounds(plants[0])
-    judge = DirectJudge(plants, seconds, limits.delay_s)
+    low, high = direct_bounds(plant)
+    judge = DirectJudge(plant, seconds, limits.delay_s)
     design = optimise(judge, low, high, limits, seed, budget, progress=progress)
     gains = PidGains(*(float(g) for g in design.gains))
-    return gains, design, direct_margins(plants[0], gains)
+    return gains, design, direct_margins(plant, gains)
 
 
 def reasons(
@@ -248,28 +246,6 @@ def direct_bounds(plant: ArxAxis) -> tuple[Array, Array]:
         np.array([0.1, 0.01, 0.1]) / acceleration,
         np.array([1e5, 1e6, 300.0]) / acceleration,
     )
-
-
-def rounding_corners(plant: ArxAxis) -> list[ArxAxis]:
-    """The plant and the corners of what its printed digits may stand for.
-
-    The thesis prints four significant digits: each coefficient is known to half a unit of its
-    last one.
-    """
-    half = [_half_digit(value) for value in (*plant.a, *plant.b)]
-    corners = [plant]
-    for signs in np.ndindex(*(2,) * len(half)):
-        moved = [
-            value + (2 * sign - 1) * width
-            for value, sign, width in zip((*plant.a, *plant.b), signs, half, strict=True)
-        ]
-        a, b = tuple(moved[: plant.na]), tuple(moved[plant.na :])
-        corners.append(ArxAxis(plant.na, plant.nb, plant.nk, a, b, plant.ts))
-    return corners
-
-
-def _half_digit(value: float) -> float:
-    return float(0.5 * 10.0 ** (math.floor(math.log10(abs(value))) - 3))
 
 
 def _knee(fastest: float, calmest: float) -> Callable[[Array], Array]:

@@ -125,7 +125,7 @@ def _of_95_percent(values: Array) -> float | None:
     return bound if math.isfinite(bound) else None
 
 
-def thesis_report(found: Found, limits: Limits, rounding: bool, printed: bool) -> dict[str, Any]:
+def thesis_report(found: Found, limits: Limits, printed: bool) -> dict[str, Any]:
     """``pid design --json`` for PIDs on u'. printed: the model is the thesis's, so that its figures
     may stand beside."""
     axes = {}
@@ -133,7 +133,7 @@ def thesis_report(found: Found, limits: Limits, rounding: bool, printed: bool) -
         entry = axis_entry(design.judgement, margins, design, DIRECT)
         entry["gains"] = dict(zip(DIRECT, gains.as_tuple(), strict=True))
         entry["delay_samples"] = plant.nk
-        judge = DirectJudge([plant], 2.0)
+        judge = DirectJudge(plant, 2.0)
         entry["reasons"] = list(reasons(judge, entry["gains"], PURPOSES, limits))
         entry["notes"] = [
             f"at maximum sensitivity {limits.sensitivity:g} no PID on this model overshoots less"
@@ -147,15 +147,12 @@ def thesis_report(found: Found, limits: Limits, rounding: bool, printed: bool) -
         if beyond:
             entry["notes"].append("beyond that bound as printed: " + ", ".join(beyond))
         axes[axis] = entry
-    notes = [limits_line(limits)]
-    if rounding:
-        notes.append("the worst of the corners of the printed digits counts")
     return {
         "form": "thesis",
         "printed": printed,
         "max_sensitivity": limits.sensitivity,
         "axes": axes,
-        "notes": notes,
+        "notes": [limits_line(limits)],
     }
 
 

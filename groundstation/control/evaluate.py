@@ -27,7 +27,6 @@ from groundstation.control.metrics import StepMetrics, step_metrics
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.thesis_loop import run_whole, whole_loop
-from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
@@ -83,14 +82,13 @@ def evaluate(
     seconds: float = 1.0,
     delay: int | None = None,
     release: str | None = None,
-    turning: Turning | None = None,
 ) -> list[AxisResult]:
     """A step on each axis for which there are gains, one axis at a time.
 
     gains: by axis for ``direct`` (u' per rad) and ``whole`` (PWM counts per rad), by parameter
     for ``firmware``. delay: samples instead of the model's, not for ``firmware``. release: whose
-    loops ``firmware`` is, None: the vehicle's. turning: what turns the craft in them
-    (``plant_of_model``); the other two take the model's polynomials where it has them.
+    loops ``firmware`` is, None: the vehicle's; they fly the model's body, the other two its
+    polynomials where it has them.
 
     Raises BadInputError for gains of the other form, or a model that the loop cannot use.
     """
@@ -101,7 +99,7 @@ def evaluate(
         if delay is not None:
             raise BadInputError("--delay: the firmware's loop has the model's dead time")
         values = {name: g for name, g in gains.items() if not isinstance(g, PidGains)}
-        plant = plant_of_model(model, release=release, turning=turning)
+        plant = plant_of_model(model, release=release)
         return [_firmware(plant, values, axis, seconds) for axis in AXES]
     if not by_axis:
         raise BadInputError(f"--loop {loop} needs gains by axis, [roll] kp = ...")

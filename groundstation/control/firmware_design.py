@@ -33,7 +33,6 @@ from groundstation.control.margins import Margins
 from groundstation.control.plant import Plant, plant_of_model
 from groundstation.control.search import Budget
 from groundstation.control.uncertainty import corners, draws, estimates_of, require_certain
-from groundstation.dynamics.arx import Turning
 from groundstation.dynamics.model import Model, model_vehicle
 
 Array = NDArray[np.float64]
@@ -103,21 +102,17 @@ def design_cascade(
     budget: Budget = BUDGET,
     progress: Callable[[str, float], None] = lambda axis, share: None,
     release: str | None = None,
-    turning: Turning | None = None,
 ) -> list[AxisDesign]:
     """Gains for each axis of a fitted model, on every core.
 
     A design must keep its limits on the model and two standard errors away from it
-    (``uncertainty.corners``). release: of the firmware, None: the vehicle's. turning: what turns
-    the craft (``plant_of_model``); the gain of polynomials is as uncertain as the body's.
+    (``uncertainty.corners``). release: of the firmware, None: the vehicle's.
 
     Raises BadInputError where the model is too uncertain, or no gains keep the limits.
     """
 
     def one(axis: str) -> AxisDesign:
-        plants, judge, low, high, stock = _searched(
-            model, axis, limits, supply_mv, release, turning
-        )
+        plants, judge, low, high, stock = _searched(model, axis, limits, supply_mv, release)
         design = optimise(
             judge, low, high, limits, seed, budget, progress=lambda s: progress(axis, s)
         )
@@ -179,16 +174,13 @@ def _searched(
     limits: Limits,
     supply_mv: float,
     release: str | None,
-    turning: Turning | None = None,
     unusable: float = UNUSABLE,
 ) -> tuple[list[Plant], CascadeJudge, Array, Array, dict[str, float]]:
     """Plants of a model (the nominal one first), their judge, where gains are searched, (d,) each,
     and the stock gains. Raises BadInputError where the model is too uncertain."""
     require_certain(model, (axis,))
     firmware = firmware_of_vehicle(model_vehicle(model), release)
-    plants = [
-        plant_of_model(other, release=release, turning=turning) for other in corners(model, axis)
-    ]
+    plants = [plant_of_model(other, release=release) for other in corners(model, axis)]
     judge = CascadeJudge(plants, axis, WINDOW_S, limits.delay_s, supply_mv, DESIGN_BAND, unusable)
     kind = "yaw" if axis == "yaw" else "roll"
     low, high = np.array(LOW[firmware.name][kind]), np.array(HIGH[firmware.name][kind])
@@ -204,15 +196,11 @@ def robustness(
     seed: int = 0,
     supply_mv: float = SUPPLY_MV,
     release: str | None = None,
-    turning: Turning | None = None,
 ) -> Robustness | None:
     """How gains do on models drawn from the fit's covariance; None where it carries none."""
     if not estimates_of(model):
         return None
-    plants = [
-        plant_of_model(other, release=release, turning=turning)
-        for other in draws(model, count, seed)
-    ]
+    plants = [plant_of_model(other, release=release) for other in draws(model, count, seed)]
     names = firmware_of_vehicle(model_vehicle(model), release).gain_names
     cores = os.cpu_count() or 1
     judgements = {}

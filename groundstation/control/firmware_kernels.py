@@ -15,9 +15,8 @@ def update(
     f: Any, kind: int, axis: int, error: float, dt: float, limit: float, kp: float, ki: float,
     kd: float,
 ) -> float:  # fmt: skip
-    """One PID of the firmware: its integral is clamped, its output is not."""
-    lower = -5000.0 if f.quirk_lower_limit != 0 else -limit
-    value = min(max(f.integral[kind, axis] + error * dt, lower), limit)
+    """One PID of release 2014.01.0: its integral is clamped, at -5000 below, its output is not."""
+    value = min(max(f.integral[kind, axis] + error * dt, -5000.0), limit)
     f.integral[kind, axis] = value
     output = kp * error + ki * value + kd * (error - f.previous[kind, axis]) / dt
     f.previous[kind, axis] = error
@@ -26,20 +25,18 @@ def update(
 
 @spliced
 def rate_pid(f: Any, axis: int, error: float) -> float:
-    """A rate PID as the clamp macro evaluates it: up to three times, truncated to 16 bits."""
+    """A rate PID as the clamp macro evaluates it: up to three times, within 16 bits."""
     output = 0.0
-    evaluations = 3 if f.quirk_clamp_macro != 0 else 1
-    for evaluation in range(evaluations):
+    for evaluation in range(3):
         output = update(
             f, 1, axis, error, 0.002, f.rate_limit[axis],
             f.rate_kp[axis], f.rate_ki[axis], f.rate_kd[axis],
         )  # fmt: skip
         if evaluation == 0 and output < -32768.0:
             break
-        if (evaluation == 1 or evaluations == 1) and output > 32767.0:
+        if evaluation == 1 and output > 32767.0:
             break
-    output = min(max(output, -32768.0), 32767.0)
-    return float(int(output)) if f.quantised != 0 else output
+    return min(max(output, -32768.0), 32767.0)
 
 
 @spliced

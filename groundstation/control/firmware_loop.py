@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.control.firmwares import RELEASE_2014, Firmware
 from groundstation.control.margins import LoopResponse, Margins
 from groundstation.control.pid import AXES
-from groundstation.control.plant import ANGLES, Plant
+from groundstation.control.plant import Plant
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
@@ -47,11 +47,6 @@ FIRMWARE = np.dtype(
         ("angle_limit", "f8", (3,)),
         ("fusion_kp", "f8"),
         ("fusion_ki", "f8"),
-        ("quirk_attitude_dt", "i8"),
-        ("quirk_clamp_macro", "i8"),
-        ("quirk_lower_limit", "i8"),
-        ("quirk_negate", "i8"),
-        ("quantised", "i8"),
         ("today", "i8"),
         ("curve", "f8", (4,)),
         ("most_n", "f8"),
@@ -62,26 +57,6 @@ FIRMWARE = np.dtype(
         ("feedback", "f8", (3,)),
     ]
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Quirks:
-    """Peculiarities of release 2014.01.0, each as flown by default.
-
-    attitude_dt: the angle PIDs run at 250 Hz and integrate as if at 500 Hz.
-    clamp_macro: a rate PID is evaluated up to three times a pass: its integral is three times
-    as fast, its derivative without effect.
-    lower_limit: an integral's lower limit stays -5000.
-    negate: the negative of -32768 stays -32768 on yaw.
-    """
-
-    attitude_dt: bool = True
-    clamp_macro: bool = True
-    lower_limit: bool = True
-    negate: bool = True
-
-
-AS_RELEASED = Quirks()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +81,6 @@ def require_gains(gains: Mapping[str, float], where: str) -> None:
 
 def firmware_of(
     gains: Mapping[str, float],
-    quirks: Quirks = AS_RELEASED,
-    quantised: bool = False,
     firmware: Firmware = RELEASE_2014,
 ) -> NDArray[np.void]:
     """The firmware at rest, shape (1,); gains not named are stock."""
@@ -121,9 +94,6 @@ def firmware_of(
     f["rate_limit"], f["angle_limit"] = firmware.rate_limit, firmware.angle_limit
     f["today"], f["curve"], f["most_n"] = firmware.is_today, firmware.curve, firmware.most_n
     f["fusion_kp"], f["fusion_ki"] = 0.8, 0.002
-    f["quirk_attitude_dt"], f["quirk_clamp_macro"] = quirks.attitude_dt, quirks.clamp_macro
-    f["quirk_lower_limit"], f["quirk_negate"] = quirks.lower_limit, quirks.negate
-    f["quantised"] = quantised
     f["quaternion"][0] = 1.0
     return record
 
@@ -134,14 +104,11 @@ def run_cascade(
     setpoints: ArrayLike,
     thrust: ArrayLike | None = None,
     supply_mv: ArrayLike = SUPPLY_MV,
-    quirks: Quirks = AS_RELEASED,
-    quantised: bool = False,
 ) -> CascadeResponse:
     """Fly setpoints (k, 3), roll and pitch in rad, yaw rate in rad/s, one row per 2 ms.
 
     thrust: 16-bit, (k,) or one number, by default what carries the craft. supply_mv: likewise.
-    quirks, quantised: of 2014's firmware; quantised: the PWM has 512 steps and outputs are whole
-    numbers; otherwise what a flight gives on average, in which the thrust wanders across many
+    The PWM is what a flight gives on average, in which the thrust wanders across many of its 512
     steps.
     The craft starts level, at rest, its rotors at the speed that carries it.
     """
@@ -160,9 +127,8 @@ def run_cascade(
         plant.sensor[0],
         plant.airframe_x,
         plant.fusion,
-        *plant.turned_by,
         plant.start,
-        firmware_of(gains, quirks, quantised, plant.firmware)[0],
+        firmware_of(gains, plant.firmware)[0],
         wanted,
         lift,
         supply,
@@ -180,13 +146,12 @@ def step_response(
     axis: str,
     seconds: float = 1.5,
     supply_mv: float = SUPPLY_MV,
-    quirks: Quirks = AS_RELEASED,
 ) -> Array:
     """The answer (k,) to a step of ``STEP_RAD`` on one axis, as a share of the step."""
     index = AXES.index(axis)
     setpoints = np.zeros((round(seconds / SAMPLE_PERIOD_S), 3))
     setpoints[:, index] = STEP_RAD[axis]
-    response = run_cascade(plant, gains, setpoints, None, supply_mv, quirks)
+    response = run_cascade(plant, gains, setpoints, None, supply_mv)
     measured = response.gyro if axis == "yaw" else response.angles
     return np.asarray(measured[:, index] / STEP_RAD[axis])
 
@@ -197,7 +162,6 @@ def loop_response(
     axis: str,
     omega: Array,
     supply_mv: float = SUPPLY_MV,
-    quirks: Quirks = AS_RELEASED,
 ) -> Complex:
     """The loop broken at the motors' input, linear around hover, at omega (n,) in rad/s.
 
@@ -206,12 +170,12 @@ def loop_response(
     """
     index = AXES.index(axis)
     s = 1j * omega
-    base, hold, lean, integral, derivative, sharp, *_ = _loop_parts(plant, index, s, supply_mv)
-    f = firmware_of(gains, quirks, firmware=plant.firmware)[0]
-    fast, slow = quirk_ratios(plant.firmware, quirks)
+    base, hold, lean, integral, derivative, sharp, _ = _loop_parts(plant, index, s, supply_mv)
+    f = firmware_of(gains, plant.firmware)[0]
+    fast, slow = integral_ratios(plant.firmware)
     rate = f["rate_kp"][index] + fast * f["rate_ki"][index] * integral
     slope = 0.0
-    if plant.firmware.is_today or not quirks.clamp_macro:
+    if plant.firmware.is_today:
         slope = f["rate_kd"][index] * sharp
     angle = f["angle_kp"][index] + slow * f["angle_ki"][index] * integral
     angle = angle + f["angle_kd"][index] / slow * derivative
@@ -220,11 +184,10 @@ def loop_response(
     return np.asarray(base * (rate * (hold + angle * lean) + slope * hold))
 
 
-def quirk_ratios(firmware: Firmware, quirks: Quirks) -> tuple[float, float]:
-    """What the integrals of the rate and of the angle loops are multiplied by."""
-    if firmware.is_today:
-        return 1.0, 1.0
-    return 3.0 if quirks.clamp_macro else 1.0, 0.5 if quirks.attitude_dt else 1.0
+def integral_ratios(firmware: Firmware) -> tuple[float, float]:
+    """What the integrals of the rate and of the angle loops are multiplied by: 2014's clamp macro
+    evaluates a rate PID three times a pass, and its angle PIDs integrate half their period."""
+    return (1.0, 1.0) if firmware.is_today else (3.0, 0.5)
 
 
 def cascade_margins(
@@ -289,8 +252,8 @@ class CascadeJudge:
         self._late = -omega * spare_s
         self._parts = [_loop_parts(plant, self._index, s, supply_mv) for plant in plants]
         firmware = plants[0].firmware
-        self._rest = firmware_of({}, firmware=firmware)
-        self._ratios = quirk_ratios(firmware, AS_RELEASED)
+        self._rest = firmware_of({}, firmware)
+        self._ratios = integral_ratios(firmware)
         names = [f"{group}.{axis}_{k}" for group, ks in COLUMNS.items() for k in ks]
         self._stock = np.zeros(len(names))
         for name in names:
@@ -317,7 +280,7 @@ class CascadeJudge:
             for side, response, largest in zip(sides, y, effort, strict=True):
                 cascade_many(
                     plant.craft[0], plant.sensor[0], plant.airframe_x, plant.fusion,
-                    *plant.turned_by, plant.start,
+                    plant.start,
                     self._rest[0], room[0], self._index, gains[left], *parts,
                     self._late, *self._ratios, self._unusable, side * self._size,
                     plant.hover_thrust(self._supply), level, self._supply, SAMPLE_PERIOD_S,
@@ -346,20 +309,15 @@ def _column(name: str) -> int:
 
 
 def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple[Any, ...]:
-    """base, hold, lean, integral, derivative, sharp, push, began: L = base ((rate gains) (hold +
+    """base, hold, lean, integral, derivative, sharp, push: L = base ((rate gains) (hold +
     (angle gains) lean) + rate derivative hold); derivative and sharp are those of angle and rate,
-    push what a push of 1 rad/s^2 moves without a controller, began the phase of base at the first
-    of s, not wrapped."""
+    push what a push of 1 rad/s^2 moves without a controller."""
     leak = 0.4 if plant.fusion and index < 2 else 0.0
     lean = 1 / (s + leak)
-    if plant.polynomials.turns:
-        base, lean, push, began = _of_polynomials(plant, index, s, supply_mv, lean)
-    else:
-        damping = plant.slopes(index)[0]
-        base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
-        base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
-        push = 1 / (s + damping)
-        began = float(np.angle(base[0]))
+    damping = plant.slopes(index)[0]
+    base = math.degrees(1) * rate_per_pwm(plant, index, s, supply_mv)
+    base = base * np.exp(-plant.sensor[0]["delay"] * s) * plant.gyro_response(s)
+    push = 1 / (s + damping)
     twice = 2 * SAMPLE_PERIOD_S
     derivative = (1 - np.exp(-twice * s)) / twice
     push = np.abs(push * (1.0 if index == 2 else lean))
@@ -368,23 +326,7 @@ def _loop_parts(plant: Plant, index: int, s: Complex, supply_mv: float) -> tuple
     integral = 1 / s + 0.5 * SAMPLE_PERIOD_S
     sharp = (1 - np.exp(-SAMPLE_PERIOD_S * s)) / SAMPLE_PERIOD_S
     hold = hold_response(s, SAMPLE_PERIOD_S)
-    return base, hold, lean, integral, derivative, sharp, push, began
-
-
-def _of_polynomials(
-    plant: Plant, index: int, s: Complex, supply_mv: float, lean: Complex
-) -> tuple[Complex, Complex, Complex, float]:
-    """base, lean, push and began where polynomials turn the craft: behind the motors they hear
-    the mean of u' over a period; a push acts as that u' to which the body answers 1 rad/s^2."""
-    z, turned_by = np.exp(SAMPLE_PERIOD_S * s), plant.polynomials
-    driven = math.degrees(1) * plant.input_slope(index) * speed_per_pwm(plant, index, s, supply_mv)
-    driven = driven * hold_response(s, SAMPLE_PERIOD_S)
-    rate = turned_by.rate(index, z)
-    began = float(np.angle(driven[0])) + turned_by.phase(index, z[0])
-    if turned_by.turns == ANGLES:
-        lean = turned_by.angle(z)
-    per_acceleration = plant.input_slope(index) / plant.slopes(index)[1]
-    return driven * rate, lean, rate * per_acceleration, began
+    return base, hold, lean, integral, derivative, sharp, push
 
 
 def hold_response(s: Complex, period_s: float) -> Complex:

@@ -50,7 +50,7 @@ class Firmware:
     def gain_names(self, axis: str) -> tuple[str, ...]:
         """The parameters that a design chooses for an axis.
 
-        2014's rate derivative has no effect (``firmware_loop.Quirks``), its yaw has no angle
+        2014's rate derivative has no effect (the clamp macro), its yaw has no angle
         loop, and the integral of roll and pitch is the angle loop's; their rate integral stays 0.
         """
         pattern = self.designed["yaw" if axis == "yaw" else "roll"]

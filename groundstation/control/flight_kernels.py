@@ -17,7 +17,7 @@ from groundstation.control.firmware_kernels import (
     update_today,
     wrapped,
 )
-from groundstation.control.plant_kernels import RATE, ROTOR, STILL, body_on, move, turn
+from groundstation.control.plant_kernels import STILL, body_on, move
 from groundstation.dynamics import quaternion
 from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, smoothed
 from groundstation.dynamics.craft import SENSOR_STATES
@@ -26,6 +26,8 @@ from groundstation.dynamics.sensing import begin, estimated, follow, sense
 from groundstation.telemetry.packet import FULL_16_BIT
 
 DEGREES = 180.0 / math.pi
+HALF_PERIOD_S = 0.002
+"""Of 2014's angle PIDs, which run at 250 Hz and integrate as if at 500 Hz."""
 
 
 @kernel
@@ -34,11 +36,6 @@ def cascade_run(
     sensor: Any,
     airframe_x: bool,
     fusion: bool,
-    turns: int,
-    arx_a: Any,
-    arx_b: Any,
-    arx_nk: Any,
-    mixer: Any,
     start: Any,
     f: Any,
     setpoints: Any,
@@ -55,43 +52,33 @@ def cascade_run(
     thrust (k,) 16-bit; supply (k,) mV. Fills angles (k, 3) as the firmware estimates them (rad,
     nose down), gyro (k, 3) as it measures them (rad/s), compare (k, 4) PWM steps of 1/512.
     start: the state. fusion: the angles are the firmware's filter's, otherwise the true ones.
-    turns: what turns the craft (``plant.Polynomials``): 0 the body, 1 polynomials of angles, 2 of
-    rates, arx_a (3, na), arx_b (3, nb), arx_nk (3,) on the u' of mixer (3, 4).
     ``f`` holds the firmware's state and is changed.
     """
     p, rows = physics(craft), len(setpoints)
     y, work, z = start.copy(), np.zeros((3, len(start))), np.zeros((4, SENSOR_STATES))
-    late = sensor.delay / period if turns == 0 else 0.0  # polynomials have their own
+    late = sensor.delay / period
     depth = int(late) + 2
     past = np.zeros((depth, 10))
     mount = (sensor.mount[0], sensor.mount[1], sensor.mount[2], sensor.mount[3])
     found, mixed, desired, duty = np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(4)
-    angle_dt = 0.002 if f.quirk_attitude_dt != 0 else 0.004
     n = (y[13], y[14], y[15], y[16])
     still = (0.0, 0.0, 0.0, 0.0)
     before = body_slope(p, n, still, STILL, y, work[0], ALL)
     begin(craft, before, z[0])
     felt, volts = before.force, still
     smoothing = SMOOTHING if f.today == 0 else UNSMOOTHED
-    kept = rows if turns != 0 else 0
-    inputs, outputs = np.zeros((kept, 3)), np.zeros((kept, 3))
     for k in range(rows):
         now = past[k % depth]
-        if turns != 0:
-            turn(turns, arx_a, arx_b, arx_nk, period, k, inputs, outputs, y)
         if k > 0:
             after = body_on(p, volts, y, work[0])
             follow(craft, before, after, period, z)
             before = after
         reading = sense(p, before, z[0], z[1])
         felt = smoothed(felt, reading.accelerometer, period, smoothing)
-        q = (y[6], y[7], y[8], y[9])
-        if turns == 0:
-            q = estimated(craft, q, z[0])
+        q = estimated(craft, (y[6], y[7], y[8], y[9]), z[0])
         now[0], now[1], now[2], now[3] = q
         for axis in range(3):
-            heard = reading.gyro[axis] - sensor.zero[axis]
-            now[4 + axis] = heard if turns == 0 else y[RATE + axis]
+            now[4 + axis] = reading.gyro[axis] - sensor.zero[axis]
             now[7 + axis] = felt[axis]
         at = max(k - late, 0.0)
         first = min(int(at), k)
@@ -106,8 +93,7 @@ def cascade_run(
                 q = fused(f, rate, (past[low, 7], past[low, 8], past[low, 9]))
             else:
                 q = (past[low, 0], past[low, 1], past[low, 2], past[low, 3])
-                if turns == 0:
-                    q = quaternion.product(q, mount)
+                q = quaternion.product(q, mount)
             found[0], found[1], found[2] = quaternion.angles(q)
         # the firmware's degrees, pitch nose up
         if f.today != 0:
@@ -125,7 +111,7 @@ def cascade_run(
                 sign = 1.0 if axis == 0 else -1.0
                 error = sign * DEGREES * (setpoints[k, axis] - found[axis])
                 desired[axis] = update(
-                    f, 0, axis, error, angle_dt, f.angle_limit[axis],
+                    f, 0, axis, error, HALF_PERIOD_S, f.angle_limit[axis],
                     f.angle_kp[axis], f.angle_ki[axis], f.angle_kd[axis],
                 )  # fmt: skip
             desired[2] = DEGREES * setpoints[k, 2]
@@ -140,11 +126,9 @@ def cascade_run(
             pitch = rate_pid(f, 1, desired[1] + DEGREES * gyro[k, 1])
             yaw = -rate_pid(f, 2, desired[2] - DEGREES * gyro[k, 2])
             if yaw > 32767.0:
-                yaw = -32768.0 if f.quirk_negate != 0 else 32767.0
+                yaw = -32768.0  # the negative of -32768 in 16 bits
         if airframe_x:
             roll, pitch = 0.5 * roll, 0.5 * pitch
-            if f.quantised != 0:
-                roll, pitch = math.floor(roll), math.floor(pitch)
             mixed[0], mixed[1] = -roll + pitch + yaw, -roll - pitch - yaw
             mixed[2], mixed[3] = roll - pitch + yaw, roll + pitch - yaw
         else:
@@ -159,19 +143,10 @@ def cascade_run(
             # today's lowers all motors together: attitude comes before thrust
             wanted = mixed[i] - beyond if f.today != 0 else thrust[k] + mixed[i]
             steps = min(max(wanted, 0.0), FULL_16_BIT) / 128.0
-            if f.quantised != 0:
-                steps = float(int(steps))
             compare[k, i] = steps
             duty[i] = steps / 512.0
         driven = (duty[0], duty[1], duty[2], duty[3])
-        speed = (y[13], y[14], y[15], y[16])
         volts = move(p, driven, supply_mv, k, period, y, work)
-        if turns != 0 and k + 1 < rows:
-            for i in range(4):
-                end = y[ROTOR + i]
-                square = (speed[i] * speed[i] + speed[i] * end + end * end) / 3.0
-                for axis in range(3):
-                    inputs[k + 1, axis] += mixer[axis, i] * square
 
 
 @kernel
@@ -180,11 +155,6 @@ def cascade_many(
     sensor: Any,
     airframe_x: bool,
     fusion: bool,
-    turns: int,
-    arx_a: Any,
-    arx_b: Any,
-    arx_nk: Any,
-    mixer: Any,
     start: Any,
     rest: Any,
     f: Any,
@@ -197,7 +167,6 @@ def cascade_many(
     derivative: Any,
     sharp: Any,
     push: Any,
-    began: float,
     late: Any,
     fast: float,
     slow: float,
@@ -217,7 +186,6 @@ def cascade_many(
 
     The loop at n frequencies is base ((rate) (hold + (angle) lean) + rate derivative hold), with
     the responses of an integral, of the derivatives of angle and rate, and of the craft to a push;
-    began is the phase of base at the first of them, not wrapped;
     fast and slow the firmware's factors on integrals, late the phase of more delay. Fills
     peak (m,), the maximum sensitivity, inf where the loop is unstable or worse than
     ``worst_peak``; effort (m,), the largest step of a motor, 0..1; compliance (m,), how far
@@ -244,8 +212,8 @@ def cascade_many(
             turned = math.atan2(loop.imag, loop.real)
             delay_phase = turned + late[i]
             if i == 0:
-                # the phases of base and gains, not wrapped: integrals and unstable poles count
-                expected = began + math.atan2(rate.imag, rate.real)
+                # the phases of base and gains, not wrapped: integrals count
+                expected = math.atan2(base[0].imag, base[0].real) + math.atan2(rate.imag, rate.real)
                 around = hold[i] + angle * lean[i]
                 expected += math.atan2(around.imag, around.real)
                 turned += 2.0 * math.pi * np.round((expected - turned) / (2.0 * math.pi))
@@ -277,8 +245,8 @@ def cascade_many(
         f.angle_kp[axis], f.angle_ki[axis] = gains[m, 2], gains[m, 3]
         f.angle_kd[axis] = gains[m, 4]
         cascade_run(
-            craft, sensor, airframe_x, fusion, turns, arx_a, arx_b, arx_nk, mixer,
-            start, f, setpoints, thrust, supply_mv, period, angles, gyro, compare,
+            craft, sensor, airframe_x, fusion, start, f, setpoints, thrust, supply_mv, period,
+            angles, gyro, compare,
         )  # fmt: skip
         largest = 0.0
         for k in range(rows):

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from groundstation.control.firmware_loop import AS_RELEASED, quirk_ratios, require_gains
+from groundstation.control.firmware_loop import integral_ratios, require_gains
 from groundstation.control.firmwares import FULL, RELEASE_2014
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.thesis_loop import SUPPLY_MV, counts_per_control
@@ -65,7 +65,7 @@ def convert_gains(
 
 
 def _of_cascade(values: Mapping[str, float], axis: str) -> PidGains:
-    fast, slow = quirk_ratios(RELEASE_2014, AS_RELEASED)
+    fast, slow = integral_ratios(RELEASE_2014)
     rate, rate_i = (values[f"pid_rate.{axis}_{k}"] for k in ("kp", "ki"))
     angle, angle_i, angle_d = (values[f"pid_attitude.{axis}_{k}"] for k in ("kp", "ki", "kd"))
     rate_i, angle_i = fast * rate_i, slow * angle_i
@@ -80,7 +80,7 @@ def _of_cascade(values: Mapping[str, float], axis: str) -> PidGains:
 
 
 def _cascade(gains: PidGains, axis: str) -> list[tuple[str, float]]:
-    fast, slow = quirk_ratios(RELEASE_2014, AS_RELEASED)
+    fast, slow = integral_ratios(RELEASE_2014)
     kp, ki, kd = (PER_DEG * value for value in gains.as_tuple())
     if not kd > 0.0:
         raise BadInputError(f"{axis}: kd {gains.kd:g}: the firmware's rate loop needs one above 0")

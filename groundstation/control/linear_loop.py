@@ -7,7 +7,6 @@ motors, no battery and no limits. The other loops are in ``thesis_loop`` and ``f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -161,10 +160,10 @@ def frequency_response(plant: ArxAxis, z: NDArray[np.complex128]) -> NDArray[np.
 
 
 class DirectJudge:
-    """Judges many gains at once on a set of plants, the worst of which counts.
+    """Judges many gains at once on a plant.
 
-    Columns of the result: see ``COLUMNS``. What is unstable on any plant, or would be with
-    ``spare_s`` more delay, is infinite throughout.
+    Columns of the result: see ``COLUMNS``. What is unstable, or would be with ``spare_s`` more
+    delay, is infinite throughout.
     """
 
     COLUMNS = (
@@ -178,33 +177,30 @@ class DirectJudge:
     )
     """The last, how far a push moves the craft, is not judged on this loop: zero."""
 
-    def __init__(self, plants: Sequence[ArxAxis], seconds: float, spare_s: float = 0.0) -> None:
-        self._plants = tuple(plants)
-        self._reference = np.ones(round(seconds / plants[0].ts))
-        self._spare = math.ceil(spare_s / plants[0].ts - 1e-9)
-        self._z = np.exp(1j * grid(plants[0].ts, SEARCH_GRID) * plants[0].ts)
-        self._responses = [frequency_response(plant, self._z) for plant in plants]
+    def __init__(self, plant: ArxAxis, seconds: float, spare_s: float = 0.0) -> None:
+        self._plant = plant
+        self._reference = np.ones(round(seconds / plant.ts))
+        self._spare = math.ceil(spare_s / plant.ts - 1e-9)
+        self._z = np.exp(1j * grid(plant.ts, SEARCH_GRID) * plant.ts)
+        self._response = frequency_response(plant, self._z)
 
     def __call__(self, candidates: Array) -> Array:
         """Gains (m, 3) kp, ki, kd to judgements (m, 7)."""
         from groundstation.control.linear_loop_kernels import judge_many
 
-        worst = np.zeros((len(candidates), len(self.COLUMNS)))
-        one = np.zeros_like(worst)
-        for plant, response in zip(self._plants, self._responses, strict=True):
-            judge_many(
-                np.array(plant.a),
-                np.array(plant.b),
-                plant.nk,
-                self._spare,
-                response,
-                self._z,
-                np.ascontiguousarray(candidates),
-                plant.ts,
-                self._reference,
-                one,
-            )
-            one[:, 2] = np.where(np.isnan(one[:, 2]), np.inf, one[:, 2])
-            one[:, 3] = np.abs(one[:, 3])
-            np.maximum(worst, one, out=worst)
-        return worst
+        plant, found = self._plant, np.zeros((len(candidates), len(self.COLUMNS)))
+        judge_many(
+            np.array(plant.a),
+            np.array(plant.b),
+            plant.nk,
+            self._spare,
+            self._response,
+            self._z,
+            np.ascontiguousarray(candidates),
+            plant.ts,
+            self._reference,
+            found,
+        )
+        found[:, 2] = np.where(np.isnan(found[:, 2]), np.inf, found[:, 2])
+        found[:, 3] = np.abs(found[:, 3])
+        return found

@@ -1,20 +1,15 @@
-"""The craft of ``simulate`` in a compiled closed loop: one period of it, or of polynomials that
-answer in its place."""
+"""The craft of ``simulate`` in a compiled closed loop: one period of it, and of polynomials."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from groundstation.compiled import spliced
-from groundstation.control.plant import RATES
-from groundstation.dynamics import quaternion
-from groundstation.dynamics.arx import SLOPE_ROWS
 from groundstation.dynamics.kernels import craft_step, normalise
 from groundstation.dynamics.motor_kernels import armature
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes
 
-ROTOR, RATE = 13, 10
+ROTOR = 13
 STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -48,25 +43,3 @@ def answer(a: Any, b: Any, nk: Any, k: int, inputs: Any, outputs: Any) -> None:
             if at >= 0:
                 value += b[axis, j] * inputs[at, axis]
         outputs[k, axis] = value
-
-
-@spliced
-def turn(
-    turns: int, a: Any, b: Any, nk: Any, period: float, k: int, inputs: Any, outputs: Any, y: Any
-) -> None:  # fmt: skip
-    """Rates, and angles where the polynomials are theirs, of row k into the state."""
-    answer(a, b, nk, k, inputs, outputs)
-    if turns == RATES:
-        for axis in range(3):
-            y[RATE + axis] = outputs[k, axis]
-    else:
-        roll, pitch, yaw = outputs[k, 0], outputs[k, 1], outputs[k, 2]
-        turned = quaternion.of_angles((roll, pitch, yaw))
-        y[6], y[7], y[8], y[9] = turned
-        past, span = max(k - SLOPE_ROWS, 0), SLOPE_ROWS * period
-        droll = (roll - outputs[past, 0]) / span
-        dpitch = (pitch - outputs[past, 1]) / span
-        dyaw = (yaw - outputs[past, 2]) / span
-        y[RATE] = droll - math.sin(pitch) * dyaw
-        y[RATE + 1] = math.cos(roll) * dpitch + math.cos(pitch) * math.sin(roll) * dyaw
-        y[RATE + 2] = math.cos(pitch) * math.cos(roll) * dyaw - math.sin(roll) * dpitch

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -22,7 +23,6 @@ from groundstation.control.margins import LoopResponse
 from groundstation.control.pid import AXES, PidGains
 from groundstation.control.plant import Plant, motors_of_model, plant_of_model
 from groundstation.dynamics.arx import angle_polynomial, stacked
-from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.mixer import PWM_FULL
 from groundstation.dynamics.model import Model
 from groundstation.errors import BadInputError
@@ -31,6 +31,8 @@ from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 Array = NDArray[np.float64]
 
 SUPPLY_MV = 3700.0
+SAME_PERIOD = 0.01
+"""Share by which two periods may differ and be one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +54,9 @@ def run_whole(
 ) -> WholeResponse:
     """Follow a reference (k, 3) in rad, one row per 2 ms, from a level hover.
 
-    The model's polynomials turn the craft where it has them, otherwise its rigid body with its
-    effects. gains: for roll, pitch, yaw. delay: samples of measurement delay; by default what the
-    model says (the polynomials' nk, or its dead time).
+    The model's polynomials turn the craft where it has them in the loop's period, otherwise its
+    rigid body with its effects. gains: for roll, pitch, yaw. delay: samples of measurement delay;
+    by default what the model says (the polynomials' nk, or its dead time).
 
     Raises BadInputError for a model without a body, or with polynomials of some axes only.
     """
@@ -62,10 +64,10 @@ def run_whole(
 
     if model.arx is not None and any(axis not in model.arx for axis in AXES):
         raise BadInputError("the model has no ARX polynomials for roll, pitch and yaw")
+    model = _of_the_loop(model)
     plant = motors_and_body(model)
     a, b, nk = np.zeros((3, 1)), np.zeros((3, 1)), np.zeros(3, np.int64)
     if model.arx is not None:
-        model = at_period(model, SAMPLE_PERIOD_S)
         a, b, nk = stacked([angle_polynomial(model, axis) for axis in AXES])
         nk = np.maximum(nk, 1) if delay is None else np.full(3, delay)  # speeds act after a row
     wanted = np.ascontiguousarray(reference, np.float64)
@@ -133,6 +135,7 @@ def counts_response(
     The rigid body with its model's damping and rotor torques; of polynomials, the settled motors'
     slope and their lag before them.
     """
+    model = _of_the_loop(model)
     if model.arx is None:
         # its controller's output is PWM
         plant = replace(motors_and_body(model), firmware=RELEASE_2014)
@@ -141,7 +144,7 @@ def counts_response(
         late = hold_response(s, SAMPLE_PERIOD_S) * np.exp(-own * SAMPLE_PERIOD_S * s)
         rate = rate_per_pwm(plant, AXES.index(axis), s, supply_mv)
         return np.asarray(FULL / PWM_FULL * rate / s * late)
-    polynomials = axis_plant(at_period(model, SAMPLE_PERIOD_S), axis, delay)
+    polynomials = axis_plant(model, axis, delay)
     pole = model.motor.a1 + 2 * model.motor.a2 * motors_and_body(model).hover_rev_s
     counts = counts_per_control(model, supply_mv)[AXES.index(axis)]
     motor = pole / (1j * omega + pole) / counts
@@ -152,4 +155,20 @@ def motors_and_body(model: Model) -> Plant:
     """What the loop flies beside polynomials: the motors, and the body where the model has one."""
     if model.body is None:
         return motors_of_model(model)
-    return plant_of_model(model, fusion=False, turning="body")
+    return plant_of_model(model, fusion=False)
+
+
+def _of_the_loop(model: Model) -> Model:
+    """The model with its polynomials only where they step as the loop does, every 2 ms.
+
+    Raises BadInputError where it has others and no body.
+    """
+    steps = {one.ts for one in (model.arx or {}).values()}
+    if all(abs(ts / SAMPLE_PERIOD_S - 1.0) <= SAME_PERIOD for ts in steps):
+        return model
+    if model.body is None:
+        raise BadInputError(
+            f"the ARX polynomials make a step every {1e3 * max(steps):g} ms, the loop every"
+            f" {1e3 * SAMPLE_PERIOD_S:g} ms, and the model has no body: --loop direct takes them"
+        )
+    return msgspec.structs.replace(model, arx=None)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.control.pid import AXES
-from groundstation.dynamics.model import ArxAxis, BodyConstants, Estimate, Model, with_motor
+from groundstation.dynamics.model import BodyConstants, Estimate, Model, with_motor
 from groundstation.dynamics.registry import DELAY
 from groundstation.dynamics.vehicle import MotorConstants
 from groundstation.errors import BadInputError
@@ -134,17 +134,12 @@ def corners(model: Model, axis: str) -> list[Model]:
 
 
 def moved(model: Model, differences: dict[str, float]) -> Model:
-    """The model with parameters changed by differences; what must be positive stays so.
-
-    The gains of ARX polynomials, which carry no covariance, move with the body's constants.
-    """
+    """The model with parameters changed by differences; what must be positive stays so."""
     motor = {n: getattr(model.motor, n) + differences.get(n, 0.0) for n in MOTOR}
     motor["a0"], motor["a1"] = _positive(motor["a0"]), _positive(motor["a1"])
-    body, arx = model.body, model.arx
+    body = model.body
     if body is not None:
         constants = {n: _positive(getattr(body, n) + differences.get(n, 0.0)) for n in BODY}
-        gains = {axis: constants[n] / getattr(body, n) for axis, n in zip(AXES, BODY, strict=False)}
-        arx = None if arx is None else {a: _scaled(one, gains[a]) for a, one in arx.items()}
         body = BodyConstants(**constants)
     effects = []
     for term in model.effects:
@@ -156,12 +151,8 @@ def moved(model: Model, differences: dict[str, float]) -> Model:
             parameters[name] = Estimate(value, estimate.stderr, estimate.unit)
         effects.append(msgspec.structs.replace(term, parameters=parameters))
     return msgspec.structs.replace(
-        with_motor(model, MotorConstants(**motor)), body=body, arx=arx, effects=tuple(effects)
+        with_motor(model, MotorConstants(**motor)), body=body, effects=tuple(effects)
     )
-
-
-def _scaled(axis: ArxAxis, gain: float) -> ArxAxis:
-    return msgspec.structs.replace(axis, b=tuple(gain * b for b in axis.b))
 
 
 def _positive(value: float) -> float:

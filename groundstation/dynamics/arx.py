@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundstation.dynamics.model import ArxAxis, Model
 from groundstation.dynamics.origin import FITTED, origin_of
-from groundstation.dynamics.rotations import body_rates
 from groundstation.errors import BadInputError
 
 Array = NDArray[np.float64]
@@ -120,36 +119,6 @@ def _integral(axis: ArxAxis) -> ArxAxis:
     a = np.convolve([1.0, *axis.a], [1.0, -1.0])[1:]
     b = 0.5 * axis.ts * np.convolve(axis.b, [1.0, 1.0])
     return ArxAxis(len(a), len(b), axis.nk, tuple(a.tolist()), tuple(b.tolist()), axis.ts)
-
-
-class ArxTurning:
-    """The angles of a craft by its polynomials, a period at a time, from level and at rest.
-
-    model: with polynomials of ``period_s`` (``arx_period.at_period``).
-    """
-
-    def __init__(self, model: Model, period_s: float, yaw: float = 0.0) -> None:
-        turning_of(model, "arx")
-        self._axes = [angle_polynomial(model, axis) for axis in AXES]
-        self._period_s = period_s
-        self._origin = np.array([0.0, 0.0, yaw])
-        longest = max(SLOPE_ROWS, *(one.na for one in self._axes))
-        self._angles = np.zeros((longest + 1, 3))
-        self._inputs = np.zeros((max(one.nk + one.nb for one in self._axes), 3))
-
-    def turn(self, inputs: Array) -> tuple[Array, Array]:
-        """(angles (3,) in rad, body rates (3,) in rad/s) after a period with u' (3,) as mean."""
-        self._inputs = np.roll(self._inputs, 1, axis=0)
-        self._inputs[0] = inputs
-        new = np.empty(3)
-        for i, one in enumerate(self._axes):
-            acted = self._inputs[one.nk : one.nk + one.nb, i]
-            new[i] = np.dot(one.b, acted) - np.dot(one.a, self._angles[: one.na, i])
-        self._angles = np.roll(self._angles, 1, axis=0)
-        self._angles[0] = new
-        slope = (new - self._angles[SLOPE_ROWS]) / (SLOPE_ROWS * self._period_s)
-        angles = new + self._origin
-        return angles, body_rates(angles, slope)
 
 
 def poles(axis: ArxAxis) -> NDArray[np.complex128]:

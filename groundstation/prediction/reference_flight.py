@@ -14,14 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.dynamics.arx import ArxTurning, Turning
-from groundstation.dynamics.arx_period import at_period
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.hover import duties_for, hover_rev_s
-from groundstation.dynamics.mixer import MIXERS
-from groundstation.dynamics.model import Model, model_vehicle
+from groundstation.dynamics.model import Model
 from groundstation.dynamics.reference import Reference
-from groundstation.dynamics.rotations import attitude_of_quaternion, quaternion_of_attitude
 from groundstation.dynamics.sensors import FILTER, resting_sensors, shown_rotors
 from groundstation.dynamics.simulation import simulate, with_states
 from groundstation.dynamics.state import QUATERNION, RATE, ROTOR, attitude_of, craft_state
@@ -64,37 +60,21 @@ class MadeRun:
         return self.duty
 
 
-def fly_reference(
-    model: Model, reference: Reference, supply_v: float = 3.7, turning: Turning = "body"
-) -> MadeRun:
+def fly_reference(model: Model, reference: Reference, supply_v: float = 3.7) -> MadeRun:
     """Fly a model along a reference, from a hover, at a steady supply voltage.
-
-    turning: what turns the craft, the body or the model's ARX polynomials; the controller hears
-    the polynomials' angles, late as they are.
 
     Raises BadInputError where the model cannot hover at that voltage, or falls.
     """
-    polynomials = None
-    if turning == "arx":
-        polynomials = ArxTurning(
-            at_period(model, SAMPLE_PERIOD_S), SAMPLE_PERIOD_S, float(reference.attitude[0, 2])
-        )
-    duty, states = _closed_loop(model, reference, supply_v, polynomials)
+    duty, states = _closed_loop(model, reference, supply_v)
     n = len(duty)
     volts = np.full(n, supply_v)
     nothing = np.zeros((n, 3))
     run = MadeRun(SAMPLE_PERIOD_S, duty, volts, nothing, nothing, nothing, nothing, states, nothing)
     made = replace(_report(drive_run(model, run), run), reference=reference.attitude[:n])
-    made = replace(made, rotor_rev_s=shown_rotors(model, made.rotor_rev_s, made.period_s))
-    if polynomials is None:
-        return made
-    turned = np.unwrap(attitude_of_quaternion(states[:, QUATERNION]), axis=0)
-    return replace(made, gyro=states[:, RATE].copy(), attitude=turned)
+    return replace(made, rotor_rev_s=shown_rotors(model, made.rotor_rev_s, made.period_s))
 
 
-def _closed_loop(
-    model: Model, reference: Reference, supply_v: float, polynomials: ArxTurning | None
-) -> tuple[Array, Array]:
+def _closed_loop(model: Model, reference: Reference, supply_v: float) -> tuple[Array, Array]:
     """Duty (n, 4), row i acting before sample i, and true states (n, 17 + those of effects)."""
     craft = craft_of_model(model)
     one = craft[0]
@@ -110,7 +90,6 @@ def _closed_loop(
     )
     inverse = np.linalg.inv(mixing)
     hover = hover_rev_s(craft)
-    mixer = MIXERS[model_vehicle(model).configuration]
     state = craft_state(
         position_m=(0.0, 0.0, reference.height_m[0]),
         attitude=(0.0, 0.0, reference.attitude[0, 2]),
@@ -126,7 +105,6 @@ def _closed_loop(
             f" {100 * duty[0].max():.0f} % of full duty; give more voltage"
         )
     states[0] = state
-    late = "" if polynomials is None else "; with --attitude body its ARX polynomials rest"
     integral = np.zeros(3)
     for row in range(1, n):
         attitude = attitude_of(state)
@@ -134,7 +112,6 @@ def _closed_loop(
             raise BadInputError(
                 f"reference {reference.name}: the craft falls after {row * SAMPLE_PERIOD_S:.2f} s;"
                 " ask for less tilt, or look at the model's effects"
-                f"{late}"
             )
         error = reference.attitude[row] - attitude
         error[2] = np.angle(np.exp(1j * error[2]))
@@ -152,10 +129,6 @@ def _closed_loop(
         (_, state) = simulate(
             craft, state, duty[row : row + 1] * supply, supply_mv=np.array([supply])
         )
-        if polynomials is not None:
-            mean = (speed**2 + speed * state[ROTOR] + state[ROTOR] ** 2) / 3.0
-            angles, rates = polynomials.turn(mixer @ mean)
-            state[QUATERNION], state[RATE] = quaternion_of_attitude(angles), rates
         states[row] = state
     return duty, states
 

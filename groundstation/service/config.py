@@ -165,6 +165,8 @@ FORMER = {
     "control.tcp_port": "the control API is on its Unix socket alone; from another machine, or by a"
     " port, 'ssh -N -L PORT:SOCKET HOST' leads to it",
     "recording.ros2_hz": "'groundstation convert FILE bag.mcap --ros2 500' makes a bag of it",
+    "stand_in.attitude": "a fitted model is flown by its body; 'compare' and 'simulate --recording'"
+    " show how its ARX polynomials follow a flight",
 }
 """Keys of earlier versions, and what does their work now."""
 

@@ -3,7 +3,6 @@
 import json
 
 import msgspec
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -13,13 +12,6 @@ from groundstation.errors import BadInputError
 from groundstation.recording.csv_file import write_csv
 from groundstation.recording.session import Recording
 from support.flights import recorded
-
-CALM = """
-"pid_rate.roll_kp" = 12.0
-"pid_rate.pitch_kp" = 12.0
-"pid_attitude.roll_kp" = 2.0
-"pid_attitude.pitch_kp" = 2.0
-"""
 
 
 @pytest.fixture(scope="module")
@@ -71,32 +63,6 @@ def test_simulate_says_what_turns_the_craft_and_follows_the_flight(files, tmp_pa
     arx = document(text)
     for axis in ("roll_deg", "pitch_deg"):
         assert arx["rms"][axis] < body["rms"][axis] < 3.0
-
-
-@pytest.mark.parametrize("model", ["rates.json", "four.json"])
-def test_polynomials_follow_a_reference_late_as_they_are(files, tmp_path, model):
-    path = tmp_path / "made.csv"
-    run("simulate", "--reference", "doublet", "--model", files[model], "-o", path)
-    made = np.genfromtxt(path, delimiter=",", names=True)
-    assert 7.0 < made["roll_deg"].max() < 15.0
-    turned = np.trapezoid(made["gyro_x_dps"][:1000], made["time_s"][:1000])
-    assert turned == pytest.approx(made["roll_deg"][999], abs=0.3)
-
-
-def test_the_firmware_s_loops_are_closed_around_the_polynomials(files):
-    """Fitted on a craft that is 6 ms late, of which the body knows nothing."""
-
-    def spare_ms(model, *more):
-        text = run("pid", "evaluate", "--model", files[model], "--json", *more)
-        told = "the craft turns by roll ARX(" in text
-        assert told == (model != "body.json" and "body" not in more)
-        return 1e3 * document(text)["axes"]["pitch"]["delay_margin_s"]
-
-    (gains := files["body.json"].with_name("calm.toml")).write_text(CALM)
-    by_body = spare_ms("body.json", "--gains", gains)
-    assert spare_ms("four.json", "--gains", gains, "--attitude", "body") == by_body
-    for model in ("rates.json", "four.json"):
-        assert 3.0 < by_body - spare_ms(model, "--gains", gains) < 12.0
 
 
 def test_polynomials_without_a_body_say_what_they_cannot_do(files, tmp_path):

@@ -90,7 +90,7 @@ def controllers():
     CascadeJudge([plant_of_model(model)], "yaw", 0.1)(np.ones((1, 2)))
     for loop in ("direct", "whole"):
         evaluate(thesis, {"yaw": PidGains(1000.0)}, loop)
-    DirectJudge([axis_plant(thesis, "yaw")], 0.1)(np.ones((1, 3)))
+    DirectJudge(axis_plant(thesis, "yaw"), 0.1)(np.ones((1, 3)))
 
 
 def main():

@@ -124,7 +124,7 @@ def results(folder):
 
 def design(model):
     """Gains and margins of a PID on u', which no motor follows, so that no command gives it."""
-    gains, _, margins = design_direct([axis_plant(load_model(model), "yaw")], Limits())
+    gains, _, margins = design_direct(axis_plant(load_model(model), "yaw"), Limits())
     return json.dumps({"gains": gains.as_tuple(), "margins": margins.as_dict()})
 
 
