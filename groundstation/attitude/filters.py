@@ -15,9 +15,6 @@ Array = NDArray[np.float64]
 
 START_ROWS = 25
 """The first attitude is the accelerometer's mean over so many rows (50 ms)."""
-MOST_LOG = 60.0
-"""Of Q over R: beyond it one of them is nothing at all."""
-MOST_TRIES = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +38,10 @@ class KalmanEstimate:
     """Outcome of ``kalman``.
 
     attitude: (n, 3) roll, pitch, yaw in rad. bias: (n, 3) offsets of the Euler rates, rad/s.
-    surprise: (n, 2) the accelerometer's roll and pitch less what was predicted, rad; spread: (n,)
-    its variance by the filter's own account, rad^2.
     """
 
     attitude: Array
     bias: Array
-    surprise: Array
-    spread: Array
 
 
 def complementary(
@@ -90,7 +83,6 @@ def kalman(
     chosen = noise or KalmanNoise()
     time, rates, tilt = _inputs(time_s, gyro, accelerometer)
     attitude, bias = np.empty((len(time), 3)), np.empty((len(time), 3))
-    surprise, spread = np.empty((len(time), 2)), np.empty(len(time))
     # One scale for all: radians inside, ratios as given.
     unit = np.radians(1.0) ** 2
     kalman_axes(
@@ -103,46 +95,8 @@ def kalman(
         chosen.accelerometer * unit,
         attitude,
         bias,
-        surprise,
-        spread,
     )
-    return KalmanEstimate(attitude, bias, surprise, spread)
-
-
-def likeliest_noise(
-    time_s: ArrayLike, gyro: ArrayLike, accelerometer: ArrayLike, start: KalmanNoise | None = None
-) -> KalmanNoise:
-    """Q and R that make the accelerometer's angles the likeliest (prediction error decomposition,
-    Harvey 1989, 3.4): searched from ``start``; the scale of all three has a closed form.
-
-    For turns by hand. In flight the accelerometer feels thrust, not gravity, and its angles tell
-    nothing of the filter.
-    """
-    from scipy.optimize import minimize
-
-    begin = start or KalmanNoise()
-
-    def unscaled(logs: Array) -> KalmanNoise:
-        angle, bias = np.exp(np.clip(logs, -MOST_LOG, MOST_LOG))
-        return KalmanNoise(float(angle), float(bias), 1.0)
-
-    def scale_and_cost(logs: Array) -> tuple[float, float]:
-        found = kalman(time_s, gyro, accelerometer, unscaled(logs))
-        spread = np.degrees(1.0) ** 2 * found.spread[1:]
-        surprise = np.degrees(found.surprise[1:])
-        scale = max(float(np.mean((surprise**2).mean(axis=1) / spread)), 1e-12)
-        return scale, float(np.log(scale) + np.log(spread).mean())
-
-    ratios = np.log([begin.angle / begin.accelerometer, begin.bias / begin.accelerometer])
-    best = minimize(
-        lambda logs: scale_and_cost(logs)[1],
-        ratios,
-        method="Nelder-Mead",
-        options={"xatol": 0.05, "fatol": 1e-6, "maxfev": MOST_TRIES},
-    )
-    scale, _ = scale_and_cost(best.x)
-    ratio = unscaled(best.x)
-    return KalmanNoise(scale * ratio.angle, scale * ratio.bias, scale)
+    return KalmanEstimate(attitude, bias)
 
 
 def _inputs(

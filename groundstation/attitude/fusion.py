@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.attitude.filters import KalmanNoise, complementary, kalman, likeliest_noise
+from groundstation.attitude.filters import KalmanNoise, complementary, kalman
 from groundstation.attitude.sensors import (
     accelerometer_attitude,
     integrate_gyroscope,
@@ -69,13 +69,10 @@ def _unwrapped(attitude: Array) -> Array:
     return out
 
 
-def fuse(
-    samples: SampleBatch, weight: float = 0.998, noise: KalmanNoise | None = None, *, tune: bool
-) -> Fused:
+def fuse(samples: SampleBatch, weight: float = 0.998, noise: KalmanNoise | None = None) -> Fused:
     """Integration, accelerometer, complementary filter (W), Kalman filter (Q, R).
 
-    tune: Q and R by likelihood, from ``noise`` on. Raises BadInputError for too few rows with gyro
-    and accelerometer, and a weight outside 0..1.
+    Raises BadInputError for too few rows with gyro and accelerometer, and a weight outside 0..1.
     """
     if not 0.0 <= weight <= 1.0:
         raise BadInputError(f"weight {weight:g}: must be 0..1")
@@ -87,8 +84,6 @@ def fuse(
     bias = rest_bias(time, samples.gyro)
     gyro = samples.gyro - (np.zeros(3) if bias is None else bias)
     chosen = noise or KalmanNoise()
-    if tune:
-        chosen = likeliest_noise(time, gyro, force, chosen)
     tilt = accelerometer_attitude(force)
     angles = {
         "integrated": integrate_gyroscope(time, samples.gyro),

@@ -55,16 +55,10 @@ def kalman_axes(
     r: float,
     attitude: Any,
     bias: Any,
-    surprise: Any,
-    spread: Any,
 ) -> None:
-    """Eq. 6.12-6.16 with 6.17-6.20, all three axes in step.
-
-    surprise (n, 2): what the accelerometer said beyond the prediction; spread (n,): its variance.
-    """
+    """Eq. 6.12-6.16 with 6.17-6.20, all three axes in step."""
     angle, offset = start.copy(), np.zeros(3)
     p00, p01, p11 = r, 0.0, 0.0  # the same for roll and pitch: they share Q, R and times
-    surprise[0], spread[0] = 0.0, r
     for i in range(3):
         attitude[0, i], bias[0, i] = angle[i], offset[i]
     for k in range(1, len(time)):
@@ -75,11 +69,9 @@ def kalman_axes(
         p00 += dt * (dt * p11 - 2.0 * p01) + q_angle
         p01 -= dt * p11
         p11 += q_bias
-        spread[k] = p00 + r
         gain_angle, gain_bias = p00 / (p00 + r), p01 / (p00 + r)
         for i in range(2):
             error = _wrap(tilt[k, i] - angle[i])
-            surprise[k, i] = error
             angle[i] += gain_angle * error
             offset[i] += gain_bias * error
         p11 -= gain_bias * p01

@@ -41,7 +41,6 @@ def attitude(
         help="Kalman filter: Q of angle (deg^2) and offset ((deg/s)^2), R of the accelerometer's"
         " angle (deg^2). Only their ratios matter.",
     ),
-    tune: bool = typer.Option(False, "--tune", help="Q and R by likelihood, from --noise on."),
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
 ) -> None:
@@ -58,7 +57,7 @@ def attitude(
             require_new(path)
     given = _noise(noise)
     try:
-        fused = fuse(open_one(recording).samples, weight, given, tune=tune)
+        fused = fuse(open_one(recording).samples, weight, given)
     except BadInputError as error:
         raise BadInputError(f"{recording}: {error}") from error
     moved = {name: v for name, v in fused.moved_deg().items() if name != "accelerometer"}
@@ -85,11 +84,6 @@ def attitude(
     show("end minus start, deg      roll     pitch       yaw")
     for name, values in moved.items():
         show(f"  {name:<18}" + "".join(f"{value:10.2f}" for value in values))
-    if tune:
-        show(
-            f"Q = {used.angle:.3g} deg^2, {used.bias:.3g} (deg/s)^2;"
-            f" R = {used.accelerometer:.3g} deg^2"
-        )
     if bias is None:
         show("no rest at the start: the gyro's offset was not subtracted from the Kalman input")
     say_written(output, html)

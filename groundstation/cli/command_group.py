@@ -11,6 +11,7 @@ from groundstation import BadInputError
 from groundstation.cli.progress import watched
 
 FORMER = {
+    "attitude --tune": "give Q and R by --noise; only their ratios matter",
     "config --reload": "a change takes effect with the next start of the daemon",
     "config --show": "'groundstation config' shows it",
     "export": "the header is groundstation/telemetry/groundstation_telemetry.h, also in a wheel",

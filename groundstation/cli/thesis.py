@@ -14,7 +14,7 @@ from groundstation.cli.terminal import show, show_json
 if TYPE_CHECKING:
     from groundstation.thesis.entry import Entry
 
-PAGE, MARKDOWN = "index.html", "thesis.md"
+PAGE = "index.html"
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -30,8 +30,8 @@ def thesis(
 ) -> None:
     """Repeat the thesis: every table and figure that has a counterpart, beside the printed numbers.
 
-    Flies the stand-in, fits, designs, and leaves one page with the command behind each number, the
-    same tables as Markdown, all files, and the commands as a script. Takes one to three minutes.
+    Flies the stand-in, fits, designs, and leaves one page with the command behind each number, all
+    files, and the commands as a script. Takes one to three minutes.
 
     Example: [bold]groundstation thesis -o repeated[/bold]
 
@@ -40,7 +40,7 @@ def thesis(
     from groundstation.shell import Shell
     from groundstation.thesis.catalogue import chosen, make
     from groundstation.thesis.page import as_json as whole
-    from groundstation.thesis.page import markdown, page
+    from groundstation.thesis.page import page
     from groundstation.thesis.workshop import Workshop, inputs
 
     entries = chosen(only or [])
@@ -56,9 +56,8 @@ def thesis(
         progress(0.95, "drawing the page")
         seconds = shell.spent.wall_s
         page(done, seconds).write(output / PAGE)
-        (output / MARKDOWN).write_text(markdown(done), encoding="utf-8")
     if as_json:
         show_json({**whole(done, seconds), "page": str(output / PAGE)})
         return
     show(f"{len(done)} tables and figures in {seconds:.0f} s")
-    say_written(output / PAGE, output / MARKDOWN)
+    say_written(output / PAGE)

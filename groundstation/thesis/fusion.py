@@ -22,7 +22,7 @@ METHODS = {
 
 def _fusion(workshop: Workshop) -> Made:
     moved = workshop.said("fused.json")["end_minus_start_deg"]
-    fused = fuse(workshop.samples("hand.csv"), tune=False)
+    fused = fuse(workshop.samples("hand.csv"))
     return Made(
         "Turned by hand and put back, with a gyro that is 1.5, -1.2 and 0.8 deg/s off. Printed is"
         " that the angles match perfectly in the end. Only the ratio of Q and R matters, so that"

@@ -1,4 +1,4 @@
-"""The page, the JSON and the Markdown of what was made."""
+"""The page and the JSON of what was made."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from groundstation.report.page import Cell, Page
-from groundstation.thesis.entry import Done, Table
+from groundstation.report.page import Page
+from groundstation.thesis.entry import Done
 from groundstation.thesis.printed import WITHOUT
 
 TITLE = "The thesis, repeated"
@@ -93,49 +93,8 @@ def as_json(done: Sequence[Done], seconds: float) -> dict[str, Any]:
     }
 
 
-def markdown(done: Sequence[Done]) -> str:
-    """The tables and what is said of each number, with the commands behind it."""
-    parts = [
-        f"# {TITLE}",
-        "`groundstation thesis -o FOLDER` leaves this page as `thesis.md`, beside one with the"
-        " figures. Every number comes from the commands named under it, which are listed at the"
-        " end; nothing is typed in but what is printed.",
-        INTRODUCTION,
-    ]
-    numbers = {line: number for number, line in enumerate(_all_commands(done), 1)}
-    for one in done:
-        parts.append(f"## {one.entry.number}: {one.entry.title}")
-        parts += [_table(table) for table in one.made.tables]
-        parts.append(one.made.says)
-        if one.chain:
-            made_by = ", ".join(str(numbers[line]) for line in one.commands)
-            needs = [str(numbers[line]) for line in one.chain if line not in one.commands]
-            parts.append(
-                f"Commands {made_by}" + (f" (after {', '.join(needs)})." * bool(needs) or ".")
-            )
-    parts.append(f"## {NOTHING}")
-    parts.append(_table(Table(["number", "what it is"], WITHOUT)))
-    parts.append(f"## {COMMANDS}")
-    parts.append(COMMANDS_TEXT)
-    listed = "\n".join(f"{number:2}  {line}" for line, number in numbers.items())
-    parts.append(f"```text\n{listed}\n```")
-    return "\n\n".join(parts) + "\n"
-
-
 def _all_commands(done: Sequence[Done]) -> list[str]:
     found: list[str] = []
     for one in done:
         found += [line for line in one.chain if line not in found]
     return found
-
-
-def _table(table: Table) -> str:
-    lines = ["| " + " | ".join(table.head) + " |", "|" + "---|" * len(table.head)]
-    lines += ["| " + " | ".join(_cell(cell) for cell in row) + " |" for row in table.rows]
-    return "\n".join(lines) + (f"\n\n{table.caption}" if table.caption else "")
-
-
-def _cell(cell: Cell) -> str:
-    if cell is None:
-        return ""
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

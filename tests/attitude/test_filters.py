@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.attitude.filters import KalmanNoise, complementary, kalman, likeliest_noise
+from groundstation.attitude.filters import KalmanNoise, complementary, kalman
 from groundstation.attitude.sensors import (
     accelerometer_attitude,
     integrate_gyroscope,
@@ -143,23 +143,3 @@ def test_shapes_that_do_not_fit_are_refused():
         kalman(one.time_s, one.gyro, one.accelerometer)
     with pytest.raises(ValueError, match="need"):
         kalman(np.arange(4.0), np.zeros((4, 3)), np.ones((3, 3)))
-
-
-def test_the_likeliest_noise_is_that_which_was_there():
-    """A random walk of rate and angle, seen with white noise: Q and R of the textbook filter."""
-    rows, step = 60_000, 0.002
-    random = np.random.default_rng(4)
-    truth = KalmanNoise(angle=2e-4, bias=1e-6, accelerometer=1.5)
-    offset = np.cumsum(np.sqrt(truth.bias) * random.standard_normal((rows, 2)), axis=0)
-    angle = np.cumsum(
-        -step * offset + np.sqrt(truth.angle) * random.standard_normal((rows, 2)), axis=0
-    )
-    seen = np.radians(angle + np.sqrt(truth.accelerometer) * random.standard_normal((rows, 2)))
-    roll, pitch = seen.T
-    force = np.column_stack(
-        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)]
-    )
-    found = likeliest_noise(step * np.arange(rows), np.zeros((rows, 3)), force)
-    assert found.accelerometer == pytest.approx(truth.accelerometer, rel=0.03)
-    assert found.angle == pytest.approx(truth.angle, rel=0.15)
-    assert found.bias == pytest.approx(truth.bias, rel=0.6)

@@ -26,7 +26,7 @@ def test_rows_without_angles_take_nothing_from_what_the_others_say(unknown):
     samples.attitude[unknown] = np.nan
     known = np.flatnonzero(np.isfinite(samples.attitude[:, 2]))
     turned = 5.0 * (samples.time_s[known[-1]] - samples.time_s[known[0]])
-    moved = fuse(samples, tune=False).moved_deg()
+    moved = fuse(samples).moved_deg()
     assert moved["reported"] == pytest.approx([0.0, 0.0, turned], abs=1e-3)
     assert moved["integrated"][2] == pytest.approx(5.0 * samples.time_s[-1], abs=0.02)
 
@@ -34,4 +34,4 @@ def test_rows_without_angles_take_nothing_from_what_the_others_say(unknown):
 def test_without_any_angle_it_is_not_known():
     samples = turning(500)
     samples.attitude[:] = np.nan
-    assert np.isnan(fuse(samples, tune=False).moved_deg()["reported"]).all()
+    assert np.isnan(fuse(samples).moved_deg()["reported"]).all()

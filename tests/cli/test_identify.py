@@ -203,11 +203,11 @@ def test_attitude_tells_drift_from_fusion(files, tmp_path):
     assert len(np.genfromtxt(table, delimiter=",", names=True)) == report["samples"]
 
 
-def test_sensor_fusion_is_drawn_and_tuned_by_likelihood(files, tmp_path):
+def test_sensor_fusion_is_drawn_and_takes_other_noise(files, tmp_path):
     page = tmp_path / "attitude.html"
-    told = json.loads(run("attitude", files["hand"], "--html", page, "--tune", "--json"))
-    angle, bias, accelerometer = told["noise"]
-    assert bias < angle < accelerometer
+    noise = ("--noise", "0.0002,0.00001,5")
+    told = json.loads(run("attitude", files["hand"], "--html", page, *noise, "--json"))
+    assert told["noise"] == [0.0002, 0.00001, 5.0]
     assert np.abs(told["end_minus_start_deg"]["kalman"]).max() < 1.0
     assert page.read_text().count("<figure") == 3
     slow = json.loads(run("attitude", files["hand"], "--weight", 1, "--json"))
