@@ -193,38 +193,33 @@ def report(
     from dataclasses import asdict
 
     from groundstation.fleet.before_after import parse_date, shifts
-    from groundstation.fleet.certainty import PERCENT, expectations
     from groundstation.fleet.findings import findings_of
     from groundstation.fleet.fit import fits_table
     from groundstation.fleet.flight_fit import VALUES
-    from groundstation.fleet.index import recordings_of, usable, warn_of_older
+    from groundstation.fleet.index import recordings_of, usable
     from groundstation.fleet.report_sections import to_fly
     from groundstation.fleet.search import effects_table
 
     if html is not None:
         require_new(html)
     date = None if compare_before is None else parse_date(compare_before)
-    columns = ("craft", "begun", "state", "reason", "reader", "sha256", *PERCENT.values())
-    recordings = recordings_of(catalogue, columns)
-    warn_of_older(recordings, catalogue)
+    recordings = recordings_of(catalogue, ("craft", "begun", "state", "reason", "sha256"))
     fits = fits_table(catalogue).rows(VALUES)
     counted = usable(recordings)
     fleet = findings_of(counted, fits)
     effects = effects_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)
-    expected = expectations(counted)
-    needed = to_fly(fleet, effects, expected)
+    needed = to_fly(fleet, effects)
     if html is not None:
         from groundstation.fleet.report import More
         from groundstation.fleet.report import report as page
 
-        more = More(effects, expected, needed, compare_before, since)
+        more = More(effects, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
     if as_json:
         known = {"effects": list(effects.values())}
         compared = None if date is None else [asdict(one) for one in since]
-        told = {craft: asdict(one) for craft, one in expected.items()}
-        next_ones = {"expected": told, "to_fly": needed, "since": compared}
+        next_ones = {"to_fly": needed, "since": compared}
         show_json({**fleet.as_dict(), **known, **next_ones})
         return
     crafts = {one.craft for one in fleet.series}

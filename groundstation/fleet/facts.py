@@ -16,13 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.errors import BadInputError, GroundStationError
-from groundstation.fleet.certainty import COLUMNS as EXPECTED
-from groundstation.fleet.certainty import expected
 from groundstation.fleet.parts import Row
 from groundstation.paths import digest, require_content
 
 if TYPE_CHECKING:
-    from groundstation.identification.runs import Run
     from groundstation.recording.session import Recording
 
 COLUMNS = {
@@ -44,7 +41,6 @@ COLUMNS = {
     "battery_first_v": "number",
     "battery_last_v": "number",
     "channels": "texts",
-    **EXPECTED,
     "state": "text",
     "reason": "text",
 }
@@ -146,7 +142,6 @@ def _described(path: Path, address: str, vehicle: str | None) -> Row:
     metadata = recording.metadata
     grade, _, reason = str(report["verdict"]).partition(": ")
     battery = samples.battery_v[np.isfinite(samples.battery_v)]
-    flights = _flights(recording)
     return {
         "craft": _craft(metadata, address),
         "vehicle": vehicle or metadata.get("vehicle", {}).get("profile"),
@@ -154,17 +149,12 @@ def _described(path: Path, address: str, vehicle: str | None) -> Row:
         "link": recording.link,
         "begun": _begun(recording, address, path),
         "duration_s": float(report["duration_s"]),
-        "airborne_s": _airborne_s(flights),
+        "airborne_s": _airborne_s(recording),
         "rate_hz": float(report["rate_hz"]),
         "lost": int(report["lost_samples"]),
         "battery_first_v": float(battery[0]) if len(battery) else None,
         "battery_last_v": float(battery[-1]) if len(battery) else None,
         "channels": sorted(set(report["ranges"]) - set(report["missing"])),
-        **(
-            expected(recording, flights, vehicle)
-            if flights
-            else {"not_expected": "nothing was flown"}
-        ),
         "state": grade.split(",")[0],
         "reason": reason,
     }
@@ -195,17 +185,13 @@ def _begun(recording: Recording, address: str, path: Path) -> str:
     return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
 
 
-def _flights(recording: Recording) -> list[Run]:
-    """Stretches that are long enough for a fit."""
+def _airborne_s(recording: Recording) -> float:
+    """Of stretches that are long enough for a fit."""
+    from groundstation.identification.airborne import airborne
     from groundstation.identification.recordings import bridged
 
     try:
-        return bridged(recording.samples, recording.path.name, LEAST_AIR_S)
+        flights = bridged(recording.samples, recording.path.name, LEAST_AIR_S)
     except BadInputError:
-        return []
-
-
-def _airborne_s(flights: list[Run]) -> float:
-    from groundstation.identification.airborne import airborne
-
+        return 0.0
     return float(sum(airborne(run).sum() * run.period_s for run in flights))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -53,17 +52,6 @@ def recordings_of(catalogue: Path, columns: Sequence[str] | None = None) -> list
             f" {catalogue}"
         )
     return list(rows.values())
-
-
-def warn_of_older(rows: Iterable[Row], catalogue: Path) -> None:
-    """Tell of rows that say less than those of today. rows: with their ``reader``."""
-    older = sum(row["reader"] != READER for row in rows)
-    if older:
-        warnings.warn(
-            f"{catalogue}: {older} recordings were indexed by an older version, which did not say"
-            " how well they tell the constants; run fleet index again",
-            stacklevel=2,
-        )
 
 
 def usable(rows: Iterable[Row]) -> list[Row]:

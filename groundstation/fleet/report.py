@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from groundstation.fleet.before_after import Shift
-from groundstation.fleet.certainty import Expectation
 from groundstation.fleet.findings import (
     FALSE_SHARE,
     Finding,
@@ -25,7 +24,6 @@ from groundstation.fleet.parts import Row
 from groundstation.fleet.report_sections import (
     LISTED,
     add_effects,
-    add_expected,
     add_shifts,
     add_to_fly,
 )
@@ -45,11 +43,10 @@ CLEAR_Z = 4.0
 
 @dataclass(frozen=True, slots=True)
 class More:
-    """What else a catalogue may hold: table ``effects``, what crafts' flights may be
-    expected to tell, what to fly next, and shifts since ``date``."""
+    """What else a catalogue may hold: table ``effects``, what to fly next, and shifts since
+    ``date``."""
 
     effects: Mapping[str, Row]
-    expected: Mapping[str, Expectation]
     to_fly: Mapping[str, Sequence[str]]
     date: str | None = None
     shifts: Sequence[Shift] = ()
@@ -92,7 +89,6 @@ def report(
         add_shifts(page, more.date, more.shifts)
     add_effects(page, more.effects)
     add_to_fly(page, more.to_fly)
-    add_expected(page, more.expected, fleet)
     drawn = drawn_crafts(fleet)
     of_many = (
         f" {len(drawn)} of {len(crafts)} crafts, those with findings first; --json has all."

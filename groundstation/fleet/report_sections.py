@@ -1,5 +1,4 @@
-"""Sections of the fleet's page: before and after, effects by craft, what to fly next, what flights
-tell."""
+"""Sections of the fleet's page: before and after, effects by craft, what to fly next."""
 
 from __future__ import annotations
 
@@ -7,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from groundstation.fleet.before_after import Shift
-from groundstation.fleet.certainty import NOTHING, TOLD, Expectation
 from groundstation.fleet.findings import Fleet
 from groundstation.fleet.parts import Row
 from groundstation.report.page import Page
@@ -63,57 +61,16 @@ def add_effects(page: Page, searched: Mapping[str, Row]) -> None:
     page.bullets(f"{c}: {row['reason']}" for c, row in searched.items() if row["reason"])
 
 
-def add_expected(page: Page, expected: Mapping[str, Expectation], fleet: Fleet) -> None:
-    """How well each craft's flights tell the constants, before a fit and after it."""
-    if not expected:
-        return
-    known = {(one.craft, one.quantity): 100.0 * one.stderr / abs(one.value) for one in fleet.values}
-    page.heading("What the flights tell")
-    page.table(
-        ("craft", "flights", "worth a fit", *(f"{name}, %" for name in TOLD)),
-        [
-            (
-                *(craft, one.flights, one.worth),
-                *(_both(one.errors[name], known.get((craft, name))) for name in TOLD),
-            )
-            for craft, one in list(expected.items())[:LISTED]
-        ],
-        "Relative standard errors of all flights of a craft together: expected from their"
-        " Jacobians, and after the arrow what the fits and the scatter from flight to flight left."
-        " motor_pace: how fast the motors answer, of which no value is kept. Worth a fit: tells c0"
-        " and c1 well enough for a design." + _of_many(len(expected)),
-    )
-
-
-def _of_many(count: int) -> str:
-    return f" The first {LISTED} of {count} crafts; --json has all." if count > LISTED else ""
-
-
-def _both(expected: float, known: float | None) -> str:
-    before = "nothing" if expected >= NOTHING else f"{100.0 * expected:.2g}"
-    return before if known is None else f"{before} → {known:.2g}"
-
-
-def to_fly(
-    fleet: Fleet, searched: Mapping[str, Row], expected: Mapping[str, Expectation]
-) -> dict[str, list[str]]:
-    """Craft -> what to fly next, because its flights do not tell: manoeuvre, and for what.
-
-    A craft's fits say so, or else what its flights are expected to tell.
-    """
+def to_fly(fleet: Fleet, searched: Mapping[str, Row]) -> dict[str, list[str]]:
+    """Craft -> what to fly next, because its fits do not tell: manoeuvre, and for what."""
     from groundstation.control.uncertainty import MOST_STDERR, RECORD
 
     found: dict[str, list[str]] = {}
-    crafts = {one.craft for one in fleet.series}
     known = {(one.craft, one.quantity): one for one in fleet.values}
-    for craft in sorted(crafts | expected.keys()):
+    for craft in sorted({one.craft for one in fleet.series}):
         for name, most in MOST_STDERR.items():
             value = known.get((craft, name))
-            if craft not in crafts:
-                untold = expected[craft].errors[name] > most
-            else:
-                untold = value is None or value.stderr > most * abs(value.value)
-            if untold:
+            if value is None or value.stderr > most * abs(value.value):
                 found.setdefault(craft, []).append(f"{RECORD[name]} (for {name})")
     for craft, row in searched.items():
         for manoeuvre, names in _by_manoeuvre(row["to_fly"] or ()).items():

@@ -9,18 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from groundstation.dynamics.model import Model
-from groundstation.fleet.certainty import errors_of
 from groundstation.fleet.craft_search import COLUMNS, KEY, CraftFlights, row_of, searching
 from groundstation.fleet.findings import findings_of
 from groundstation.fleet.fit import LEAST_AIR_S, fits_table
 from groundstation.fleet.gather import MADE_BY, gathered, set_aside
-from groundstation.fleet.index import lasting, recordings_of, usable, warn_of_older
+from groundstation.fleet.index import lasting, recordings_of, usable
 from groundstation.fleet.parts import Parts, Row
 from groundstation.identification.fit_record import Progress, silent
 
 FLIGHTS = 6
 """Of each craft, unless asked otherwise: a search takes its memory and time by rows."""
 HELD_OUT_EVERY = 3
+AXES = ("c0", "c1", "c2")
+NOTHING, LEAST = 1.0, 1e-6
+"""Relative standard errors: of a constant that is known to its own size, and of one known for good.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,6 @@ def search_all(
     Raises BadInputError where there is no catalogue.
     """
     recordings = recordings_of(catalogue)
-    warn_of_older(recordings, catalogue)
     fits = fits_table(catalogue).rows()
     counted = usable(recordings)
     begins = last_changes(counted, fits)
@@ -116,13 +118,14 @@ def chosen(
     most: int,
     described: str,
 ) -> CraftFlights | None:
-    """The flights that tell c0, c1 and c2 best (mean log relative error), not older than ``begun``;
-    every third of them, by date, is held out. None for a craft with fewer than two."""
+    """The flights whose fits tell c0, c1 and c2 best (mean log relative error), or the longest
+    where not all are fitted, none older than ``begun``; every third of them, by date, is held out.
+    None for a craft with fewer than two."""
     young = [row for row in rows if row["begun"] >= begun]
-    errors = errors_of(young, fits)
+    fitted = all(row["address"] in fits for row in young)
 
     def rank(row: Row) -> tuple[float, float, str]:
-        told = sum(map(math.log, errors[row["address"]]))
+        told = _log_errors(fits[row["address"]]) if fitted else 0.0
         return told, -row["airborne_s"], row["address"]
 
     best = sorted(young, key=rank)[: max(2, most)]
@@ -137,4 +140,17 @@ def chosen(
         tuple(one["address"] for one in best if one["address"] not in held),
         tuple(one["address"] for one in best if one["address"] in held),
         f"{described}, flights {told}",
+    )
+
+
+def _log_errors(fit: Row) -> float:
+    """Sum of the logarithms of a fit's relative standard errors of ``AXES``."""
+    values = ((fit[name], fit[f"{name}_stderr"]) for name in AXES)
+    return sum(
+        math.log(
+            NOTHING
+            if value is None or stderr is None
+            else min(NOTHING, max(stderr / abs(value), LEAST))
+        )
+        for value, stderr in values
     )

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from groundstation.dynamics.meanings import title_of
-from groundstation.identification.excitation import MOVES
 from groundstation.report.page import Advice
 from groundstation.text import listed
 
@@ -18,6 +17,11 @@ one that keeps margins for it."""
 SLOW_HZ = 400.0
 """Below, samples do not show every setting of the motors."""
 AXIS = {"c0": "roll", "c1": "pitch", "c2": "yaw"}
+MOVES = {
+    "c0": ("roll", "fly roll doublets of 10 degrees and more, several a second"),
+    "c1": ("pitch", "fly pitch doublets of 10 degrees and more, several a second"),
+    "c2": ("yaw", "fly yaw steps of 60 degrees both ways, several in ten seconds"),
+}
 
 
 def good_for(account: Mapping[str, Any]) -> tuple[str, str]:

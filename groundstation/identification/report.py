@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import Evidence, ResidualTest, Step, Trace
 from groundstation.identification.segments import EVERYTHING
 from groundstation.report.figure import figure, legend_above
-from groundstation.report.page import Page
+from groundstation.report.page import Cell, Page
 from groundstation.report.theme import (
     BAD,
     BAND,
@@ -110,15 +110,8 @@ def _parameters(
     page: Page, estimates: Estimates, account: dict[str, Any], meaning_in_words: Meaning
 ) -> None:
     """meaning_in_words: (unit, meaning) of a name."""
-    expected = dict(
-        zip(
-            account.get("excitation", {}).get("names", ()),
-            account.get("excitation", {}).get("expected_stderr_percent", ()),
-            strict=True,
-        )
-    )
     interval = estimates.interval()
-    rows = []
+    rows: list[list[Cell]] = []
     for i, name in enumerate(estimates.names):
         value, error = float(estimates.values[i]), float(estimates.stderr[i])
         unit, meaning = meaning_in_words(name)
@@ -136,7 +129,6 @@ def _parameters(
                 100 * error / abs(value) if value and not unknown else None,
                 float(interval[i, 0]),
                 float(interval[i, 1]),
-                *([expected.get(name)] if expected else []),
                 meaning,
             ]
         )
@@ -149,21 +141,15 @@ def _parameters(
             "%",
             "95 % from",
             "to",
-            *(["% expected before the fit"] if expected else []),
             "meaning",
         ],
         rows,
-        "Expected: from the recorded inputs and the noise of a black-box predictor, against the"
-        " profile's constants."
-        if expected
-        else "",
     )
     if len(estimates.names) > 1:
         page.figure(
-            certainty(estimates, expected),
+            certainty(estimates),
             "Left: correlation of the estimates; near +1 or -1, the data tell the two only"
-            " together. Right: standard error as a share of the value"
-            + (" (bars), and as it was expected before the fit (marks)." if expected else "."),
+            " together. Right: standard error as a share of the value.",
         )
 
 
@@ -181,15 +167,6 @@ def _held_out(page: Page, account: dict[str, Any]) -> None:
         page.table(
             ["held-out run", "fit %", "RMS, rev/s"],
             [[one["recording"], one["rotor_fit_percent"], one["rotor_rms_rev_s"]] for one in held],
-        )
-    if account.get("free_run_angles"):
-        page.table(
-            ["free runs of", "data", *(f"{axis}, rad" for axis in ("roll", "pitch", "yaw"))],
-            [
-                [f"{one['window_s']:g} s", one["data"], *one["rms_rad"]]
-                for one in account["free_run_angles"]
-            ],
-            "RMS of the angles in free runs from measured rates and angles.",
         )
 
 
@@ -258,7 +235,7 @@ def residual_text(test: ResidualTest) -> str:
     return f"{test.channel}: {white}, {input_}."
 
 
-def certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
+def certainty(estimates: Estimates) -> Figure:
     """Correlation of estimates, and their errors as shares of their values."""
     labels = [name.replace(".", "\n") for name in estimates.names]
     made, (left, right) = figure(
@@ -278,9 +255,6 @@ def certainty(estimates: Estimates, expected: Mapping[str, float]) -> Figure:
     shares = 100 * estimates.stderr / np.maximum(np.abs(estimates.values), 1e-300)
     shares = np.minimum(shares, MOST_PERCENT)  # an effect that is not there is 0
     right.barh(ticks, shares, color=SERIES[0], height=0.6)
-    for i, name in enumerate(estimates.names):
-        if name in expected:
-            right.plot(expected[name], i, "|", color=MODELLED, markersize=14, markeredgewidth=2.5)
     right.set_xscale("log")
     right.set_xlim(
         10.0 ** np.floor(np.log10(shares.min())), 10.0 ** np.ceil(np.log10(shares.max()))

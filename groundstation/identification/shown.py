@@ -38,7 +38,7 @@ def identified(one: Identified) -> Shown:
         if len(estimates.names) > 1:
             several = len(one.evidence.estimates) > 1
             name = f"certainty {part}" if several else "certainty"
-            pictures[name] = partial(certainty, estimates, {})
+            pictures[name] = partial(certainty, estimates)
     pictures |= {each.channel: partial(trace, each) for each in one.evidence.traces}
     for each in one.evidence.residuals:
         pictures[f"residuals of {each.channel}"] = partial(residual, each)

@@ -19,7 +19,6 @@ from groundstation.fleet.index import (
     index,
     recordings_of,
     usable,
-    warn_of_older,
 )
 from groundstation.fleet.parts import PART_ROWS, Parts, held
 from groundstation.identification.fit_record import silent
@@ -222,14 +221,12 @@ def test_a_recording_that_processes_die_of_is_not_read_again_until_it_changes(fl
     assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 1
 
 
-def test_rows_of_an_older_reader_are_told_of_and_read_again(flights, tmp_path):
+def test_rows_of_an_older_reader_are_read_again(flights, tmp_path):
     index(tmp_path / "fleet", [str(flights)], workers=1)
     read = recordings_of(tmp_path / "fleet")
     older = {name: kind for name, kind in FACTS.items() if name != "reader"}
     shutil.rmtree(tmp_path / "fleet" / "recordings")
     Parts(tmp_path / "fleet" / "recordings", older, KEY).append(read)
-    with pytest.warns(UserWarning, match="2 recordings were indexed by an older version"):
-        warn_of_older(recordings_of(tmp_path / "fleet"), tmp_path / "fleet")
     assert index(tmp_path / "fleet", [str(flights)], workers=1).read == 2
     assert recordings_of(tmp_path / "fleet") == read
 

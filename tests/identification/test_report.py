@@ -107,15 +107,6 @@ def test_what_the_recordings_became_before_the_fit_is_drawn(pages):
         assert all(one in after for one in words)
 
 
-def test_errors_of_the_angles_grow_with_the_length_of_a_free_run(pages):
-    found, text = pages["body"]
-    runs = found.account["free_run_angles"]
-    held = [one["rms_rad"] for one in runs if one["data"] == "validation"]
-    assert [one["window_s"] for one in runs[::2]] == [0.5, 1.0, 2.0]
-    assert held[0][0] < held[1][0] < held[2][0]
-    assert f">{held[2][0]:.4g}<" in text
-
-
 def test_warnings_come_first(pages):
     _, text = pages["body"]
     assert text.index("taken as exact") < text.index(">Parameters</h2>")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -24,7 +23,6 @@ from groundstation.identification.body.validation import (
     validate_body,
 )
 from groundstation.identification.division import divided
-from groundstation.identification.excitation import body_excitation
 from groundstation.identification.fit_record import (
     TOLD,
     Evidence,
@@ -49,7 +47,6 @@ from groundstation.identification.likelihood.on_board import (
 from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
 from groundstation.identification.motor.supply import SAG, SupplyEstimate, supply_terms, undo_supply
 from groundstation.identification.preparation import flight_preparation
-from groundstation.identification.replayed import angle_rms
 from groundstation.identification.runs import Run
 from groundstation.identification.segments import EVERYTHING, Selection
 from groundstation.identification.stretches import Stretch, paced, quicker, stretches_of
@@ -61,7 +58,6 @@ Array = NDArray[np.float64]
 AHEAD_S, DRAWN_S = 0.02, 3.0
 KNOCK_G = 4.0
 """What no thrust gives a craft, and rotors that shake an unfiltered accelerometer hardly do."""
-FREE_RUNS_S, LEAST_FREE_S = (0.5, 1.0, 2.0), 1.0
 OF_THE_MOTORS = {effect.name for stage in ("supply", "motor") for effect in at_stage(stage)}
 
 
@@ -93,9 +89,7 @@ def identify_body(
         validate_on, _ = _stretches(held, before, vehicle, supplied, measured, selection)
     else:
         fit_on, validate_on, apart = divided(stretches, vehicle.configuration)
-    progress(0.2, "looking at the excitation")
-    judged = body_excitation(fit_on, vehicle, names, tie_roll_pitch)
-    progress(0.3, "fitting the body")
+    progress(0.2, "fitting the body")
     covariance = None if measured else motor_covariance(before)
     known_motor = measured or "motor" in before.fit or before.motor != vehicle.motor
     fit = fit_body(fit_on, vehicle, names, tie_roll_pitch, covariance, known_motor)
@@ -103,7 +97,7 @@ def identify_body(
     progress(0.8, "judging it on held-out data")
     rows = sum(len(stretch) for stretch in fit_on)
     traces, residuals = _pictures(validate_on, fit, rows)
-    warnings = [*judged.lines, *fit.warnings]
+    warnings = [*fit.warnings]
     warnings += [f"{one.name}: left out, a motor is saturated in most rows" for one in saturated]
     warnings += knocks([*fit_on, *validate_on])
     warnings += _of_the_motors(fit, exact=covariance is None and not measured)
@@ -115,7 +109,6 @@ def identify_body(
         "rate_hz": 1.0 / runs[0].period_s,
         "selection": str(selection),
         "held_out": apart,
-        "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
         "fitted_along": {key: _stated(*found) for key, found in fit.nuisances.items()},
         "left_out": _left_out(fit),
@@ -130,8 +123,6 @@ def identify_body(
     model = _fitted(
         before, vehicle, fit, supply_terms(supplied, supplies, _profile(before, vehicle))
     )
-    if not measured:
-        account["free_run_angles"] = _free_run_angles(model, fit_on, validate_on)
     prepared = flight_preparation(fit_on, vehicle.configuration)
     evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
@@ -197,26 +188,6 @@ def _of_the_motors(fit: BodyFit, exact: bool) -> Iterator[str]:
             "the motor's constants are taken as exact: give a --model whose motor was fitted, and"
             " its uncertainty counts as well"
         )
-
-
-def _free_run_angles(
-    model: Model, fit_on: Sequence[Stretch], validate_on: Sequence[Stretch]
-) -> list[dict[str, Any]]:
-    """RMS of roll, pitch, yaw by length of run (Table 7.2).
-
-    Nothing where angles are missing, or where the model cannot be flown on the recording: what was
-    fitted stands without it.
-    """
-    found = []
-    for window in FREE_RUNS_S:
-        for part, stretches in (("identification", fit_on), ("validation", validate_on)):
-            flown = [one.run[one.rows] for one in stretches]
-            flown = [run for run in flown if run.seconds > 2.0 * window + LEAST_FREE_S]
-            if flown and all(np.isfinite(run.attitude).all() for run in flown):
-                with contextlib.suppress(BadInputError):
-                    rms = angle_rms(model, flown, window)
-                    found.append({"window_s": window, "data": part, "rms_rad": rms.tolist()})
-    return found
 
 
 def _stated(value: float, stderr: float) -> dict[str, float]:

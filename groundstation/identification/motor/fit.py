@@ -37,8 +37,8 @@ NAMES = ("a0", "a1", "a2", "delay_s")
 LEAST_READINGS = 200
 LEAST_SECONDS = 1.0
 WELL_KNOWN, UNKNOWN = 0.10, 0.60
-"""Predicted or final standard error over the value from which a parameter is worth a warning,
-and from which a fit is refused."""
+"""Standard error over the value from which a parameter is worth a warning, and from which a0 or a1
+is not identified."""
 ALIKE = 0.995
 CLEAR = 2.0
 """Standard errors from which a delay is told from none."""
@@ -98,8 +98,8 @@ def fit_motor(runs: Sequence[MotorRun], effects: Sequence[str] = ()) -> MotorFit
     A negative a2 is none: it is set to zero then, a motor of first order, and the rest fitted anew.
 
     Raises BadInputError for data that cannot tell: too short, not finite, constant voltage or
-    speed, a0 or a1 that would not be positive. Parameters that the data hardly tell are named in
-    ``warnings``.
+    speed, a0 or a1 that would not be positive or are not identified. Parameters that the data
+    hardly tell are named in ``warnings``.
     """
     require_usable(runs)
     problem = MotorProblem(runs, effects)
@@ -116,7 +116,9 @@ def fit_motor(runs: Sequence[MotorRun], effects: Sequence[str] = ()) -> MotorFit
         problem.first_order, theta[2] = True, 0.0
         theta = problem.minimise(weights, theta)
     _require_motor(theta, runs)
-    return _outcome(problem, weights, theta, rejected)
+    found = _outcome(problem, weights, theta, rejected)
+    _require_certain(found.estimates, runs)
+    return found
 
 
 def first_constants(runs: Sequence[MotorRun]) -> Array:
@@ -239,6 +241,18 @@ def _require_motor(theta: Array, runs: Sequence[MotorRun]) -> None:
                 f"{names}: {name} is not identified, because the voltage hardly varies or the speed"
                 f" does not follow it (it would be {value:.3g}, and no motor has that); vary the"
                 " thrust between 30 and 90 % duty, and see that the sensor is on the motor fitted"
+            )
+
+
+def _require_certain(estimates: Estimates, runs: Sequence[MotorRun]) -> None:
+    """Raises BadInputError where a0 or a1 is known to its own size only."""
+    for name, value, error in zip(("a0", "a1"), estimates.values, estimates.stderr, strict=False):
+        if error > UNKNOWN * value:
+            names = ", ".join(dict.fromkeys(run.name for run in runs))
+            raise BadInputError(
+                f"{names}: {name} is not identified, because the voltage hardly varies: uncertain"
+                f" by {100 * error / value:.0f} %; vary the thrust over a wider range, from 30 to"
+                " 90 % duty"
             )
 
 

@@ -13,7 +13,6 @@ from groundstation.dynamics.vehicle import MotorConstants, Vehicle
 from groundstation.errors import BadInputError
 from groundstation.identification.airborne import turning_parts
 from groundstation.identification.division import LAST, hold_out
-from groundstation.identification.excitation import motor_excitation
 from groundstation.identification.fit_record import (
     Evidence,
     Identified,
@@ -83,9 +82,7 @@ def identify_motor(
         return identify_rotors(fit_on, validate_on, apart, before, names, str(selection), progress)
     names = fitted_effects(effects, before, KNOWN)
     supplied = [name for name in names if name in (LAG, SAG)]
-    progress(0.1, "looking at the excitation")
-    judged = motor_excitation([bench_run(run, motor) for run in fit_on])
-    progress(0.2, "fitting the motor")
+    progress(0.1, "fitting the motor")
     supplies: list[SupplyEstimate] = []
     if supplied:
         fit, supplies = fit_motor_and_supply(fit_on, vehicle, motor, names)
@@ -104,7 +101,6 @@ def identify_motor(
         "samples": sum(len(run) for run in fit_on),
         "selection": str(selection),
         "held_out": apart,
-        "excitation": judged.as_dict(),
         "estimates": fit.estimates.as_dict(),
         "rejected_readings": fit.rejected,
         "identification": {
@@ -118,7 +114,7 @@ def identify_motor(
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
         "supply": [one.as_dict() for one in supplies],
         "findings": [delay_in_words(fit.estimates)],
-        "warnings": [*judged.lines, *fit.warnings, *([SUPPLY_DOUBT] if supplied else [])],
+        "warnings": [*fit.warnings, *([SUPPLY_DOUBT] if supplied else [])],
     }
     model = msgspec.structs.replace(
         with_motor(before, fit.motor), effects=with_effects(before, terms)

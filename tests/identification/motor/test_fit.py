@@ -249,6 +249,16 @@ def test_around_one_speed_only_the_uncertainty_is_large_and_said():
     assert abs(fit.estimates.values[2] / TRUE[2] - 1) < 1.0
 
 
+def test_constants_known_to_their_own_size_are_no_motor():
+    generator = np.random.default_rng(7)
+    voltage = 2200 + np.repeat(generator.uniform(-50, 50, 6), 100)
+    speed, _ = simulate_motor(THESIS_MOTOR, voltage[1:, None], 0.002)
+    measured = speed[:, 0] + generator.normal(0, 60.0, 600)
+    run = MotorRun("short", 0.002, voltage, measured, np.zeros(600), np.zeros(600))
+    with pytest.raises(BadInputError, match=r"short: a[01] is not identified"):
+        fit_motor([run])
+
+
 def test_a_constant_voltage_is_refused():
     with pytest.raises(BadInputError, match="constant"):
         fit_motor([made_run(THESIS_MOTOR, steps=False)])
