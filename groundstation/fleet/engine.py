@@ -3,8 +3,7 @@
 Dask carries it (``dask.distributed``). A task is a batch of recordings, so that the scheduler's
 cost stays small beside the work, and only so many are under way at once, so that neither the
 scheduler's memory nor this process's grows with the number of recordings. A worker that dies costs
-its batches, which are begun again; the recording that kills one again and again is set aside. A
-scheduler that is begun anew at its address is given what has no result yet.
+its batches, which are begun again; the recording that kills one again and again is set aside.
 """
 
 from __future__ import annotations
@@ -17,8 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from groundstation.allocator import KEPT_BYTES
 from groundstation.errors import BadInputError, GroundStationError
@@ -38,8 +36,6 @@ DEATHS = 3
 CONNECT_S = 10
 LOOK_S = 5.0
 """So often is asked how many workers there are: some join or leave on the way."""
-RETURN_S = 600.0
-"""So long a scheduler that went away may take to be begun anew, with its workers."""
 
 
 def cores() -> int:
@@ -64,58 +60,30 @@ def carried_out(
     costs.
 
     Raises BadInputError where Dask is missing or the scheduler does not answer, GroundStationError
-    where it went away and none came in its place.
+    where it goes away.
     """
     workers = min(workers, len(tasks))
     if scheduler is None and workers <= 1:
         for task in tasks:
             yield task, work(task)
         return
-    work_left: _Left[Task] | None = None
-    while work_left is None or work_left:
-        if work_left is not None and scheduler is not None:
-            _await(scheduler, work_left)
-        with _client(workers, scheduler) as client:
-            threads = _Threads(client)
-            if work_left is None:
-                if not threads.count:
-                    _await_worker(client, scheduler)
-                    threads.look()
-                work_left = _Left.batched(tasks, max(1, threads.count), largest)
-            try:
-                yield from _through(client, work, work_left, threads)
-            except _SchedulerLostError:
-                continue
+    with _client(workers, scheduler) as client:
+        threads = _Threads(client)
+        if not threads.count:
+            _await_worker(client, scheduler)
+            threads.look()
+        yield from _through(client, work, _batched(tasks, max(1, threads.count), largest), threads)
 
 
-class _SchedulerLostError(Exception):
-    """What was under way is back among what is left."""
-
-
-@dataclass(slots=True)
-class _Left(Generic[Task]):
-    """What has no result yet and is under way nowhere. batches: in order; suspects: recordings that
-    workers died of while nothing but they was in the batch."""
-
-    batches: deque[list[Task]]
-    suspects: deque[Task] = field(default_factory=deque)
-
-    @classmethod
-    def batched(cls, tasks: Sequence[Task], threads: int, largest: int) -> _Left[Task]:
-        """Ever smaller ones, so that all workers are done at about the same time."""
-        batches: deque[list[Task]] = deque()
-        begun = 0
-        while begun < len(tasks):
-            size = min(largest, math.ceil((len(tasks) - begun) / (8 * threads)))
-            batches.append(list(tasks[begun : begun + size]))
-            begun += size
-        return cls(batches)
-
-    def __bool__(self) -> bool:
-        return bool(self.batches or self.suspects)
-
-    def __len__(self) -> int:
-        return sum(map(len, self.batches)) + len(self.suspects)
+def _batched(tasks: Sequence[Task], threads: int, largest: int) -> deque[list[Task]]:
+    """Ever smaller ones, so that all workers are done at about the same time."""
+    batches: deque[list[Task]] = deque()
+    begun = 0
+    while begun < len(tasks):
+        size = min(largest, math.ceil((len(tasks) - begun) / (8 * threads)))
+        batches.append(list(tasks[begun : begun + size]))
+        begun += size
+    return batches
 
 
 class _Threads:
@@ -137,21 +105,22 @@ class _Threads:
 
 
 def _through(
-    client: Client, work: Callable[[Task], Result], left: _Left[Task], threads: _Threads
+    client: Client, work: Callable[[Task], Result], batches: deque[list[Task]], threads: _Threads
 ) -> Iterator[tuple[Task, Result | None]]:
-    """All that is left, through one client. Raises _SchedulerLostError."""
+    """All batches through one client. Raises GroundStationError where its scheduler goes away."""
     from distributed import KilledWorker, as_completed
     from distributed.client import ClosedClientError
     from distributed.comm import CommClosedError
 
     under_way: dict[Future, list[Task]] = {}
+    suspects: list[Task] = []  # workers died of them while nothing but they was in the batch
 
     def begin() -> list[Future]:
         begun: list[Future] = []
         most = MOST_AT_ONCE * threads.now()
-        while left.batches and len(under_way) < most:
-            begun.append(client.submit(_each, work, left.batches[0], pure=False))
-            under_way[begun[-1]] = left.batches.popleft()
+        while batches and len(under_way) < most:
+            begun.append(client.submit(_each, work, batches[0], pure=False))
+            under_way[begun[-1]] = batches.popleft()
         return begun
 
     try:
@@ -168,25 +137,24 @@ def _through(
             except KilledWorker:
                 batch = under_way.pop(future)
                 if len(batch) == 1:
-                    left.suspects += batch
+                    suspects += batch
                 else:
-                    left.batches.extend([task] for task in batch)
+                    batches.extend([task] for task in batch)
             else:
                 yield from zip(under_way.pop(future), results, strict=True)
             future.release()
             arriving.update(begin())
         # The scheduler blames all that a dead worker had before it: who is alone is guilty.
-        while left.suspects:
-            task = left.suspects[0]
+        for task in suspects:
             try:
                 result = client.submit(_each, work, [task], pure=False).result()[0]
             except KilledWorker:
                 result = None
-            left.suspects.popleft()
             yield task, result
     except (CancelledError, ClosedClientError, CommClosedError) as error:
-        left.batches.extendleft(reversed(under_way.values()))
-        raise _SchedulerLostError from error
+        raise GroundStationError(
+            "the scheduler went away; what has arrived is kept, run it again to go on"
+        ) from error
 
 
 def _await_worker(client: Client, scheduler: str | None) -> None:
@@ -199,30 +167,6 @@ def _await_worker(client: Client, scheduler: str | None) -> None:
             f" {scheduler}",
             stacklevel=2,
         )
-
-
-def _await(scheduler: str, left: _Left[Task]) -> None:
-    """Until a scheduler answers there again. Raises GroundStationError after ``RETURN_S``."""
-    from distributed import Client
-
-    warnings.warn(
-        f"--scheduler {scheduler}: went away; waiting {RETURN_S / 60:.0f} minutes for one to answer"
-        f" there, which is given the {len(left)} tasks that have no result",
-        stacklevel=2,
-    )
-    deadline = time.monotonic() + RETURN_S
-    while time.monotonic() < deadline:
-        try:
-            with Client(scheduler, timeout=CONNECT_S, set_as_default=False) as client:
-                if client.nthreads():
-                    return
-        except OSError:
-            pass
-        time.sleep(1.0)
-    raise GroundStationError(
-        f"--scheduler {scheduler}: went away and none with a worker answers there since"
-        f" {RETURN_S / 60:.0f} minutes; what has arrived is kept, run it again to go on"
-    )
 
 
 def _first(error: Exception) -> str:
