@@ -17,10 +17,6 @@ from groundstation.documents import decode_json
 from groundstation.recording.cdr import Definition
 from groundstation.recording.channels import UNUSUAL
 from groundstation.recording.ros2_messages import (
-    LOG_DEFINITION,
-    LOG_TOPIC,
-    POSE_DEFINITION,
-    POSE_TOPIC,
     ROW_DEFINITION,
     ROW_TOPIC,
     STRING_DEFINITION,
@@ -153,8 +149,6 @@ ROS2_TOPICS: dict[str, Topic] = {
             for topic in TOPICS.values()
         ),
         _cdr(ROW_TOPIC, "groundstation_msgs/msg/Row", ROW_DEFINITION),
-        _cdr(POSE_TOPIC, "geometry_msgs/msg/PoseStamped", POSE_DEFINITION),
-        _cdr(LOG_TOPIC, "rcl_interfaces/msg/Log", LOG_DEFINITION),
     )
 }
 """The same for the MCAP profile ``ros2``, which knows no JSON: its text is a string there."""

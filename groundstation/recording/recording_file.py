@@ -27,16 +27,13 @@ from groundstation.recording.mcap_schemas import (
     STATISTICS_TOPIC,
     TOPICS,
     Topic,
-    decode_entry,
     encode_entry,
     encode_raw,
     encode_samples,
 )
 from groundstation.recording.mcap_tables import TableTopic
 from groundstation.recording.ros2_messages import (
-    LOG_TOPIC,
     PROFILE,
-    log_message,
     row_messages,
     string_message,
 )
@@ -116,12 +113,7 @@ class RecordingFile:
 
     def encoded(self, topic: str, time_ns: int, payload: bytes) -> None:
         """Write an entry that ``encode_entry`` made."""
-        if not self._is_ros2:
-            self.add(topic, time_ns, payload)
-            return
-        self.add(topic, time_ns, string_message(payload))
-        if topic == EVENTS_TOPIC:
-            self.add(LOG_TOPIC, time_ns, log_message(decode_entry(payload)))
+        self.add(topic, time_ns, string_message(payload) if self._is_ros2 else payload)
 
     def add(self, topic: str, time_ns: int, payload: bytes) -> None:
         self.file.add_message(self._channels[topic], time_ns, payload)
