@@ -7,20 +7,15 @@ empty line on stderr every half second is a sign of life.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import socket
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
-
-import uvicorn
 
 from groundstation.page.access import Access
 from groundstation.page.app import page_app
 from groundstation.page.follower import Follower
-from groundstation.service.connections import protocol
+from groundstation.service.connections import http_server
 
 BEAT_S = 0.5
 CONNECTIONS_MOST = 200
@@ -31,34 +26,12 @@ async def serve(listening: socket.socket, control: Path, key: str) -> None:
     """Serve browsers on ``listening`` for as long as the process lives."""
     follower = Follower(control)
     access = Access(bytes.fromhex(key), listening.getsockname()[1])
-    server = _Server(
-        uvicorn.Config(
-            page_app(control, access, follower),
-            log_config=None,
-            access_log=False,
-            lifespan="off",
-            http=protocol(CONNECTIONS_MOST, access.knows, lambda: None),
-            ws="none",
-            server_header=False,
-            timeout_graceful_shutdown=1,
-        )
-    )
+    server = http_server(page_app(control, access, follower), CONNECTIONS_MOST, access.knows)
     beat = asyncio.create_task(_beat())
     try:
         await server.serve(sockets=[listening])
     finally:
         beat.cancel()
-
-
-class _Server(uvicorn.Server):
-    """Ends with the daemon, and by nobody's Ctrl-C before it."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
-
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        self.should_exit = True
 
 
 async def _beat() -> None:

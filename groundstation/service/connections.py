@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
+from types import FrameType
 from typing import Any
 
 import h11
+import uvicorn
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 REQUEST_S = 10.0
 """A request must have arrived after so long."""
+HEAD_MOST = 1 << 14
 STALL_S = 20.0
 """A client that takes nothing of an answer for so long is cut off."""
 
@@ -19,18 +24,44 @@ _FULL = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Lengt
 Headers = Iterable[tuple[bytes, bytes]]
 
 
-def protocol(
-    most: int, knows: Callable[[Headers], bool], turned_away: Callable[[], None]
-) -> type[H11Protocol]:
-    """A server's protocol with ``most`` places. knows: whether a request's headers are those of
-    somebody who was let in: who has shown nothing makes room for another, so that nobody can sit on
-    every place. turned_away: told of each connection that came to a full house."""
+def http_server(
+    app: ASGIApp,
+    most: int,
+    knows: Callable[[Headers], bool] = lambda headers: True,
+    turned_away: Callable[[], None] = lambda: None,
+) -> uvicorn.Server:
+    """A server with ``most`` places. knows: whether a request's headers are those of somebody who
+    was let in: who has shown nothing makes room for another, so that nobody can sit on every place.
+    turned_away: told of each connection that came to a full house."""
     settings = {
         "most": most,
         "knows": staticmethod(knows),
         "turned_away": staticmethod(turned_away),
     }
-    return type("_Patient", (_Protocol,), settings)
+    return _Server(
+        uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            http=type("_Patient", (_Protocol,), settings),
+            ws="none",
+            h11_max_incomplete_event_size=HEAD_MOST,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+    )
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to the program."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self.should_exit = True
 
 
 class _Protocol(H11Protocol):

@@ -7,12 +7,10 @@ import contextlib
 import json
 import logging
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from types import FrameType
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import msgspec
-import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
@@ -28,7 +26,7 @@ from groundstation.errors import (
 )
 from groundstation.service import overview
 from groundstation.service.api import Operation, operations
-from groundstation.service.connections import protocol
+from groundstation.service.connections import http_server
 from groundstation.service.control_socket import ControlSocket
 from groundstation.service.limits import RateLimit
 from groundstation.service.metrics import CONTENT_TYPE, metrics
@@ -37,7 +35,6 @@ from groundstation.service.station import Station
 from groundstation.text import printable
 
 BODY_MOST = 1 << 16
-HEAD_MOST = 1 << 14
 CONNECTIONS_MOST = 64
 REQUESTS_HZ, REQUESTS_BURST = 200.0, 400.0
 """Of all clients together; setpoints have a limit of their own, so that nobody's curiosity can
@@ -51,8 +48,13 @@ class ControlServer:
 
     def __init__(self, station: Station, control: ControlSocket) -> None:
         self._station, self._socket = station, control.socket
-        self._server = _server(station)
+        # what strangers send is no news, and faults of ours are events
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+        self._server = http_server(control_app(station), CONNECTIONS_MOST, turned_away=self._full)
         self._task: asyncio.Task[None] | None = None
+
+    def _full(self) -> None:
+        self._station.turned_away += 1
 
     async def start(self) -> None:
         serving = self._server.serve(sockets=[self._socket])
@@ -63,17 +65,6 @@ class ControlServer:
         self._server.should_exit = True
         if self._task is not None:
             await self._task
-
-
-class _Server(uvicorn.Server):
-    """Leaves signals to the daemon."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
-
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        self.should_exit = True
 
 
 def control_app(station: Station) -> Starlette:
@@ -175,26 +166,6 @@ def _others(
 
 class _TooLargeError(GroundStationError):
     pass
-
-
-def _server(station: Station) -> _Server:
-    def turned_away() -> None:
-        station.turned_away += 1
-
-    # what strangers send is no news, and faults of ours are events
-    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
-    return _Server(
-        uvicorn.Config(
-            control_app(station),
-            log_config=None,
-            access_log=False,
-            lifespan="off",
-            http=protocol(CONNECTIONS_MOST, lambda headers: True, turned_away),
-            ws="none",
-            h11_max_incomplete_event_size=HEAD_MOST,
-            timeout_graceful_shutdown=1,
-        )
-    )
 
 
 def _rows_hz(request: Request) -> float | None:

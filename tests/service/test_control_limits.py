@@ -88,7 +88,7 @@ def test_a_request_that_is_too_large_is_refused(serve, path):
             ask(path, "POST", "/record/mark", {"text": "x" * BODY_MOST})
         with pytest.raises(GroundStationError, match="text"):
             ask(path, "POST", "/record/mark", {"text": "x" * 2000})
-        head = b"GET /status HTTP/1.1\r\nHost: x\r\nX: " + b"y" * control.HEAD_MOST * 2
+        head = b"GET /status HTTP/1.1\r\nHost: x\r\nX: " + b"y" * connections.HEAD_MOST * 2
         assert answer(path, head).startswith(b"HTTP/1.1 400")
         return ask(path, "GET", "/status")["faults"]
 
