@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from mcap.records import Channel
@@ -77,16 +77,7 @@ def recover(path: Path, output: Path | None = None) -> RecoveryReport:
         if isinstance(error, OSError):
             raise RecordingError(f"{output}: cannot be written: {error.strerror}") from error
         raise
-    return RecoveryReport(
-        path=path,
-        sound=False,
-        output=output,
-        messages=report.messages,
-        chunks_skipped=report.chunks_skipped,
-        bytes_lost=report.bytes_lost,
-        seconds_lost=report.seconds_lost,
-        damage=report.damage,
-    )
+    return replace(report, output=output)
 
 
 def _examine(path: Path) -> tuple[RecoveryReport, str]:
