@@ -73,6 +73,9 @@ FOLLOWED = 2
 BLOCK_S = 0.5
 LEAST_SHARE = 0.1
 """Of what the profile's geometry says, for a gain of a craft that its rotors turn."""
+CLEARLY = 20.0
+"""Of -2 log L, by which unfiltered rates are likelier than those that the profile says. A delay
+stands in for the filter; what the model lacks yet decides between them otherwise."""
 PACE_ERRORS = 3.0
 """Standard errors from which a motor is said to answer faster or slower than its constants."""
 PACE_OF_CRAFTS, PACE_PER_UNSEEN_S = 0.25, 30.0
@@ -157,11 +160,11 @@ def fit_body(
         found.append((setup, likeliest(setup)))
     setup, free = min(found, key=lambda one: one[1].cost)
     if vehicle.gyro_filter_hz > 0.0 and is_fast(stretches[0].run.period_s):
-        # Whether a log holds filtered rates depends on the firmware: its likelihood says, where
-        # rows are not so slow that the motors' settings between them blur what is fast.
+        # Whether a log holds filtered rates depends on the firmware: its likelihood says, where it
+        # does so clearly and rows are not so slow that the settings between them blur what is fast.
         raw = setup.unfiltered()
         other = fit_free(raw.linearise, free.point, raw.limits(), white=False)
-        if other.cost < free.cost:
+        if other.cost < free.cost - CLEARLY:
             setup, free = raw, likeliest(raw)
     if doubt:
         motor = np.array([free.point[key] for key in MOTOR_KEYS])
