@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +45,7 @@ from groundstation.control.report import (
 from groundstation.control.thesis_tables import GAINS, RESULTS
 from groundstation.control.uncertainty import estimates_of
 from groundstation.dynamics.model import ArxAxis, Model
-from groundstation.report.figure import figure
 from groundstation.report.page import Page
-from groundstation.report.theme import IMPROVED
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 Found = Mapping[str, tuple[PidGains, Design, Margins, ArxAxis]]
@@ -63,8 +58,6 @@ PURPOSES = {
     "kd": "damps; the delay limits it",
 }
 GAINS_HEAD = ("gain", "value", "unit", "meaning")
-SEEN, SEEN_PCT = 1.05, 1.0
-"""Ratio of settling times, and points of overshoot, from which drawn models differ to the eye."""
 
 
 def firmware_report(
@@ -163,7 +156,7 @@ def firmware_page(
     tried: Robustness | None,
     report: dict[str, Any],
 ) -> Page:
-    """The design for people: answers, stock gains behind; margins; fronts; draws; reasons."""
+    """The design for people: answers and margins, stock beside; fronts; draws; reasons."""
     page = Page(f"Gains for {name}", LOOP_NAMES["firmware"])
     gains = {key: value for one in designs for key, value in one.gains.items()}
     wanted = [one.axis for one in designs]
@@ -182,8 +175,6 @@ def firmware_page(
         f"{DEFINITIONS} Maximum sensitivity: the most that pushes are amplified by. Delay margin:"
         " how much more delay makes the loop unstable.",
     )
-    page.heading("Margins")
-    page.table(DESIGN_HEAD, [design_row(axis, e) for axis, e in report["axes"].items()])
     page.figure(step_figure(ours, stock), "Step responses: designed, and stock gains in grey.")
     loops = {one.axis: one.loop for one in ours}
     add_loop_figures(page, loops, BROKEN_AT["firmware"], report["max_sensitivity"])
@@ -335,9 +326,8 @@ def _settled(one: AxisResult) -> str:
 
 
 def _draws(page: Page, tried: Robustness) -> None:
-    """What 95 % of the drawn models do, and a picture where they differ to the eye."""
+    """What 95 % of the drawn models do."""
     rows: list[list[Any]] = []
-    spread = False
     for axis, table in tried.judgements.items():
         good = table[np.isfinite(table[:, [SETTLING, OVERSHOOT, SENSITIVITY]]).all(axis=1)]
         cells = ["none", "", ""]
@@ -348,8 +338,6 @@ def _draws(page: Page, tried: Robustness) -> None:
                 f"{low[OVERSHOOT]:.1f} to {high[OVERSHOOT]:.1f}",
                 f"{low[SENSITIVITY]:.2f} to {high[SENSITIVITY]:.2f}",
             ]
-            spread = spread or high[SETTLING] > SEEN * low[SETTLING]
-            spread = spread or high[OVERSHOOT] > low[OVERSHOOT] + SEEN_PCT
         rows.append([axis, tried.stable[axis], len(good), *cells])
     page.table(
         ("axis", "stable", "settle", "settling ms", "overshoot %", "max sensitivity"),
@@ -357,26 +345,3 @@ def _draws(page: Page, tried: Robustness) -> None:
         f"{tried.drawn} models drawn from the fit's covariance: how many are stable and settle in"
         " the window, and the range of 95 % of those.",
     )
-    if spread:
-        page.figure(_draws_figure(tried), "The same models, a point each.")
-    else:
-        page.text(
-            "All do the same to within a few milliseconds and a point of overshoot: the fit is"
-            " surer of the model than a design needs."
-        )
-
-
-def _draws_figure(tried: Robustness) -> Figure:
-    made, panels = figure(rows=1, columns=len(tried.judgements), height=2.8)
-    for panel, (axis, table) in zip(panels, tried.judgements.items(), strict=True):
-        good = table[np.isfinite(table[:, [SETTLING, OVERSHOOT]]).all(axis=1)]
-        panel.plot(1e3 * good[:, SETTLING], good[:, OVERSHOOT], ".", color=IMPROVED, alpha=0.3)
-        panel.set_title(axis)
-        panel.set_xlabel("settling, ms")
-        if not len(good):
-            continue
-        # never so close that rounding to samples looks like a spread
-        panel.set_xlim(900 * good[:, SETTLING].min(), 1100 * good[:, SETTLING].max())
-        panel.set_ylim(-0.5, max(5.0, 1.2 * good[:, OVERSHOOT].max()))
-    panels[0].set_ylabel("overshoot, %")
-    return made
