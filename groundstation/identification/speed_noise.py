@@ -1,8 +1,7 @@
-"""How far recorded rotor speeds tell motion from the noise of their sensor."""
+"""The noise of recorded rotor speeds beside their motion."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +16,6 @@ NOISE_FROM = 0.6
 left there is noise, if that is beyond ``NO_MOTOR_HZ``."""
 NO_MOTOR_HZ = 60.0
 """A motor of 30 ms shows a hundredth of the power that it is given there."""
-SMOOTHED_HZ, POWER_OVER_NOISE = 3.0, 2.0
-"""Width of the mean over the power, and what it is of the noise where half of it is motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +23,12 @@ class SpeedSpectrum:
     """Of a flight's recorded speeds, all rotors together.
 
     hz, power: (m,), the power up to a factor. noise: of the sensor, in each bin, None where its
-    readings are so rare that it cannot be told from motion. top_hz: half the rate of fresh ones.
+    readings are so rare that it cannot be told from motion.
     """
 
     hz: Array
     power: Array
     noise: float | None
-    top_hz: float
 
 
 def speed_spectrum(flight: Flight) -> SpeedSpectrum:
@@ -48,20 +44,4 @@ def speed_spectrum(flight: Flight) -> SpeedSpectrum:
     if NOISE_FROM * top >= NO_MOTOR_HZ:
         floor = (hz > NOISE_FROM * top) & (hz < top)
         noise = float(np.median(power[floor], axis=0).sum() / np.log(2.0))
-    return SpeedSpectrum(hz, power.sum(axis=1), noise, top)
-
-
-def tells_up_to_hz(flight: Flight) -> float:
-    """The first frequency at which less than half of recorded speeds is motion; infinite where none
-    were recorded, half the rate of fresh readings where noise cannot be told from motion."""
-    from scipy.ndimage import uniform_filter1d
-
-    if not flight.rotor_measured:
-        return math.inf
-    seen = speed_spectrum(flight)
-    if seen.noise is None:
-        return seen.top_hz
-    width = max(1, round(SMOOTHED_HZ / seen.hz[1]))
-    quiet = uniform_filter1d(seen.power, width, mode="reflect") < POWER_OVER_NOISE * seen.noise
-    first = np.flatnonzero(quiet & (seen.hz > SMOOTHED_HZ))
-    return float(seen.hz[first[0]]) if len(first) else math.inf
+    return SpeedSpectrum(hz, power.sum(axis=1), noise)

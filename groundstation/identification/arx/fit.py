@@ -242,17 +242,6 @@ def plausible_step(axis: ArxAxis) -> bool:
     return bool(step_turns_one_way(a, np.array(axis.b), axis.nk, settled, rows))
 
 
-def to_control(axis: ArxAxis) -> object:
-    """The same model as a ``control.TransferFunction`` in z."""
-    import control
-
-    length = max(axis.na, axis.nk + axis.nb - 1) + 1
-    numerator, denominator = np.zeros(length), np.zeros(length)
-    numerator[axis.nk : axis.nk + axis.nb] = axis.b
-    denominator[: axis.na + 1] = [1.0, *axis.a]
-    return control.tf(numerator, denominator, axis.ts)
-
-
 DIFFERENCES = np.array([[1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1]], np.float64)
 """Differences of order 0..3 of y(t-1), over y(t-1) .. y(t-4): past outputs that are nearly equal
 to each other would leave a Gram matrix of the outputs themselves without correct digits."""
