@@ -5,21 +5,17 @@ The craft is turned by hand about roll (left up first), then pitch (nose down fi
 on its own three axes, in this order and with these signs. Which of its axes a source shows a turn
 on follows from when each axis moves; so an axis that is inverted, or swapped with another, is
 named for each source by itself.
-
-Beside this, gyro and reported attitude are compared with each other, which needs no procedure and
-works on any recording.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, permutations, product
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.attitude.sensors import rest_bias
-from groundstation.dynamics.rotations import euler_rates
 from groundstation.errors import BadInputError
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 from groundstation.telemetry.samples import SampleBatch
@@ -29,8 +25,6 @@ Array = NDArray[np.float64]
 AXES = ("roll", "pitch", "yaw")
 LEAST_TURN = np.radians(10.0)
 LEAST_SECONDS = 3.0
-CLEAR = 1.5
-"""The best assignment of axes must beat the expected one by this factor to contradict it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,42 +102,6 @@ def check_axes(samples: SampleBatch) -> AxisCheck:
             " not +1 g on z: lay the craft level to start with"
         )
     return AxisCheck(tuple(findings), tuple(unclear))
-
-
-def attitude_against_gyro(samples: SampleBatch) -> tuple[AxisFinding, ...]:
-    """Reported attitude against the gyro, on any recording that turns about all axes.
-
-    Of the 48 ways to permute and invert three angles, the one whose derivative the gyro explains
-    best (eq. 3.11); the sources' common faults cannot be seen this way.
-
-    Raises BadInputError where the recording is too short, has no attitude or hardly turns.
-    """
-    time = _usable_time(samples)
-    gyro, attitude = samples.gyro.astype(np.float64), samples.attitude.astype(np.float64)
-    if not np.isfinite(attitude).all():
-        raise BadInputError("axis check: the recording has no attitude; use one that has")
-    rate = _smooth(gyro - np.median(gyro, axis=0), time)
-    if rate.std(axis=0).min() < np.radians(1.0):
-        still = AXES[int(rate.std(axis=0).argmin())]
-        raise BadInputError(f"axis check: hardly any turn about {still}; turn about all three axes")
-    angles = _smooth(np.unwrap(attitude, axis=0), time)
-
-    def error(order: tuple[int, ...], signs: tuple[int, ...]) -> float:
-        trial = angles[:, order] * signs
-        slope = np.gradient(trial, time, axis=0)
-        return float(np.square(slope - euler_rates(trial, rate)).mean())
-
-    errors = {
-        (order, signs): error(order, signs)
-        for order in permutations(range(3))
-        for signs in product((1, -1), repeat=3)
-    }
-    best = min(errors, key=lambda key: errors[key])
-    expected = ((0, 1, 2), (1, 1, 1))
-    if errors[expected] < CLEAR * errors[best]:
-        best = expected
-    order, signs = best
-    return tuple(AxisFinding("attitude", AXES[i], AXES[order[i]], signs[i] < 0) for i in range(3))
 
 
 def _usable_time(samples: SampleBatch) -> Array:

@@ -17,20 +17,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def axis_page(samples: SampleBatch, check: AxisCheck, agreement: list[str], name: str) -> Page:
-    """agreement: attitude against gyro, in lines. name: of the recording."""
+def axis_page(samples: SampleBatch, check: AxisCheck, apart: list[str], name: str) -> Page:
+    """apart: what is measured twice and does not agree, in lines. name: of the recording."""
     page = Page(f"Axes of {name}", f"{len(samples)} rows")
     kind = {"as_expected": "good", "wrong_axes": "bad"}.get(check.verdict, "neutral")
     page.verdict(check.verdict.replace("_", " ").capitalize() + ".", kind)
-    page.bullets([str(one) for one in check.findings] + list(check.unclear))
+    page.bullets([str(one) for one in check.findings] + list(check.unclear) + apart)
     page.heading("The turns")
     page.figure(
         axis_figure(samples),
         "Left up, nose down, counter-clockwise, each there and back, must show first upwards and on"
         " its own panel, whatever shows it.",
     )
-    page.heading("Attitude against gyro")
-    page.bullets(agreement)
     return page
 
 

@@ -113,34 +113,28 @@ def axes(
     Example: [bold]groundstation axes turned.mcap --html axes.html[/bold]
     """
     from groundstation import check_axes
-    from groundstation.attitude.axis_check import attitude_against_gyro
+    from groundstation.recording.plausibility import contradictions
 
     if html is not None:
         require_new(html)
     samples = open_one(recording).samples
     check = check_axes(samples)
-    try:
-        agreement = [str(finding) for finding in attitude_against_gyro(samples)]
-    except BadInputError as error:
-        agreement = [str(error)]
+    apart = contradictions(samples)
     if html is not None:
         from groundstation.attitude.axis_report import axis_page
 
-        axis_page(samples, check, agreement, recording.name).write(html)
+        axis_page(samples, check, apart, recording.name).write(html)
     report = {
         "verdict": check.verdict,
         "faults": [str(finding) for finding in check.faults],
         "findings": [str(finding) for finding in check.findings],
         "unclear": list(check.unclear),
-        "attitude_against_gyro": agreement,
+        "contradictions": apart,
     }
     if as_json:
         show_json(report)
         return
     show(f"{check.verdict.replace('_', ' ')}")
-    for line in (*report["findings"], *report["unclear"]):
-        show(f"  {line}")
-    show("attitude against gyro:")
-    for line in agreement:
+    for line in (*report["findings"], *report["unclear"], *apart):
         show(f"  {line}")
     say_written(html)

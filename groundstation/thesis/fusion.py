@@ -59,8 +59,8 @@ def _inverted(workshop: Workshop) -> Made:
 def _corrected(workshop: Workshop) -> Made:
     said = workshop.said("axes.json")
     return Made(
-        f"As recordings have it, pitch nose down positive. Verdict: {said['verdict']}; attitude"
-        f" against gyro: {', '.join(said['attitude_against_gyro'])}.",
+        f"As recordings have it, pitch nose down positive. Verdict: {said['verdict']}; what is"
+        f" measured twice and does not agree: {', '.join(said['contradictions']) or 'nothing'}.",
         [],
         [axis_figure(workshop.samples("axis.csv"))],
     )

@@ -7,7 +7,6 @@ import pytest
 
 from groundstation.attitude.axis_check import (
     AXES,
-    attitude_against_gyro,
     check_axes,
 )
 from groundstation.errors import BadInputError
@@ -103,32 +102,12 @@ def test_an_upside_down_start_is_reported(turned):
     assert any("+1 g on z" in text for text in check.unclear)
 
 
-@pytest.mark.parametrize("recording", ["turned", "flight"])
-def test_attitude_and_gyro_agree_on_any_good_recording(recording, request):
-    findings = attitude_against_gyro(request.getfixturevalue(recording))
-    assert all(finding.as_expected for finding in findings)
-
-
-@pytest.mark.parametrize("recording", ["turned", "flight"])
-def test_an_inverted_pitch_shows_against_the_gyro_too(recording, request):
-    samples = request.getfixturevalue(recording)
-    findings = attitude_against_gyro(
-        replace(samples, attitude=with_column(samples.attitude, 1, -1))
-    )
-    assert [str(f) for f in findings if not f.as_expected] == ["attitude pitch is inverted"]
-
-
 def test_a_recording_too_short_or_without_a_gyro_is_refused(turned):
     with pytest.raises(BadInputError, match="too short"):
         check_axes(turned[:200])
     missing = replace(turned, gyro=np.full_like(turned.gyro, np.nan))
     with pytest.raises(BadInputError, match="no gyro"):
         check_axes(missing)
-
-
-def test_attitude_cannot_be_compared_where_nothing_turns(turned):
-    with pytest.raises(BadInputError, match="hardly any turn"):
-        attitude_against_gyro(turned[:1600])
 
 
 def test_a_recording_without_attitude_is_judged_on_the_rest(turned):

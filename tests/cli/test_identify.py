@@ -246,7 +246,7 @@ def test_axes_names_an_inverted_pitch(files, tmp_path):
     assert page.read_text().count("<figure") == 1
     assert report["verdict"] == "wrong_axes"
     assert report["faults"] == ["attitude pitch is inverted"]
-    assert "attitude pitch is inverted" in report["attitude_against_gyro"]
+    assert report["contradictions"] == ["pitch turns against gyro_y: the sign of one is wrong"]
 
 
 @pytest.mark.parametrize(
