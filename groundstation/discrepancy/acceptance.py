@@ -8,7 +8,7 @@ line of ``GATES``, or of ``SHAKEN_GATES`` for what has no column and turns with 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import TypeVar
 
@@ -17,6 +17,7 @@ import numpy as np
 from groundstation.discrepancy.evidence import HELD_OUT_SHARE, Evidence
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
+from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.model import Estimate
 from groundstation.identification.likelihood.parameters import Variant, estimates_of
@@ -36,6 +37,9 @@ one degree of freedom is 3.8, for a size that is not fitted to them half of it).
 BEYOND_SHARE = 0.5
 """Where rows do not show every setting of the motors: most of what an effect explains has to be
 more than the others can do."""
+LEAST_SURE = 3.0
+"""Of its standard errors, what flights differ by among them, by which a size is away from none: an
+interval of 99.7 % does not hold it."""
 LEAST_RECURRENCE = 0.6
 """Of the resamples in which a name has to be chosen: the least that Meinshausen and Buehlmann
 (2010) recommend. Below, it is possible: fitted along, told, and not named."""
@@ -68,7 +72,9 @@ class Trial:
 
     fit: of base, accepted effects and this one. gain: what -2 log L lost by it, less the penalty.
     removal: what -2 log L gains when it leaves. open_s: delay that the rows leave open. recurrence:
-    share of resamples that choose it.
+    share of resamples that choose it. errors: standard errors by key, with what flights differ by.
+    weight: what it carries in predictions, None where nothing
+    is left to explain.
     """
 
     variant: Variant
@@ -78,6 +84,8 @@ class Trial:
     removal: float = np.inf
     open_s: float = 0.0
     recurrence: float = 1.0
+    errors: Mapping[str, float] = field(default_factory=dict)
+    weight: Weight | None = None
     scored: Scored | None = None
 
 
@@ -189,6 +197,27 @@ def not_recurrent(trial: Trial) -> str:
     return f"possible: {fitted} fitted, chosen in {100.0 * trial.recurrence:.0f} % of resamples"
 
 
+def flights_differ(trial: Trial) -> str:
+    """From flight to flight it differs by as much as it is large."""
+    assert trial.fit is not None
+    sizes = sizes_at(trial.variant, trial.fit.point)
+    errors = np.array([trial.errors.get(key, 0.0) for key in trial.variant.sizes])
+    if (np.abs(sizes) >= LEAST_SURE * errors).any():
+        return ""
+    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
+    return f"possible: {fitted} fitted, but stretches and flights differ by nearly as much"
+
+
+def without_weight(trial: Trial) -> str:
+    """Predictions are hardly better with it, where something is left to explain."""
+    if trial.weight is None or trial.weight.is_carried:
+        return ""
+    assert trial.fit is not None
+    fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))
+    less = "no lower" if trial.weight.share <= 0.0 else "hardly lower"
+    return f"possible: {fitted} fitted, and prediction errors of fitted samples {less} with it"
+
+
 def is_significant(t: float, drop: float) -> bool:
     """Whether chance hardly does it: standard errors, and the drop of -2 log L, of one variance."""
     return t >= LEAST_T and drop >= LEAST_DROP
@@ -217,7 +246,7 @@ def shakes_no_more(shaken: Shaken) -> str:
     )
 
 
-def flights_disagree(shaken: Shaken) -> str:
+def rotors_disagree(shaken: Shaken) -> str:
     """Flights tell different sizes."""
     errors, share = shaken.recordings
     if errors <= DISAGREE or share <= APART_SHARE:
@@ -234,13 +263,15 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),
+    ((Stage.NAMED,), Reason.RECORDINGS_DISAGREE, flights_differ),
     ((Stage.NAMED,), Reason.NOT_RECURRENT, not_recurrent),
+    ((Stage.NAMED,), Reason.WITHOUT_WEIGHT, without_weight),
 )
 """When a gate is asked, the reason it gives, and the question; each returns words, or nothing."""
 SHAKEN_GATES: tuple[tuple[Reason, Callable[[Shaken], str]], ...] = (
     (Reason.INSIGNIFICANT, chance_shakes),
     (Reason.NOT_ALONE, shakes_no_more),
-    (Reason.RECORDINGS_DISAGREE, flights_disagree),
+    (Reason.RECORDINGS_DISAGREE, rotors_disagree),
     (Reason.IMPLAUSIBLE, implausible_shaking),
 )
 """The same for what turns with a rotor, asked once."""

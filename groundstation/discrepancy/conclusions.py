@@ -6,12 +6,9 @@ import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import base_changes
-from groundstation.discrepancy.evidence import by_parts, separated
 from groundstation.discrepancy.findings import (
     Alternative,
     Candidate,
@@ -31,13 +28,12 @@ from groundstation.identification.body.certainty import open_delay_s, unseen_del
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
-    Point,
     Variant,
     absent,
     estimates_of,
     model_of,
 )
-from groundstation.identification.likelihood.problem import Fit, Problem
+from groundstation.identification.likelihood.problem import Problem
 
 SHOWN = 5.0
 """An effect can be shown when its usual size is so many standard errors."""
@@ -57,8 +53,7 @@ def conclude(
     recurrence: by label. known: effects of the given model. lost: as in ``Findings``.
     """
     final, residual = outcome.final, outcome.residual
-    at_the_end = _by_flights(problem, final, outcome.accepted)
-    errors = outcome.errors = with_differences(outcome.errors, final.point, at_the_end)
+    errors = outcome.errors
     given = tuple(key for v in known for key in v.keys)
     # measured rotor speeds know what the controller did within a row
     modelled = [flight for flight in problem.flights if not flight.rotor_measured]
@@ -69,14 +64,21 @@ def conclude(
     for one in outcome.accepted:
         label = one.variant.label
         again = recurrence[label].share if label in recurrence else 1.0
-        trial = Trial(one.variant, final, open_s=open_s, recurrence=again)
+        trial = Trial(
+            one.variant,
+            final,
+            open_s=open_s,
+            recurrence=again,
+            errors=errors,
+            weight=outcome.weights.get(label),
+        )
         why = refusal(Stage.NAMED, trial)
         if why is None:
             named.append(one)
             continue
         outcome.refused[label] = why
         unnamed = (*unnamed, *one.variant.keys)
-        if why.reason is Reason.NOT_RECURRENT:
+        if why.reason is not Reason.NEGLIGIBLE:
             possible.append(one)
 
     def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
@@ -106,7 +108,10 @@ def conclude(
     return Findings(
         verdict=verdict,
         effects=tuple(effects),
-        possible=tuple(told(one, 0, unnamed) for one in possible),
+        possible=tuple(
+            replace(told(one, 0, unnamed), refused=outcome.refused[one.variant.label])
+            for one in possible
+        ),
         base=model,
         given=model,
         moved=model_of(final.point, errors, unnamed, model, problem.frame.own),
@@ -120,30 +125,6 @@ def conclude(
         residual=residual,
         warnings=tuple(warnings),
     )
-
-
-def _by_flights(problem: Problem, final: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
-    """What each flight tells of the sizes beside the noise and the trims of the last fit, which are
-    others than those that an effect joined by."""
-    linear = problem.linear(final.point, final.keys, problem.flights)
-    parts = [by_parts(problem, separated(problem, linear, one.variant))[1] for one in accepted]
-    return [
-        replace(one, evidence=replace(one.evidence, parts=own))
-        for one, own in zip(accepted, parts, strict=True)
-    ]
-
-
-def with_differences(
-    errors: Mapping[str, float], point: Point, accepted: Sequence[Accepted]
-) -> dict[str, float]:
-    """Standard errors by key, with what the sizes of effects differ by between flights."""
-    wider = dict(errors)
-    for one in accepted:
-        share = one.evidence.between()
-        for key in one.variant.sizes:
-            if key in wider:
-                wider[key] = float(np.hypot(wider[key], share * (point[key] - absent(key))))
-    return wider
 
 
 def _effect(

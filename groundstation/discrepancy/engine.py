@@ -11,7 +11,9 @@ import numpy as np
 from groundstation.comparison.comparison import Comparison, compare
 from groundstation.comparison.consistency import require_consistent
 from groundstation.comparison.stretches import Marked, within
+from groundstation.discrepancy.blocks import last_blocks
 from groundstation.discrepancy.conclusions import conclude
+from groundstation.discrepancy.differences import with_differences
 from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
     Findings,
@@ -223,21 +225,22 @@ def _searched(
         keys = (*given, *(key for one in tried for key in one.keys if key in point))
         return model_of(point, {}, keys, model, every_own)
 
-    plain = search.judge = None if judged is None else Judge(judged, model_at)
     search_effects(search)
     if judged is not None:
         slow = to_follow(judged.of(model_at(search.now.point)))
-        search.judge = plain = Judge(judged, model_at, slow)
-    if plain is not None:
-        search.raises_plainly = plain.raises_plainly
+        search.judge = Judge(judged, model_at, slow)
     outcome = with_sensor_lag(concluded(search), problem, search.folds)
     warnings = _require_told(outcome, problem, given_constants)
     report("choosing again on resamples", 0.95)
-    names = [one.variant for one in outcome.accepted]
-    rivals = asked_again(candidates, outcome.refused)
-    recurrence = recurrences(problem, outcome.final, names, rivals)
+    final = outcome.final
+    told = [one.variant for one in outcome.accepted if {*final.keys}.issuperset(one.variant.sizes)]
+    columns = [one for one in candidates if {*problem.every_key}.issuperset(one.sizes)]
+    others = asked_again(columns, outcome.refused, told)
+    blocks = last_blocks(problem, final, others)
+    recurrence = recurrences(blocks, final.point, told, others)
+    outcome.errors = with_differences(outcome.errors, blocks)
     found = conclude(outcome, recurrence, problem, model, known, lost, warnings)
-    return with_imbalance(found, problem, outcome.final.point)
+    return with_imbalance(found, problem, final.point)
 
 
 def _lost(flights: Sequence[Flight]) -> dict[str, str]:

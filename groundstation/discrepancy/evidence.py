@@ -79,20 +79,6 @@ class Evidence:
         away = np.abs(sizes - float(sizes @ trust) / float(trust.sum()))
         return float((away * np.sqrt(trust)).max())
 
-    def between(self) -> float:
-        """Relative standard error of the size that comes from flights being different, beside what
-        noise within them makes: a random effect of each flight, its variance by moments
-        (DerSimonian and Laird 1986)."""
-        sizes, trust = self.sizes(0)
-        if len(sizes) < 2:
-            return 0.0
-        whole = float(trust.sum())
-        spread = float(trust @ (sizes - float(sizes @ trust) / whole) ** 2) - (len(sizes) - 1)
-        variance = max(spread / (whole - float(trust @ trust) / whole), 0.0)
-        return math.sqrt(
-            max(1.0 / float((1.0 / (1.0 / trust + variance)).sum()) - 1.0 / whole, 0.0)
-        )
-
 
 def gather(
     problem: Problem,

@@ -49,9 +49,11 @@ class Reason(StrEnum):
     SUPERFLUOUS = "superfluous"
     """It joined, and is not needed since others have."""
     RECORDINGS_DISAGREE = "recordings_disagree"
-    """Recordings tell different sizes."""
+    """Recordings tell different sizes; one that is fitted along is possible."""
     PREDICTS_WORSE = "predicts_worse"
-    """With it a channel is predicted worse, 20 and 50 ms ahead, than without."""
+    """With it fitted samples are predicted worse, 20 and 50 ms ahead, than without."""
+    WITHOUT_WEIGHT = "without_weight"
+    """It is possible: fitted along, but predictions are hardly better with it."""
     NOT_RECURRENT = "not_recurrent"
     """It is possible: fitted along, but other stretches and flights would choose others."""
     NEGLIGIBLE = "negligible"
@@ -110,6 +112,7 @@ class FoundEffect:
     gap_before: float = math.nan
     gap_after: float = math.nan
     weight: float = math.nan
+    refused: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +185,8 @@ class Leftover:
 class Findings:
     """The outcome of ``find_effects``.
 
-    effects: accepted, in order. possible: fitted along, and chosen too seldom on resamples to be
-    named. base: the model as it was given; given: the same with the disturbance that it leaves.
+    effects: accepted, in order. possible: fitted along, and too doubtful to be named. base: the
+    model as it was given; given: the same with the disturbance that it leaves.
     base_changes: constants of it that moved; those that these data cannot improve have not. moved:
     the given model with these changes and with what is fitted and has no name. model: moved
     constants and effects, fitted jointly, and the disturbance that is left. candidates: every
@@ -209,13 +212,11 @@ class Findings:
 @dataclass(frozen=True, slots=True)
 class Predicted:
     """gap: over all channels on fitted samples. worse: channel -> by how many standard errors it is
-    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent.
-    blocks: what each second adds to the squared gap."""
+    predicted worse than by the given model. gaps: of each channel (9,), NaN where it is absent."""
 
     gap: float
     worse: dict[int, float]
     gaps: tuple[float, ...] = ()
-    blocks: tuple[float, ...] = ()
 
     @property
     def badness(self) -> tuple[float, float]:

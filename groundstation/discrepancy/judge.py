@@ -7,12 +7,17 @@ name is asked of the final model (``slow_disturbance``), and so is whether that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.findings import Predicted
 from groundstation.discrepancy.proof import WORSE_ANYWHERE, FittedRows
+from groundstation.discrepancy.screening import without
+from groundstation.discrepancy.search_state import Accepted
 from groundstation.discrepancy.slow_disturbance import (
     Slow,
     best_followed,
@@ -20,8 +25,11 @@ from groundstation.discrepancy.slow_disturbance import (
     slow_part,
     with_term,
 )
+from groundstation.discrepancy.weight import Weight, weight
 from groundstation.dynamics.model import Model
 from groundstation.identification.likelihood.parameters import Point
+
+Array = NDArray[np.float64]
 
 CLEARLY_T = 2.0
 """Standard errors by which a channel is worse beside what is followed. There one is no reason: how
@@ -61,15 +69,20 @@ class Judge:
         }
         return replace(found, worse=worse)
 
-    def raises_plainly(self, before: Point, after: Point) -> bool:
-        """Whether a point's gap is above another's where nothing is followed. Beside what is
-        followed that counts only where the gap is then beyond noise, or a tenth higher."""
-        models = [self._model_at(point) for point in (before, after)]
-        low, high = (self._given.judge(model).gap for model in models)
-        if high <= low or self._slow is None:
-            return high > low
-        low, high = (self._held.judge(with_term(model, self._slow)).gap for model in models)
-        return high > min(1.0, (1.0 + WORSE_ANYWHERE) * low)
+    def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]:
+        """What each of these effects carries, by label; none of those that touch only channels in
+        which nothing is left to explain."""
+        now, found = self._squares(point), {}
+        for one in accepted:
+            left = self._squares(without(point, one.variant))
+            carried = weight(self._given.before.gap, now, left, one.evidence.channels)
+            if carried is not None:
+                found[one.variant.label] = carried
+        return found
+
+    def _squares(self, point: Point) -> Array:
+        model = self._model_at(point)
+        return self._held.squares(model if self._slow is None else with_term(model, self._slow))
 
 
 def to_follow(fitted: Comparison) -> Slow | None:

@@ -1,15 +1,13 @@
-"""The last gate: what was found has to predict fitted samples, 20 and 50 ms ahead.
+"""The last question: what was found has to predict fitted samples, 20 and 50 ms ahead.
 
 The search looks one row ahead, where torque shows best; what a model is for is further ahead. An
-effect or a changed constant with which a channel is predicted worse than by the given model, or
-with which all channels together are, is taken back.
+effect or a changed constant with which a channel is predicted worse than by the given model is
+taken back, and so is an effect without which all channels together are predicted better.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-
-import numpy as np
 
 from groundstation.comparison.channels import CHANNELS
 from groundstation.discrepancy.base_constants import TOUCHES, Group
@@ -17,35 +15,47 @@ from groundstation.discrepancy.findings import Predicted, Reason, Refusal
 from groundstation.discrepancy.search_state import Accepted, Judge, SearchState
 from groundstation.identification.likelihood.problem import Fit
 
-RAISES, LOWERS = 0.005, 0.01
-"""Shares of the gap: a step that raises it so much is looked at, and left out if that lowers it
-again by so much. Noise in a gap of a minute is below 0.2 %."""
-CLEARLY = 1.0
-"""Standard errors, from the spread of seconds, by which a gap has to fall for that: of a few
-seconds in slow air the gap is hardly known to a per cent."""
-
 Without = tuple[Predicted, Accepted | Group, Fit]
 """What predictions say of the joint fit without an effect or a changed constant, and that fit."""
 
 
 def answer_to_predictions(search: SearchState, judge: Judge) -> bool:
-    """Take back, one by one, what predictions speak against; whether anything was.
+    """Take back, one by one, what predictions speak against; whether anything was. What the effects
+    that stay carry is in ``search.weights`` then.
 
     Where a channel is predicted worse than by the given model, something leaves each time: at the
     end of that way stands the given model.
     """
     now, changed = judge(search.now.point), False
     while trials := _trials(search, judge, now):
-        left, option, fit = min(trials, key=lambda trial: trial[0].badness)
-        if not now.worse and (left.worse or not lower(left, now)):
-            break
-        if isinstance(option, tuple):
-            search.held.update(option)
-        else:
-            search.accepted.remove(option)
-            search.refused[option.variant.label] = _refusal(now, left)
-        search.now, now, changed = fit, left, True
+        now, changed = _take_back(search, now, trials), True
+    while trials := _raising(search, judge, now):
+        now, changed = _take_back(search, now, trials), True
     return changed
+
+
+def _take_back(search: SearchState, now: Predicted, trials: Sequence[Without]) -> Predicted:
+    """The best of these ways; what predictions say then."""
+    left, option, fit = min(trials, key=lambda trial: trial[0].badness)
+    if isinstance(option, tuple):
+        search.held.update(option)
+    else:
+        search.accepted.remove(option)
+        search.refused[option.variant.label] = _refusal(now, left)
+    search.now = fit
+    return left
+
+
+def _raising(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
+    """The same without each effect that raises the gap, where no channel is worse without it."""
+    search.progress("asking what each name carries", 0.93)
+    search.weights = judge.weights(search.now.point, search.accepted)
+    trials = [
+        _without(search, judge, one)
+        for one in search.accepted
+        if (own := search.weights.get(one.variant.label)) and own.raises
+    ]
+    return [one for one in trials if not one[0].worse and one[0].gap < now.gap]
 
 
 def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
@@ -56,7 +66,7 @@ def _trials(search: SearchState, judge: Judge, now: Predicted) -> list[Without]:
     and spoils them 50 ms ahead.
     """
     if not now.worse:
-        return [_without(search, judge, one) for one in _raising(search, judge)]
+        return []
     near, others = _by_channels(search, now.worse)
     trials = [_without(search, judge, one) for one in near]
     if all(left.badness[0] >= now.badness[0] for left, _, _ in trials):
@@ -70,14 +80,6 @@ def _without(search: SearchState, judge: Judge, option: Accepted | Group) -> Wit
     held = search.held.union(option) if isinstance(option, tuple) else search.held
     fit = search.refit(rest, held)
     return judge(fit.point), option, fit
-
-
-def lower(left: Predicted, now: Predicted) -> bool:
-    """Whether a gap is clearly below another."""
-    if left.gap > (1.0 - LOWERS) * now.gap:
-        return False
-    gains = np.subtract(now.blocks, left.blocks)
-    return len(gains) < 2 or float(gains.mean()) > CLEARLY * float(gains.std()) / len(gains) ** 0.5
 
 
 def _refusal(now: Predicted, left: Predicted) -> Refusal:
@@ -116,17 +118,3 @@ def _by_channels(
             touches = bad.intersection(TOUCHES.get(group[0], every))
             (near if touches else others).append(group)
     return near, others
-
-
-def _raising(search: SearchState, judge: Judge) -> Sequence[Accepted]:
-    """Effects whose step, in their order and at their final sizes, raises the gap."""
-    found = []
-    point = search.point_with([])
-    before = judge(point).gap
-    for number, one in enumerate(search.accepted, 1):
-        last, point = point, search.point_with(search.accepted[:number])
-        gap = judge(point).gap
-        if gap > (1.0 + RAISES) * before and search.raises_plainly(last, point):
-            found.append(one)
-        before = gap
-    return found

@@ -133,18 +133,18 @@ class FittedRows(Predictions):
         if key not in self._judged:
             after = self.of(model)
             gaps = tuple((after.rms / self.before.noise_floor).tolist())
-            worse, seconds = worse_channels(self.before, after), self._by_seconds(after)
-            self._judged[key] = Predicted(after.beside(self.before), worse, gaps, seconds)
+            worse = worse_channels(self.before, after)
+            self._judged[key] = Predicted(after.beside(self.before), worse, gaps)
         return self._judged[key]
 
-    def _by_seconds(self, after: Comparison) -> tuple[float, ...]:
-        """What each block adds to the squared gap of a model."""
+    def squares(self, model: Model) -> Array:
+        """What each second adds to a model's squared gap, by channel (s, 9); NaN for a channel that
+        is not there."""
+        after, there = self.of(model), np.isfinite(self.before.rms)
         values = np.concatenate([h for one in after.errors for h in one.horizons])
-        counts = np.isfinite(values).sum(axis=0)
         blocks = np.concatenate([_squares_by_blocks(one) for one in after.errors])
-        scale = self.before.noise_floor**2 * np.maximum(counts, 1) * max((counts > 0).sum(), 1)
-        shares = np.divide(blocks, scale, out=np.zeros_like(blocks), where=np.isfinite(blocks))
-        return tuple(shares.sum(axis=1).tolist())
+        scale = self.before.noise_floor**2 * np.isfinite(values).sum(axis=0) * there.sum()
+        return np.where(there, np.nan_to_num(blocks), np.nan) / np.where(there, scale, np.nan)
 
 
 def _numbers(model: Model) -> bytes:

@@ -1,33 +1,27 @@
 """How often each name is chosen where other stretches and flights count, and what then stands in
 its place.
 
-The Gram matrix of every column is kept by blocks of time. A resample gives each block and each
-flight a weight of its own (the Bayesian bootstrap, Rubin 1981); the subset of names with the least
-penalised -2 log L is then a matter of small matrices (stability selection, Meinshausen and
-Buehlmann 2010).
+A resample gives each block of time and each flight a weight of its own (the Bayesian bootstrap,
+Rubin 1981); the subset of names with the least penalised -2 log L is then a matter of small
+matrices (stability selection, Meinshausen and Buehlmann 2010).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.discrepancy.blocks import Blocks
 from groundstation.discrepancy.findings import Reason, Refusal
 from groundstation.discrepancy.subsets import Subsets
-from groundstation.identification.likelihood.linearisation import Linear
-from groundstation.identification.likelihood.parameters import Variant, absent
-from groundstation.identification.likelihood.problem import Fit, Problem
-from groundstation.identification.likelihood.spectra import white_rows
+from groundstation.identification.likelihood.parameters import Point, Variant, absent
 
 Array = NDArray[np.float64]
 
 RESAMPLES = 100
-BLOCK_S, MOST_BLOCKS = 2.0, 200
-"""Longer than any residual is correlated; of long recordings blocks are longer."""
 RIVAL = 12.0
 """What explains so little less, in -2 log L, is an alternative: odds of one in 400."""
 LEFT_OUT = (Reason.WEAK, Reason.INSIGNIFICANT, Reason.SUPERFLUOUS)
@@ -55,69 +49,41 @@ class Recurrence:
     instead: tuple[Instead, ...] = ()
 
 
-def asked_again(candidates: Sequence[Variant], refused: Mapping[str, Refusal]) -> list[Variant]:
-    """Candidates that something else than other rows would have to let in."""
-    return [
-        one
-        for one in candidates
-        if one.label not in refused or refused[one.label].reason in LEFT_OUT
-    ]
-
-
-@dataclass(frozen=True, slots=True)
-class Blocks:
-    """-2 log L around a point where every name is absent, by blocks of time.
-
-    normal: (b, p, p); gradient: (b, p); flight: (b,) that a block belongs to. whole: what no
-    weight changes (normal, gradient), the prior.
-    """
-
-    normal: Array
-    gradient: Array
-    flight: NDArray[np.int64]
-    whole: tuple[Array, Array]
-
-    def weighed(self, weights: Array) -> tuple[Array, Array]:
-        """(normal (p, p), gradient (p,)) with weights (b,) of the blocks."""
-        normal, gradient = self.whole
-        return (
-            normal + np.tensordot(weights, self.normal, 1),
-            gradient + weights @ self.gradient,
-        )
+def asked_again(
+    candidates: Sequence[Variant], refused: Mapping[str, Refusal], found: Sequence[Variant]
+) -> list[Variant]:
+    """Candidates that were not found, and that nothing else than other rows has to let in."""
+    out = {one.label for one in found}
+    out |= {label for label, why in refused.items() if why.reason not in LEFT_OUT}
+    return [one for one in candidates if one.label not in out]
 
 
 def recurrences(
-    problem: Problem, final: Fit, found: Sequence[Variant], candidates: Sequence[Variant]
+    blocks: Blocks, point: Point, found: Sequence[Variant], others: Sequence[Variant]
 ) -> dict[str, Recurrence]:
-    """How often each of ``found`` is chosen beside all ``candidates``, by label; nothing of what
-    has no column beside the constants. Shapes (time constants) stay as they were fitted."""
-    free = {*final.keys}
-    shapes = {key for one in found for key in one.keys}
-    base = [key for key in final.keys if key not in shapes]
-    mine = [one for one in found if free.issuperset(one.sizes)]
-    taken = {one.label for one in mine}
-    rest = [
-        one
-        for one in candidates
-        if one.label not in taken and {*problem.every_key}.issuperset(one.sizes)
-    ]
-    variants = [*mine, *rest]
-    sizes = [key for one in variants for key in one.sizes]
-    linear = problem.linear(final.point, (*base, *sizes), problem.flights)
-    blocks = by_blocks(problem, linear, sizes)
-    start = frozenset(range(len(mine)))
+    """How often each of ``found`` is chosen beside all ``others``, by label.
+
+    blocks: at ``point``, with columns of the constants, of what was found and of the others.
+    """
+    variants = [*found, *others]
+    mine = {key for one in found for key in one.keys}  # shapes stay as they were fitted
+    base = [key for key in blocks.keys[: blocks.fitted] if key not in mine]
+    blocks = blocks.of([*base, *(key for one in variants for key in one.sizes)])
+    absences = [absent(key) - point.get(key, absent(key)) for one in variants for key in one.sizes]
+    blocks = blocks.seen_from(np.pad(absences, (len(blocks.keys) - len(absences), 0)))
+    start, flights = frozenset(range(len(found))), len(np.unique(blocks.flight))
     chosen = np.zeros((RESAMPLES, len(variants)), np.bool_)
     random = np.random.default_rng(0)
     for row in chosen:
         weights = random.exponential(size=len(blocks.flight))
-        if len(problem.flights) > 1:
-            weights *= random.exponential(size=len(problem.flights))[blocks.flight]
+        if flights > 1:
+            weights *= random.exponential(size=flights)[blocks.flight]
         resampled = blocks.weighed(weights / weights.mean())
-        row[list(Subsets(variants, final.point, *resampled).best(start))] = True
-    as_it_is = Subsets(variants, final.point, *blocks.weighed(np.ones(len(blocks.flight))))
+        row[list(Subsets(variants, point, *resampled).best(start))] = True
+    as_it_is = Subsets(variants, point, *blocks.together())
     beside = np.maximum(as_it_is.beside(start), 0.0)
     found_again = {}
-    for number, one in enumerate(mine):
+    for number, one in enumerate(found):
         alone = as_it_is.beside(start - {number})
         margins = alone[number] - (alone - beside)
         share = float(chosen[:, number].mean())
@@ -147,38 +113,3 @@ def _alternatives(
             if before is None or (share, -margin) > (before.share, -before.margin):
                 found[name] = Instead(name, margin, share)
     return tuple(sorted(found.values(), key=lambda one: (-one.share, one.margin)))
-
-
-def by_blocks(problem: Problem, linear: Linear, sizes: Sequence[str]) -> Blocks:
-    """A linearisation by blocks of time, seen from where ``sizes`` are absent."""
-    count = len(linear.keys)
-    step = np.zeros(count)
-    for key, place in zip(sizes, linear.place(sizes), strict=True):
-        step[place] = absent(key) - linear.point.get(key, absent(key))
-    seconds = {s.flight: len(s.hz) / (2.0 * s.hz[-1]) for s in linear.spectra}
-    block_s = max(BLOCK_S, sum(seconds.values()) / MOST_BLOCKS)
-    pieces = {flight: max(1, round(long / block_s)) for flight, long in seconds.items()}
-    first = dict(zip(pieces, np.cumsum([0, *pieces.values()]).tolist(), strict=False))
-    flight = np.repeat([*pieces], [*pieces.values()])
-    normal, gradient = np.zeros((len(flight), count, count)), np.zeros((len(flight), count))
-    for s in linear.spectra:
-        rows = white_rows(
-            s, problem.noise[s.channel], np.concatenate([s.residual[None], s.columns])
-        )
-        rows *= np.sqrt(0.5 * float(s.weight.sum()))
-        ends = np.linspace(0, rows.shape[1], pieces[s.flight] + 1).astype(int).tolist()
-        for number, (a, b) in enumerate(pairwise(ends), first[s.flight]):
-            columns, residual = rows[1:, a:b], rows[0, a:b]
-            normal[number][np.ix_(s.place, s.place)] += columns @ columns.T
-            gradient[number][s.place] += columns @ residual
-    for row in linear.verticals:
-        mine = flight == row.flight
-        normal[mine] += np.outer(row.slopes, row.slopes) / row.sigma**2 / mine.sum()
-        gradient[mine] += row.slopes * row.residual / row.sigma**2 / mine.sum()
-    prior = problem.with_prior(replace(linear, spectra=[], verticals=[]))
-    return Blocks(
-        normal,
-        gradient - normal @ step,
-        flight,
-        (prior.normal, prior.gradient - prior.normal @ step),
-    )

@@ -98,12 +98,13 @@ class EffectFound(msgspec.Struct, frozen=True):
 
 
 class PossibleEffect(msgspec.Struct, frozen=True):
-    """One that is fitted along, and not named: too few resamples choose it."""
+    """One that is fitted along and not named. reason: as of a candidate."""
 
     name: str
     parameters: dict[str, Estimate]
     recurrence: float
     alternatives: list[Alternative]
+    reason: str = "not_recurrent"
 
 
 class Changed(msgspec.Struct, frozen=True):
@@ -311,7 +312,13 @@ def discrepancy_report(
             for one in findings.effects
         ],
         possible=[
-            PossibleEffect(one.name, one.parameters, one.recurrence, list(one.alternatives))
+            PossibleEffect(
+                one.name,
+                one.parameters,
+                one.recurrence,
+                list(one.alternatives),
+                one.refused.reason.value if one.refused else "",
+            )
             for one in findings.possible
         ],
         base_changes=[

@@ -24,6 +24,13 @@ NEAR_NOISE = 1.1
 """Gap up to which a model is as good as noise allows: noise floors are off by as much."""
 
 
+DOUBTS = {
+    "recordings_disagree": "though stretches and flights differ by nearly as much",
+    "without_weight": "though predictions are hardly better with it",
+}
+"""Of what is possible, by the reason why it is not named."""
+
+
 def by_weight(effects: Sequence[EffectFound]) -> list[EffectFound]:
     """What explains most first; those of which that is not known last, as they were added."""
     return sorted(effects, key=lambda one: -(one.weight if one.weight is not None else -1.0))
@@ -55,9 +62,10 @@ def possible_in_words(report: DiscrepancyReport) -> list[str]:
             if other.share
         ]
         instead = f", in its place {listed(others)}" if others else ""
+        why = DOUBTS.get(one.reason, chosen_in_words(one.recurrence))
         lines.append(
-            f"possible: {title_of(one.name)}, {chosen_in_words(one.recurrence)}{instead}; fitted"
-            " along, its part is counted with the changed constants"
+            f"possible: {title_of(one.name)}, {why}{instead}; fitted along, its part is counted"
+            " with the changed constants"
         )
     return lines
 

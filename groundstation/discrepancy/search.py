@@ -23,6 +23,7 @@ from groundstation.discrepancy.settlement import (
     name_base_changes,
     settle_trim,
 )
+from groundstation.discrepancy.weight import Weight
 from groundstation.discrepancy.whiteness import leftover
 from groundstation.identification.likelihood.problem import Fit
 
@@ -33,8 +34,8 @@ MOST_ROUNDS = 16
 class Outcome:
     """final: the joint fit. errors: standard errors by key, everything being free. residual: what
     it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
-    -2 log L on flights left out when it was weighed last. first: columns at the model as it was
-    given; scores: of these."""
+    -2 log L on flights left out when it was weighed last. weights: variant label -> what it
+    carries. first: columns at the model as it was given; scores: of these."""
 
     final: Fit
     errors: dict[str, float]
@@ -42,6 +43,7 @@ class Outcome:
     residual: Leftover
     refused: dict[str, Refusal]
     held_out: dict[str, float]
+    weights: dict[str, Weight]
     first: Screening
     scores: list[Scored]
 
@@ -86,6 +88,7 @@ def concluded(search: SearchState) -> Outcome:
         residual=search.residual,
         refused=search.refused,
         held_out=search.held_out,
+        weights=search.weights,
         first=search.first,
         scores=search.scores,
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from groundstation.discrepancy.base_constants import groups
 from groundstation.discrepancy.evidence import Evidence, folds_of, gather
 from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
+from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
@@ -28,7 +30,12 @@ class Accepted:
     evidence: Evidence
 
 
-Judge = Callable[[Point], Predicted]
+class Judge(Protocol):
+    """What predictions of fitted samples say (``judge.Judge``)."""
+
+    def __call__(self, point: Point) -> Predicted: ...
+
+    def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]: ...
 
 
 class SearchState:
@@ -45,9 +52,6 @@ class SearchState:
         board is not fitted: its numbers are known, and beside what is missing they would bend."""
         self.problem, self.folds, self.progress = problem, folds_of(problem.flights), progress
         self.judge: Judge | None = None
-        self.raises_plainly: Callable[[Point, Point], bool] = lambda before, after: True
-        """Whether predictions are worse at the second point with nothing followed, too, and beside
-        what is followed by more than noise."""
         self.candidates = list(candidates)
         fixed = [one for one in known if one.definition.role not in CANDIDATES]
         free = [variant for variant in known if variant not in fixed]
@@ -64,6 +68,7 @@ class SearchState:
         self.accepted: list[Accepted] = []
         self.refused: dict[str, Refusal] = {}
         self.held_out: dict[str, float] = {}
+        self.weights: dict[str, Weight] = {}
         self.banned: set[str] = set()
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
@@ -117,11 +122,6 @@ class SearchState:
         if self._away is None or self._away[0] is not before:
             self._away = before, self.problem.linear(before.point, (), self.problem.flights)
         return gather(self.problem, self.folds, before, after, variant, self._away[1])
-
-    def point_with(self, accepted: Sequence[Accepted]) -> Point:
-        """The final constants, with only some of the effects."""
-        keys = {*self.base_keys, *(key for one in accepted for key in one.variant.keys)}
-        return {k: number for k, number in self.now.point.items() if k in keys} | self.fixed
 
 
 def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:

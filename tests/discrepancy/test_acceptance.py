@@ -13,11 +13,10 @@ from groundstation.discrepancy.acceptance import (
     is_significant,
     refusal,
 )
-from groundstation.discrepancy.conclusions import with_differences
 from groundstation.discrepancy.evidence import Evidence
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import Scored
-from groundstation.discrepancy.search_state import Accepted
+from groundstation.discrepancy.weight import Weight
 from groundstation.identification.body.certainty import open_delay_s
 from groundstation.identification.likelihood.parameters import VARIANTS
 from groundstation.identification.likelihood.problem import Fit
@@ -92,17 +91,31 @@ def test_it_is_told_by_how_much_channels_and_recordings_lie_apart():
     assert evidence({(0, GYRO_Z): (0.2, 0.05)}).apart(0) == 0.0
 
 
-def test_flights_that_differ_by_more_than_noise_widen_what_is_stated_of_a_size():
-    differing = {(0, FORCE_Z): (0.8, 0.01), (1, FORCE_Z): (1.2, 0.01)}
-    assert evidence(differing).between() == pytest.approx(0.2, rel=0.01)
-    alike = {(0, FORCE_Z): (0.995, 0.01), (1, FORCE_Z): (1.005, 0.01)}
-    assert evidence(alike).between() == 0.0
-    assert evidence({(0, FORCE_Z): (1.0, 0.01)}).between() == 0.0
+def test_a_size_by_which_flights_differ_as_much_is_possible_and_not_named():
     (key,) = VARIANT["rate_damping"].sizes
-    for parts, error in ((differing, np.hypot(3e-7, 2e-6)), (alike, 3e-7)):
-        found = [Accepted(VARIANT["rate_damping"], evidence(parts))]
-        stated = with_differences({key: 3e-7, "c0": 1e-5}, {key: 1e-5}, found)
-        assert stated == pytest.approx({key: error, "c0": 1e-5}, rel=0.01)
+    place = fit(rate_damping__damping_n_m_s=1e-5)
+    assert said(Stage.NAMED, fit=place, errors={key: 4e-6}) is Reason.RECORDINGS_DISAGREE
+    assert said(Stage.NAMED, fit=place, errors={key: 3e-6}) is None
+
+
+def test_of_several_sizes_one_that_is_sure_is_enough():
+    sizes = VARIANT["accelerometer_bias"].sizes
+    place = Fit(dict.fromkeys(sizes, 0.02), tuple(sizes), 0.0, np.eye(len(sizes)))
+    doubtful = dict.fromkeys(sizes, 0.02)
+    kinds = (doubtful, Reason.RECORDINGS_DISAGREE), (doubtful | {sizes[1]: 0.001}, None)
+    for errors, reason in kinds:
+        assert said(Stage.NAMED, "accelerometer_bias", fit=place, errors=errors) is reason
+
+
+def test_what_predictions_hardly_need_is_possible_and_not_named():
+    place = fit(rate_damping__damping_n_m_s=1e-5)
+    for carried, reason in (
+        (Weight(0.1, 0.01, 0.5), None),
+        (Weight(0.1, 0.01, 0.01), Reason.WITHOUT_WEIGHT),
+        (Weight(-0.001, 0.01, 0.5), Reason.WITHOUT_WEIGHT),
+        (None, None),
+    ):
+        assert said(Stage.NAMED, fit=place, weight=carried) is reason
 
 
 def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():

@@ -1,5 +1,7 @@
 """Effects are judged beside what is slow, which is followed in every model alike."""
 
+from types import SimpleNamespace
+
 import msgspec
 import pytest
 
@@ -14,7 +16,9 @@ BLOWN = {f"moment_{axis}": 3.0 for axis in "xyz"} | {f"force_{axis}": 0.3 for ax
 
 def model_at(point):
     """The base model, its yaw gain times a number."""
-    body = msgspec.structs.replace(base_model().body, c2=base_model().body.c2 * point["c2"])
+    body = msgspec.structs.replace(
+        base_model().body, c2=base_model().body.c2 * point.get("c2", 1.0)
+    )
     return msgspec.structs.replace(base_model(), body=body)
 
 
@@ -44,8 +48,6 @@ def test_what_is_slow_is_followed(blown, following):
 
 def test_a_wrong_constant_is_worse_beside_it_too(following):
     assert 2 in following({"c2": 1.5}).worse
-    assert following.raises_plainly({"c2": 1.0}, {"c2": 1.5})
-    assert not following.raises_plainly({"c2": 1.5}, {"c2": 1.0})
     assert following({"c2": 1.5}).gap > following({"c2": 1.0}).gap
 
 
@@ -56,11 +58,13 @@ def test_a_channel_within_noise_that_hardly_changes_is_no_witness(following):
     assert 2 in following({"c2": 1.1}).worse
 
 
-def test_a_gap_within_noise_that_hardly_grows_speaks_against_nothing(blown, following):
-    before, after = {"c2": 1.0}, {"c2": 1.1}
-    assert following(before).gap < following(after).gap < 1.0
-    assert not following.raises_plainly(before, after)
-    assert Judge(blown[1], model_at).raises_plainly(before, after)
+def test_what_a_name_carries_is_asked_beside_what_is_slow(following):
+    """Left out, the yaw gain is the right one here, or twice it."""
+    name = SimpleNamespace(variant=SimpleNamespace(label="gain", keys=("c2",)),
+                           evidence=SimpleNamespace(channels=(2, 8)))  # fmt: skip
+    assert following.weights({"c2": 1.5}, [name])["gain"].raises
+    roll = SimpleNamespace(variant=name.variant, evidence=SimpleNamespace(channels=(0,)))
+    assert not following.weights({"c2": 1.5}, [roll])
 
 
 def test_a_doubt_beside_what_is_followed_is_none(following):

@@ -5,8 +5,9 @@ from itertools import chain, combinations
 import numpy as np
 import pytest
 
+from groundstation.discrepancy.blocks import by_blocks, last_blocks
 from groundstation.discrepancy.findings import Reason, Refusal
-from groundstation.discrepancy.recurrence import asked_again, by_blocks, recurrences
+from groundstation.discrepancy.recurrence import asked_again, recurrences
 from groundstation.discrepancy.subsets import Subsets
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import VARIANTS, absent, point_of
@@ -27,11 +28,18 @@ def problem():
     return found
 
 
+def chosen_again(problem, fit, found):
+    """How often ``found`` is, beside every effect that has columns."""
+    seen = [one for one in VARIANTS if {*problem.every_key}.issuperset(one.sizes)]
+    others = asked_again(seen, {}, found)
+    return recurrences(last_blocks(problem, fit, others), fit.point, found, others)
+
+
 def test_blocks_together_are_the_likelihood(problem):
     keys = (*CONSTANTS, *DAMPING.sizes)
     linear = problem.linear(problem.start, keys, problem.flights)
-    blocks = by_blocks(problem, linear, ())
-    normal, gradient = blocks.weighed(np.ones(len(blocks.flight)))
+    blocks = by_blocks(problem, linear, len(keys))
+    normal, gradient = blocks.together()
     whole = problem.with_prior(linear)
     np.testing.assert_allclose(normal, whole.normal, rtol=1e-6, atol=1e-9 * whole.normal.max())
     np.testing.assert_allclose(gradient, whole.gradient, rtol=1e-6, atol=1e-6)
@@ -42,8 +50,9 @@ def test_a_step_back_to_absent_is_that_of_the_parabola(problem):
     keys = (*CONSTANTS, *DAMPING.sizes)
     fit = problem.fit(problem.start, keys)
     linear = problem.linear(fit.point, keys, problem.flights)
-    there = by_blocks(problem, linear, DAMPING.sizes)
-    normal, gradient = there.weighed(np.ones(len(there.flight)))
+    step = np.zeros(len(keys))
+    step[-1] = absent(DAMPING.sizes[0]) - fit.point[DAMPING.sizes[0]]
+    normal, gradient = by_blocks(problem, linear, len(keys)).seen_from(step).together()
     size = np.linalg.solve(normal, gradient)[-1]
     assert size == pytest.approx(fit.point[DAMPING.sizes[0]] - absent(DAMPING.sizes[0]), rel=0.01)
 
@@ -51,7 +60,7 @@ def test_a_step_back_to_absent_is_that_of_the_parabola(problem):
 def test_what_is_there_is_chosen_again_and_what_is_not_is_hardly(problem):
     keys = (*CONSTANTS, *DAMPING.keys, *ABSENT.keys)
     fit = problem.fit(problem.start, keys)
-    found = recurrences(problem, fit, [DAMPING, ABSENT], VARIANTS)
+    found = chosen_again(problem, fit, [DAMPING, ABSENT])
     assert found[DAMPING.label].share == 1.0
     assert found[ABSENT.label].share < 0.6
     assert all(np.isfinite(other.margin) for one in found.values() for other in one.instead)
@@ -61,7 +70,7 @@ def test_what_stands_in_a_names_place_is_its_alternative(problem):
     """A damping quadratic in the rate is what the damping looks like, were that not listed."""
     other = VARIANT["quadratic_rate_damping"]
     fit = problem.fit(problem.start, (*CONSTANTS, *other.keys))
-    (found,) = recurrences(problem, fit, [other], VARIANTS).values()
+    (found,) = chosen_again(problem, fit, [other]).values()
     first = found.instead[0]
     assert (first.name, found.share) == (HIDDEN, pytest.approx(1.0 - first.share, abs=0.05))
     assert first.share > 0.9
@@ -73,7 +82,8 @@ def test_refused_for_good_is_not_asked_again():
         DAMPING.label: Refusal(Reason.NOT_HELD_OUT, ""),
         ABSENT.label: Refusal(Reason.WEAK, ""),
     }
-    assert asked_again([DAMPING, ABSENT], refused) == [ABSENT]
+    assert asked_again([DAMPING, ABSENT], refused, []) == [ABSENT]
+    assert asked_again([DAMPING, ABSENT], refused, [ABSENT]) == []
 
 
 @pytest.mark.parametrize("seed", range(8))

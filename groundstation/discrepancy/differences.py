@@ -1,0 +1,71 @@
+"""What numbers differ by from flight to flight: a random effect of each, part of their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from groundstation.discrepancy.blocks import Blocks
+from groundstation.identification.estimate import inverse
+
+Array = NDArray[np.float64]
+
+INFORMED = 0.05
+"""Share of the information on a number from which a flight takes part."""
+CHANCE = 0.95
+"""Of samples in which blocks of one size scatter less than this."""
+
+
+def with_differences(errors: Mapping[str, float], blocks: Blocks) -> dict[str, float]:
+    """Standard errors by key, with what flights differ by.
+
+    blocks: of the last fit, at its point.
+    """
+    normal, _ = blocks.together()
+    covariance = inverse(normal[: blocks.fitted, : blocks.fitted])
+    wider = dict(errors)
+    for n, key in enumerate(blocks.keys[: blocks.fitted]):
+        if key in wider:
+            # The column without what all others imitate of it, by a unit of the number.
+            alone = np.pad(covariance[:, n] / covariance[n, n], (0, len(normal) - blocks.fitted))
+            trust = np.einsum("i,bij,j->b", alone, blocks.normal, alone)
+            own = min(float(trust.sum()) * errors[key] ** 2, 1.0)  # the rest is the prior's
+            more = own * difference(trust, blocks.gradient @ alone, blocks.flight)
+            wider[key] = float(np.hypot(errors[key], more))
+    return wider
+
+
+def difference(trust: Array, score: Array, flight: NDArray[np.int64]) -> float:
+    """Standard error of a number that comes from flights being different, beside what noise within
+    them makes.
+
+    trust, score: (b,) of blocks of time, each of which tells a number score / trust from the joint
+    one with precision trust; flight: that a block belongs to. The variance between flights is by
+    moments (DerSimonian and Laird 1986), from what flights tell, or from what blocks tell where
+    these differ by more than chance: two flights hardly tell a variance, and they differ at least
+    as much as parts of one.
+    """
+    own = [np.bincount(flight, one) for one in (trust, score)]
+    known = own[0] > INFORMED * own[0].sum()
+    told = own[0][known]
+    if not len(told):
+        return 0.0
+    variance, _ = _moments(told, own[1][known])
+    within, above_chance = _moments(trust, score)
+    variance = max(variance, within if above_chance else 0.0, 0.0)
+    mean = 1.0 / float((1.0 / (1.0 / told + variance)).sum()) - 1.0 / float(told.sum())
+    return float(np.sqrt(max(mean, 0.0)))
+
+
+def _moments(trust: Array, score: Array) -> tuple[float, bool]:
+    """(variance of a number between parts, whether they scatter by more than chance)."""
+    trust, score = trust[trust > 0.0], score[trust > 0.0]
+    whole, count = float(trust.sum()), len(trust)
+    if count < 2:
+        return 0.0, False
+    scatter = float((score**2 / trust).sum()) - float(score.sum()) ** 2 / whole
+    variance = (scatter - (count - 1)) / (whole - float(trust @ trust) / whole)
+    return variance, scatter > 2.0 * float(gammaincinv(0.5 * (count - 1), CHANCE))

@@ -1,0 +1,71 @@
+"""What flights, or parts of one, differ by is part of the errors that are stated."""
+
+import numpy as np
+import pytest
+
+from groundstation.discrepancy.blocks import Blocks
+from groundstation.discrepancy.differences import difference, with_differences
+
+BLOCKS = 20
+
+
+def told(sizes, trust=100.0):
+    """(trust, score) of blocks that tell these sizes, counted from the joint one."""
+    return np.full(len(sizes), trust), trust * np.asarray(sizes)
+
+
+def two_flights(count=BLOCKS):
+    return np.repeat([0, 1], count // 2)
+
+
+def test_flights_that_differ_by_more_than_noise_widen_the_error_of_their_mean():
+    apart = np.where(two_flights() == 0, -0.2, 0.2)
+    assert difference(*told(apart), two_flights()) == pytest.approx(0.2, rel=0.02)
+
+
+def test_flights_that_agree_within_noise_widen_nothing():
+    assert difference(*told(np.tile([-0.1, 0.1], BLOCKS // 2)), two_flights()) == 0.0
+
+
+def test_two_flights_that_happen_to_agree_differ_at_least_as_much_as_parts_of_one():
+    """Blocks lie 0.3 apart where noise makes 0.1 of it; both flights have the same mean."""
+    half = 0.3 * np.random.default_rng(5).standard_normal(BLOCKS // 2)
+    wider = difference(*told(np.tile(half - half.mean(), 2)), two_flights())
+    assert wider == pytest.approx(0.3 / np.sqrt(2.0), rel=0.3)
+
+
+def test_of_one_flight_its_parts_tell_what_the_next_may_differ_by():
+    parts = np.tile([-0.5, 0.5], BLOCKS // 2)
+    wider = difference(*told(parts), np.zeros(BLOCKS, np.int64))
+    assert wider == pytest.approx(0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_errors_hold_where_flights_differ(seed):
+    """Of 200 pairs of flights whose sizes scatter by 0.3, and as much from block to block."""
+    random = np.random.default_rng(seed)
+    held = []
+    for _ in range(200):
+        sizes = 0.3 * (random.standard_normal(2)[two_flights()] + random.standard_normal(BLOCKS))
+        sizes += 0.1 * random.standard_normal(BLOCKS)
+        mean = sizes.mean()
+        error = np.hypot(0.1 / np.sqrt(BLOCKS), difference(*told(sizes - mean), two_flights()))
+        held.append(abs(mean) < 1.96 * error)
+    assert np.mean(held) > 0.85
+
+
+def test_what_the_prior_holds_is_widened_by_the_share_that_the_data_have():
+    apart, flight = np.where(two_flights() == 0, -0.2, 0.2), two_flights()
+    trust, score = told(apart)
+
+    def stated(prior):
+        whole = np.array([[prior]]), np.zeros(1)
+        blocks = Blocks(("c0",), 1, trust[:, None, None], score[:, None], flight, whole)
+        error = (trust.sum() + prior) ** -0.5
+        return with_differences({"c0": error, "held": 1.0}, blocks), error
+
+    free, error = stated(0.0)
+    assert free["c0"] == pytest.approx(np.hypot(error, 0.2), rel=0.02)
+    assert free["held"] == 1.0
+    held, error = stated(99.0 * trust.sum())
+    assert held["c0"] == pytest.approx(np.hypot(error, 0.002), rel=0.02)
