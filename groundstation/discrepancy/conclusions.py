@@ -55,31 +55,11 @@ def conclude(
     final, residual = outcome.final, outcome.residual
     errors = outcome.errors
     given = tuple(key for v in known for key in v.keys)
-    # measured rotor speeds know what the controller did within a row
-    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
-    open_s = max(
-        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
-    )
-    named, possible, unnamed = [], [], given
+    named, possible = _named_and_possible(outcome, recurrence, problem)
+    unnamed = given
     for one in outcome.accepted:
-        label = one.variant.label
-        again = recurrence[label].share if label in recurrence else 1.0
-        trial = Trial(
-            one.variant,
-            final,
-            open_s=open_s,
-            recurrence=again,
-            errors=errors,
-            weight=outcome.weights.get(label),
-        )
-        why = refusal(Stage.NAMED, trial)
-        if why is None:
-            named.append(one)
-            continue
-        outcome.refused[label] = why
-        unnamed = (*unnamed, *one.variant.keys)
-        if why.reason is not Reason.NEGLIGIBLE:
-            possible.append(one)
+        if one not in named:
+            unnamed = (*unnamed, *one.variant.keys)
 
     def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
         again = recurrence.get(one.variant.label)
@@ -125,6 +105,37 @@ def conclude(
         residual=residual,
         warnings=tuple(warnings),
     )
+
+
+def _named_and_possible(
+    outcome: Outcome, recurrence: Mapping[str, Recurrence], problem: Problem
+) -> tuple[list[Accepted], list[Accepted]]:
+    """Effects that pass the last gates, and those that are no more than possible; why the others
+    have no name is in ``outcome.refused`` then."""
+    # measured rotor speeds know what the controller did within a row
+    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
+    open_s = max(
+        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
+    )
+    named, possible = [], []
+    for one in outcome.accepted:
+        label = one.variant.label
+        trial = Trial(
+            one.variant,
+            outcome.final,
+            open_s=open_s,
+            recurrence=recurrence[label].share if label in recurrence else 1.0,
+            errors=outcome.errors,
+            weight=outcome.weights.get(label),
+        )
+        why = refusal(Stage.NAMED, trial)
+        if why is None:
+            named.append(one)
+            continue
+        outcome.refused[label] = why
+        if why.reason is not Reason.NEGLIGIBLE:
+            possible.append(one)
+    return named, possible
 
 
 def _effect(

@@ -126,5 +126,5 @@ def test_two_seconds_are_enough_to_see_that_a_model_is_far_worse():
 
 def test_what_the_seconds_add_is_the_squared_gap():
     given = judged()
-    found = FittedRows(given).judge(given.model)
-    assert sum(found.blocks) == pytest.approx(found.gap**2)
+    rows = FittedRows(given)
+    assert np.nansum(rows.squares(given.model)) == pytest.approx(rows.judge(given.model).gap ** 2)

@@ -13,7 +13,6 @@ from mcap.reader import make_reader
 
 from bench.sealed.bound import significances
 from bench.sealed.cases import GROUPS, PLAIN, Case, matrix, named
-from bench.sealed.figures import draw as draw_figure
 from bench.sealed.flights import (
     CARRY,
     CARRY_TODAY,
@@ -464,7 +463,7 @@ def test_a_case_that_was_refused_stays_as_it_is(tmp_path):
     assert judged_again(tmp_path) == [line]
 
 
-def test_the_tables_count_and_the_figure_shows_what_was_named(tmp_path):
+def test_the_tables_count_what_was_named():
     right = report(("rate_damping", {"damping_n_m_s": (1e-5, 1e-6)}, []), gyro_x=(3.0, 1.0, 1.0))
     wrong = report(("dead_time", {}, []))
     truth = sealed(CERTAIN, **DAMPING)
@@ -476,8 +475,6 @@ def test_the_tables_count_and_the_figure_shows_what_was_named(tmp_path):
     assert "| single | clean | 1 | 2 | 0 | 1 | 0 |" in text
     assert "| `rate_damping` | `dead_time` 1 |" in text
     assert "| explained part at least 0.9 | 1 | 1 |" in text
-    draw_figure(lines, tmp_path / "shown.svg")
-    assert (tmp_path / "shown.svg").read_text().startswith("<?xml")
 
 
 def test_what_a_bench_fitted_along_is_not_told_to_the_search(tmp_path):
