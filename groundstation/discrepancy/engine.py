@@ -32,6 +32,7 @@ from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.errors import BadInputError
+from groundstation.identification.body.certainty import unseen
 from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import Flight, prepare
 from groundstation.identification.likelihood.on_board import in_plane_hz
@@ -200,7 +201,7 @@ def _searched(
     start = point_of(model)
     theirs = own_of(model)
     every_own = joined(theirs, own)
-    problem = Problem(fit_on, model, start, every_own)
+    problem = Problem(fit_on, model, start, every_own, motors_told=not unseen(fit_on))
     given_constants = body_prior(model, start)
     problem.prior.append(given_constants)
     problem.settle_filters()

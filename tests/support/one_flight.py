@@ -73,14 +73,19 @@ class OneFlight:
             ends = np.flatnonzero(np.diff(self.arrival_s) > 0) + 1
             for batch in np.split(np.arange(len(self.packets)), ends):
                 due_s = started_s + self.arrival_s[batch[0]]
-                await asyncio.sleep(max(0.0, due_s - time.monotonic()))
+                # at least a moment: whoever was held up does not fill the line before it is read
+                await asyncio.sleep(max(0.001, due_s - time.monotonic()))
                 line.send(self.packets[batch])
+            while True:  # what did not fit goes when there is room
+                await asyncio.sleep(0.01)
+                line.send(self.packets[:0])
 
         async with SerialLink(line.path) as link:
             sending = asyncio.create_task(send(time.monotonic()))
-            raw = await packets_read(link, len(self.packets))
-            await sending
-            return raw
+            try:
+                return await packets_read(link, len(self.packets))
+            finally:
+                sending.cancel()
 
 
 def flight_and_bench():

@@ -31,9 +31,10 @@ MOTOR_DOUBT, LEAST_MOTOR_DOUBT = 0.02, 0.001
 BODY_DOUBT = 0.03
 """Relative standard deviation of c0, c1, c2 and thrust per mass, added to what the model states:
 what flights of one craft differ by."""
-BODY_TAIL = 10.0
+TAIL = 10.0
 """A model that was fitted to flights with something missing may be off by half: its prior has the
-tail of Student's distribution, and weighs an eleventh at 10 standard deviations."""
+tail of Student's distribution, and weighs an eleventh at 10 standard deviations. So has that of
+motors that no bench has measured."""
 TIMING_DOUBT = 0.5
 LAG_DOUBT_S = 0.01
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
@@ -102,12 +103,15 @@ def body_prior(model: Model, start: Point) -> Prior:
         if np.isfinite(stated).all():
             covariance = covariance + stated
     centre = {key: start[key] for key in BODY_KEYS}
-    return Prior(BODY_KEYS, centre, np.asarray(np.linalg.inv(covariance)), BODY_TAIL)
+    return Prior(BODY_KEYS, centre, np.asarray(np.linalg.inv(covariance)), TAIL)
 
 
-def prior_of(model: Model, start: Point) -> tuple[list[Prior], bool]:
-    """The bench's a0, a1, a2 with their covariance, and the attitude filter's timing.
+def prior_of(model: Model, start: Point, told: bool) -> tuple[list[Prior], bool]:
+    """The bench's a0, a1, a2 with their covariance, or those of a model without one, and the
+    attitude filter's timing; whether there was a bench.
 
+    told: rows show every setting of the motors. Where they do not, no likelihood tells how fast
+    rotors answer, and the model's numbers have no tail.
     A constant that is zero (a2 of a first-order motor) stays so: it is not in the prior.
     """
     motor = tuple(key for key in MOTOR_KEYS if start[key] != 0.0)
@@ -122,4 +126,4 @@ def prior_of(model: Model, start: Point) -> tuple[list[Prior], bool]:
             covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
     weight = np.asarray(np.linalg.inv(covariance))
     timing = Prior((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
-    return [Prior(motor, centre, weight), timing], known
+    return [Prior(motor, centre, weight, TAIL if told and not known else math.inf), timing], known

@@ -92,7 +92,9 @@ class Problem:
         model: Model,
         start: Point,
         own: Sequence[Variant] = (),
+        motors_told: bool = False,
     ) -> None:
+        """motors_told: rows show every setting of the motors (``prior_of``)."""
         self.flights = list(flights)
         self.frame = Frame(model_vehicle(model), model.motors, own=tuple(own))
         effects = self.frame.unknowns.items()
@@ -107,7 +109,7 @@ class Problem:
         self.start = {**lag, **start}
         unknowns = self.frame.unknowns.values()
         self.shared = [(k.key, k.parameter.shares) for k in unknowns if k.parameter.shares]
-        self.prior, self.known_motor = prior_of(model, start)
+        self.prior, self.known_motor = prior_of(model, start, motors_told)
         if lags:
             weight = np.array([[LAG_DOUBT_S**-2]])
             centre = {SENSOR_LAG: self.start[SENSOR_LAG]}

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from groundstation.identification.flight import prepare
-from groundstation.identification.likelihood.parameters import BODY_KEYS, point_of
-from groundstation.identification.likelihood.prior import BODY_DOUBT, Prior, body_prior
+from groundstation.identification.likelihood.parameters import BODY_KEYS, MOTOR_KEYS, point_of
+from groundstation.identification.likelihood.prior import BODY_DOUBT, Prior, body_prior, prior_of
 from groundstation.identification.likelihood.problem import Problem
 from support.flights import BASE, flown
 
@@ -48,6 +48,25 @@ def test_the_value_has_the_slope_that_is_said_and_a_model_far_off_hardly_weighs(
         assert (after - before) / (2.0 * step) == pytest.approx(-2.0 * slope, rel=1e-3, abs=1e-3)
     near, far = (known.at({**START, "c0": s * START["c0"]})[0][0, 0] for s in (1.0, 1.5))
     assert far < 0.2 * near
+
+
+@pytest.mark.parametrize(
+    ("benched", "told", "may_be_far_off"),
+    [(False, True, True), (False, False, False), (True, True, False)],
+)
+def test_motors_that_no_bench_measured_may_be_far_off_where_rows_show_what_they_did(
+    benched, told, may_be_far_off
+):
+    values = np.array([START[key] for key in MOTOR_KEYS])
+    account = {"names": list(MOTOR_KEYS), "covariance": np.diag((0.02 * values) ** 2).tolist()}
+    fit = {"motor": {"estimates": account}} if benched else {}
+    (motors, _), known = prior_of(msgspec.structs.replace(BASE, fit=fit), START, told)
+    assert known is benched
+    near, far = (
+        motors.at({**START, **{key: share * START[key] for key in MOTOR_KEYS}})[0][0, 0]
+        for share in (1.0, 1.3)
+    )
+    assert far == pytest.approx(near) if not may_be_far_off else far < 0.1 * near
 
 
 def test_a_prior_counts_alike_whatever_else_is_fitted():
