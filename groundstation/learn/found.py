@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
+from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound, PossibleEffect
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.unknowns import to_point
 from groundstation.identification.likelihood.parameters import KEYS
@@ -32,7 +32,7 @@ def _corrects(found: EffectFound) -> bool:
     return found.name in EFFECTS and EFFECTS[found.name].renames is not None
 
 
-def _size(found: EffectFound) -> float:
+def _size(found: EffectFound | PossibleEffect) -> float:
     """The largest of an effect's sizes, over the one worth finding; a user's own always counts."""
     if found.name not in EFFECTS:
         return np.inf
@@ -45,9 +45,9 @@ def _size(found: EffectFound) -> float:
 
 
 def open_names(found: DiscrepancyReport) -> dict[str, list[str]]:
-    """Names with others that explain as much, and what is only possible."""
+    """Names with others that explain as much, and what is only possible and worth a name."""
     rivals = {one.name: one.alternatives for one in named_effects(found) if one.alternatives}
-    rivals |= {one.name: one.alternatives for one in found.possible}
+    rivals |= {one.name: one.alternatives for one in found.possible if _size(one) >= WORTH}
     return {name: [other.name for other in others] for name, others in rivals.items()}
 
 
