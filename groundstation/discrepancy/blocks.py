@@ -50,12 +50,13 @@ class Blocks:
         return self.weighed(np.ones(len(self.flight)))
 
     def of(self, keys: Sequence[str]) -> Blocks:
-        """Those of some of the columns."""
+        """Those of some of the columns, the fitted ones first."""
         at = [self.keys.index(key) for key in keys]
         normal, gradient = self.whole
         return replace(
             self,
             keys=tuple(keys),
+            fitted=sum(place < self.fitted for place in at),
             normal=self.normal[:, at][:, :, at],
             gradient=self.gradient[:, at],
             whole=(normal[np.ix_(at, at)], gradient[at]),

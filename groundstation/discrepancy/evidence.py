@@ -61,22 +61,17 @@ class Evidence:
     channels: tuple[int, ...]
     beyond: float = math.inf
 
-    def sizes(self, by: int) -> tuple[Array, Array]:
-        """(sizes relative to the joint fit, their precision 1 / variance), each (k,), as recordings
-        (by 0) or channels (by 1) tell it, of those that are informed."""
+    def apart(self, by: int) -> float:
+        """Standard errors by which sizes of recordings (by 0) or channels (by 1) lie apart most, of
+        those that are informed."""
         groups: dict[int, list[tuple[float, float]]] = {}
         for place, (size, error) in self.parts.items():
             groups.setdefault(place[by], []).append((size * error**-2, error**-2))
         sums = np.array([np.sum(one, axis=0) for one in groups.values()]).reshape(-1, 2)
-        known = sums[:, 1] > INFORMED * sums[:, 1].sum()
-        return sums[known, 0] / sums[known, 1], sums[known, 1]
-
-    def apart(self, by: int) -> float:
-        """Standard errors by which sizes of recordings or channels lie apart most."""
-        sizes, trust = self.sizes(by)
-        if len(sizes) < 2:
+        pulled, trust = sums[sums[:, 1] > INFORMED * sums[:, 1].sum()].T
+        if len(trust) < 2:
             return 0.0
-        away = np.abs(sizes - float(sizes @ trust) / float(trust.sum()))
+        away = np.abs(pulled / trust - float(pulled.sum()) / float(trust.sum()))
         return float((away * np.sqrt(trust)).max())
 
 

@@ -38,27 +38,27 @@ is predicts nothing better is asked of the final one."""
 
 
 class Judge:
-    """Held-out rows as the model at a point predicts them, beside what the given model says; the
+    """Fitted rows as the model at a point predicts them, beside what the given model says; the
     observer follows what is ``slow`` in both alike, where it is given."""
 
     def __init__(
-        self, held: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
+        self, fitted: FittedRows, model_at: Callable[[Point], Model], slow: Slow | None = None
     ) -> None:
-        self._given, self._model_at, self._slow = held, model_at, slow
-        given = held.before.model
-        self._held = FittedRows(held.of(with_term(given, slow))) if slow else held
+        self._given, self._model_at, self._slow = fitted, model_at, slow
+        given = fitted.before.model
+        self._beside = FittedRows(fitted.of(with_term(given, slow))) if slow else fitted
 
     def __call__(self, point: Point) -> Predicted:
         model = self._model_at(point)
         if self._slow is None:
             return self._given.judge(model)
-        found = self._held.judge(with_term(model, self._slow))
+        found = self._beside.judge(with_term(model, self._slow))
         if not found.worse:
             return found
         # A channel that is predicted better where nothing is followed is no witness, nor is one
         # within noise that hardly changes.
         better = self._given.of(model).rms < self._given.before.rms
-        before = self._held.before
+        before = self._beside.before
         hardly = (1.0 + WORSE_ANYWHERE) * before.rms / before.noise_floor
         worse = {
             channel: t
@@ -82,7 +82,7 @@ class Judge:
 
     def _squares(self, point: Point) -> Array:
         model = self._model_at(point)
-        return self._held.squares(model if self._slow is None else with_term(model, self._slow))
+        return self._beside.squares(model if self._slow is None else with_term(model, self._slow))
 
 
 def to_follow(fitted: Comparison) -> Slow | None:
