@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 from typing import Any
@@ -16,6 +17,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 REQUEST_S = 10.0
 """A request must have arrived after so long."""
 HEAD_MOST = 1 << 14
+QUEUE = 2048
+"""Connections that wait in the kernel."""
 STALL_S = 20.0
 """A client that takes nothing of an answer for so long is cut off."""
 
@@ -49,12 +52,20 @@ def http_server(
             h11_max_incomplete_event_size=HEAD_MOST,
             server_header=False,
             timeout_graceful_shutdown=1,
+            # so many are let in at each turn of the event loop, which reads what they said two
+            # turns later: fewer come until then than can push out one whose request is there
+            backlog=most // 4,
         )
     )
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to the program."""
+    """Leaves signals to the program; lets in few connections at a time of many that wait."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for one in sockets or ():
+            one.listen(QUEUE)
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -3,10 +3,14 @@
 import http.client
 import os
 import re
+import socket
 import stat
+from contextlib import ExitStack
 from urllib.parse import urlsplit
 
 import pytest
+
+from groundstation.page.__main__ import CONNECTIONS_MOST
 
 
 def request(daemon, method, route, headers=(), body=None):
@@ -145,3 +149,21 @@ def test_only_the_owner_can_read_the_key(flying):
 def test_the_page_is_reached_from_this_machine_only(flying):
     listening = [one for one in flying.page_process().net_connections() if one.status == "LISTEN"]
     assert {one.laddr.ip for one in listening} == {"127.0.0.1"}
+
+
+def test_who_was_let_in_is_heard_by_a_page_that_was_held_up_while_strangers_came(flying, cookie):
+    process = flying.page_process()
+    with ExitStack() as open_ones:
+        connect = lambda: open_ones.enter_context(  # noqa: E731
+            socket.create_connection(("127.0.0.1", flying.port), 60)
+        )
+        process.suspend()
+        try:
+            asking = connect()
+            head = f"GET /now HTTP/1.1\r\nHost: 127.0.0.1:{flying.port}\r\nCookie: {cookie}\r\n\r\n"
+            asking.sendall(head.encode())
+            for _ in range(CONNECTIONS_MOST + 30):
+                connect()
+        finally:
+            process.resume()
+        assert asking.recv(12) == b"HTTP/1.1 200"
