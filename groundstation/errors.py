@@ -37,3 +37,12 @@ class TakenError(GroundStationError):
 
 class NotAuthorisedError(GroundStationError):
     """A client asked for what only the holder of a token may do."""
+
+
+DISTRIBUTION = "crazyflie-groundstation"
+"""What the package index and pip call this program; it is imported as ``groundstation``."""
+
+
+def install(extra: str) -> str:
+    """The command that adds an extra of pyproject.toml, however this program was installed."""
+    return f"pip install '{DISTRIBUTION}[{extra}]'"

@@ -144,7 +144,7 @@ FAULTS = (
     Fault(
         "effects-run-unasked",
         "a model from a stranger runs its program",
-        "groundstation/trust.py",
+        "groundstation/dynamics/trust.py",
         'if os.environ.get(CONSENT, "") not in (ALL, digest):',
         "if False:",
         ("tests/attack/test_own_effects.py::test_consent_is_asked_once_for_each_content",),

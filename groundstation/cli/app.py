@@ -59,7 +59,7 @@ def _options(
     ),
 ) -> None:
     if trust_effects:
-        from groundstation.trust import consent
+        from groundstation.dynamics.trust import consent
 
         consent()
 

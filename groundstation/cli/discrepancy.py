@@ -124,8 +124,8 @@ def discrepancy(
 
 
 def _own(path: Path | None) -> list[Variant]:
+    from groundstation.dynamics.trust import consent
     from groundstation.identification.likelihood.parameters import own_effects
-    from groundstation.trust import consent
 
     if path is None:
         return []

@@ -22,7 +22,7 @@ from groundstation.dynamics.rotations import euler_rates
 from groundstation.errors import BadInputError
 from groundstation.identification.recordings import without_gaps
 from groundstation.identification.runs import Run
-from groundstation.spans import spans
+from groundstation.telemetry.masks import spans
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

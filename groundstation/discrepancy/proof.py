@@ -14,7 +14,7 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.findings import Findings, Predicted
 from groundstation.dynamics.model import Disturbance, Model
-from groundstation.gaps import filled
+from groundstation.telemetry.masks import filled
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@
 
 A user's file (``--effects FILE``, or a model's ``source``) defines any number at its top level.
 Whoever flies a model with a source runs that file, as with any Python program: only one that is
-known, or consented to (``groundstation.trust``).
+known, or consented to (``groundstation.dynamics.trust``).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any, get_args
 
 from groundstation.dynamics.effect import Effect, Stage
 from groundstation.dynamics.registry import COMPILED, EFFECTS
+from groundstation.dynamics.trust import trusted_source
 from groundstation.errors import BadInputError
-from groundstation.trust import trusted_source
 
 
 @cache

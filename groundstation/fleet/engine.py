@@ -19,8 +19,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from groundstation.allocator import KEPT_BYTES
-from groundstation.errors import BadInputError, GroundStationError
-from groundstation.extras import install
+from groundstation.errors import BadInputError, GroundStationError, install
 
 if TYPE_CHECKING:
     from distributed import Client, Future

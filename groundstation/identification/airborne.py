@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from groundstation.identification.runs import Run
 from groundstation.prediction.drive import TURNING
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of, struck
-from groundstation.spans import spans
+from groundstation.telemetry.masks import spans
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.gaps import filled
 from groundstation.identification.runs import (
     CHANNELS,
     FASTEST_HZ,
@@ -26,6 +25,7 @@ from groundstation.identification.runs import (
     uninterrupted,
     with_possible_duty,
 )
+from groundstation.telemetry.masks import filled
 from groundstation.telemetry.renewal import HELD, SETTINGS_HZ, renewals, slower_than_rows
 from groundstation.telemetry.row_clock import on_even_grid
 from groundstation.telemetry.samples import SampleBatch

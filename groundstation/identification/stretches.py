@@ -15,7 +15,7 @@ from groundstation.identification.airborne import airborne
 from groundstation.identification.runs import Run, require_known
 from groundstation.identification.segments import EVERYTHING, Selection, selected
 from groundstation.identification.torque import RotorSquares, measured_squares, rotor_squares
-from groundstation.spans import spans
+from groundstation.telemetry.masks import spans
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
-from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import LinkEndedError, LinkError, LinkLostError
+from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.command import CommandLink
 from groundstation.links.event import EventSink, LinkEvent
 from groundstation.telemetry.decoder import DecoderCounts

@@ -13,8 +13,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError, LinkError
+from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.event import EventSink, LinkEvent
 from groundstation.links.supervisor import Supervisor
 

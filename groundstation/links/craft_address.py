@@ -9,8 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from urllib.parse import urlsplit
 
-from groundstation.errors import BadInputError
-from groundstation.extras import install
+from groundstation.errors import BadInputError, install
 
 ADDRESSES = (
     "udp://HOST:PORT, usb://0 or radio://0/80/2M/E7E7E7E7E7 (dongle or its serial number, channel 0"

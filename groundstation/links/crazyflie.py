@@ -11,9 +11,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError
 from groundstation.links.cflib_calls import newest_only, resolve
+from groundstation.links.clock import HostClock
 from groundstation.links.command import LIFE_S, CommandLink, CommandState
 from groundstation.links.crazyflie_connection import Connection
 from groundstation.links.event import LinkEvent

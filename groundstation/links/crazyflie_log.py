@@ -11,9 +11,9 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkLostError
 from groundstation.links.base import Link, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.links.crazyflie import CrazyflieLink
 from groundstation.links.crazyflie_connection import Connection, Identity
 from groundstation.links.log_plan import LogPlan, plan_log

@@ -5,9 +5,9 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError
 from groundstation.links.base import Link, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.links.command import CommandLink
 from groundstation.links.craft_address import udp_address
 from groundstation.links.names import module_of, split_name

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.background import in_background
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkEndedError
 from groundstation.links.base import Link, LinkBatch, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.recording.file_window import FileWindow
 from groundstation.recording.open_recording import open_recording
 from groundstation.telemetry.samples import RawBatch, SampleBatch

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from groundstation.background import in_background, left_running
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, GroundStationError, LinkError, LinkLostError
 from groundstation.links.base import Link, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.telemetry.framing import FRAME_BYTES, Deframer, port_and_baud
 from groundstation.telemetry.samples import RawBatch
 

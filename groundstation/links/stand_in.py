@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 
 from groundstation.background import in_background
-from groundstation.clock import HostClock
 from groundstation.compiling import announced
 from groundstation.documents import explained
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.links.craft_address import udp_address
 from groundstation.telemetry.samples import RawBatch
 

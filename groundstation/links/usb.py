@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, LinkError, LinkLostError
 from groundstation.links.base import Link, LinkOptions
+from groundstation.links.clock import HostClock
 from groundstation.links.usb_frames import FrameClock
 from groundstation.links.usb_ring import DEPTH, DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
 from groundstation.telemetry.bridge_usb import (

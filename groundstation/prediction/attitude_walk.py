@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import body_rates
-from groundstation.gaps import filled
+from groundstation.telemetry.masks import filled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -20,7 +20,7 @@ from groundstation.dynamics.sensors import sensors_of_model
 from groundstation.errors import BadInputError
 from groundstation.prediction.battery_rhythm import between_readings
 from groundstation.prediction.height import CLEAR_M, heights_of, lifting, rise_of
-from groundstation.spans import spans
+from groundstation.telemetry.masks import spans
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

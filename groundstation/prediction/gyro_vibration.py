@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.gaps import filled
+from groundstation.telemetry.masks import filled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

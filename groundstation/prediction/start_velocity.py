@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.dynamics.rotations import rotation_matrix
-from groundstation.gaps import filled
+from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, RecordingError
-from groundstation.extras import install
+from groundstation.errors import BadInputError, RecordingError, install
 from groundstation.recording.mcap_reader import ForeignMcapError, read_mcap
 from groundstation.recording.mcap_scan import looks_like_mcap
 from groundstation.recording.series_map import Series, read_mapped_series

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.errors import BadInputError, RecordingError
-from groundstation.extras import install
+from groundstation.errors import BadInputError, RecordingError, install
 from groundstation.recording.series_map import Series, read_mapped_series
 from groundstation.recording.session import Recording
 

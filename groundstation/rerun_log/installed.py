@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
-from groundstation.errors import BadInputError
-from groundstation.extras import install
+from groundstation.errors import BadInputError, install
 
 
 def require_rerun(what: str) -> None:

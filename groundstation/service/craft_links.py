@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 
 from groundstation.background import in_background
-from groundstation.clock import HostClock
 from groundstation.errors import BadInputError, TakenError
 from groundstation.links.base import Link
+from groundstation.links.clock import HostClock
 from groundstation.links.command import CommandLink
 from groundstation.links.craft_address import ways_of
 from groundstation.links.factory import make_command_link, make_link, serve_commands

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from operator import itemgetter
 
-from groundstation.clock import HostClock
+from groundstation.links.clock import HostClock
 from groundstation.links.event import LinkEvent
 from groundstation.service.twin import BEGAN
 from groundstation.text import printable

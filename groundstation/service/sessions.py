@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from groundstation.clock import HostClock, steady_clock
 from groundstation.errors import BadInputError
+from groundstation.links.clock import HostClock, steady_clock
 from groundstation.links.event import LinkEvent
 from groundstation.paths import dated
 from groundstation.recording.mcap_writer import McapRecorder, RecorderStatus

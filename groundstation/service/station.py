@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from groundstation.clock import steady_clock
 from groundstation.links.base import Link
+from groundstation.links.clock import steady_clock
 from groundstation.links.event import LinkEvent
 from groundstation.service.commander import Commander
 from groundstation.service.config import (

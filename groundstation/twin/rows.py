@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInputError
-from groundstation.gaps import filled
 from groundstation.identification.recordings import LONGEST_GAP_S
 from groundstation.identification.runs import FASTEST_HZ, both_settings
 from groundstation.identification.supply_answer import SupplyAnswer, at_the_rows_voltage
+from groundstation.telemetry.masks import filled
 from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 from groundstation.telemetry.samples import SampleBatch
 

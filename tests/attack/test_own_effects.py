@@ -8,10 +8,10 @@ import pytest
 from groundstation.dynamics.craft import craft_of_model
 from groundstation.dynamics.model import THESIS, load_model
 from groundstation.dynamics.own_effects import load_effects
+from groundstation.dynamics.trust import CONSENT, consent
 from groundstation.errors import BadInputError
 from groundstation.service.config import Config, TwinConfig
 from groundstation.service.station import Station
-from groundstation.trust import CONSENT, consent
 from support.daemons import groundstation, require_failure
 
 PROGRAM = """

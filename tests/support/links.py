@@ -9,9 +9,9 @@ import itertools
 import numpy as np
 import pytest
 
-from groundstation.clock import steady_clock
 from groundstation.errors import BadInputError, LinkEndedError, LinkError
 from groundstation.links.base import LinkState
+from groundstation.links.clock import steady_clock
 from groundstation.telemetry.decoder import Decoder
 from groundstation.telemetry.samples import COLUMNS, RawBatch, SampleBatch, empty_samples
 from support.waiting import PATIENCE_S
