@@ -355,7 +355,7 @@ def _reason(candidate: Candidate, findings: Findings) -> str:
     """Why it was refused. What alone explains much may only have looked like what was found."""
     why = candidate.refused
     if why is None:
-        return ""
+        return "" if candidate.accepted else "another form of it is named"
     taken = ", ".join(effect.name for effect in findings.effects[:2])
     more = " and others" if len(findings.effects) > 2 else ""
     shared = why.reason is Reason.WEAK and candidate.score > WORTH and taken

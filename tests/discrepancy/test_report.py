@@ -134,11 +134,13 @@ def test_what_only_looked_like_the_effect_that_was_found_is_told_so(found, prove
     weak = Refusal(Reason.WEAK, "no significant improvement")
     alike = Candidate("yaw_damping", {}, 4000.0, 60.0, 0.0, False, weak)
     faint = replace(alike, name="dead_time", score=3.0)
-    one = replace(found, candidates=(*found.candidates, faint, alike))
+    other = replace(alike, name=f"{NAME}.2", refused=None)
+    one = replace(found, candidates=(*found.candidates, faint, alike, other))
     written = report(one, proven).candidates
     said = {c.name: c.reason for c in written}
     assert said["yaw_damping"] == f"nothing is left for it beside {NAME}"
     assert said["dead_time"] == weak.words
+    assert said[other.name] == "another form of it is named"
     assert {c.name: c.refused_by for c in written}["yaw_damping"] == "weak"
     notes = [
         text.get_text() for text in evidence_bars(report(one, proven).candidates).axes[0].texts
