@@ -7,7 +7,7 @@ GROUNDSTATION_LOCAL_DATA ?= local-data
 # Byte code is kept: without it every worker reads and rewrites all test files anew, 7 s each.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint mutants docs \
+.PHONY: help run demo test test-all test-long test-durations test-usb check-local lint docs \
 	wheel bench bench-real bench-discrepancy soak clean
 
 help: ## this list
@@ -61,9 +61,6 @@ lint: $(VENV)/.ready-dev ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-
-mutants: $(VENV)/.ready-dev $(VENV)/.compiled ## faults put in one at a time: a test must notice each
-	$(BIN)/python -m bench.mutants $(ARGS)
 
 docs: $(VENV)/.ready-dev ## the documentation as a site, which the page serves under Help
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -1,1 +1,0 @@
-"""Faults that the short suite must notice, put in one at a time: ``make mutants``."""
