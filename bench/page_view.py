@@ -61,8 +61,9 @@ pen.fillText = function (what, ...where) {
 """
 
 
-def rows() -> Iterator[Row]:
-    """Medians over the windows."""
+@contextlib.contextmanager
+def in_chromium() -> Iterator[Any]:
+    """A page of headless Chromium."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -70,22 +71,27 @@ def rows() -> Iterator[Row]:
             executable_path=shutil.which("chromium"),
             args=["--no-sandbox"] if os.getuid() == 0 else [],
         )
-        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        page.add_init_script(_COUNT)
-        port = f"page.port={free_port('127.0.0.1')}"
-        with (
-            tempfile.TemporaryDirectory(prefix="bench-") as name,
-            run_daemon(Path(name), "--page", "--set", port) as control,
-        ):
-            page.goto(page_address(control))
-            waited_s = _until_moving(page) - _received_s(control)
-            yield Row("'receiving' to the first moving craft", waited_s, None, "s", most=3.0)
-            page.goto(page.url)
-            opened_s = page.evaluate("performance.timeOrigin") / 1e3
-            waited_s = _until_moving(page) - opened_s
-            yield Row("the page opened to the first moving craft", waited_s, None, "s", most=3.0)
-            yield from _costs(page)
+        yield browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         browser.close()
+
+
+def rows() -> Iterator[Row]:
+    """Medians over the windows."""
+    port = f"page.port={free_port('127.0.0.1')}"
+    with (
+        in_chromium() as page,
+        tempfile.TemporaryDirectory(prefix="bench-") as name,
+        run_daemon(Path(name), "--page", "--set", port) as control,
+    ):
+        page.add_init_script(_COUNT)
+        page.goto(page_address(control))
+        waited_s = _until_moving(page) - _received_s(control)
+        yield Row("'receiving' to the first moving craft", waited_s, None, "s", most=3.0)
+        page.goto(page.url)
+        opened_s = page.evaluate("performance.timeOrigin") / 1e3
+        waited_s = _until_moving(page) - opened_s
+        yield Row("the page opened to the first moving craft", waited_s, None, "s", most=3.0)
+        yield from _costs(page)
 
 
 def _costs(page: Any) -> Iterator[Row]:

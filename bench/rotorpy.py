@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.real.program import find, run_command
+from bench.command import run_command
+from bench.real.program import find
 
 Array = NDArray[np.float64]
 
@@ -65,9 +66,9 @@ def base_model(folder: Path) -> str:
     if not model.is_file():
         vehicle.write_text(_profile())
         flights = [str(flown("rigid body", seed, folder)) for seed in (1, 2)]
-        said, _ = run_command("fit", "body", *flights, f"--vehicle={vehicle}", "-o", str(model))
-        if said:
-            raise SystemExit(said)
+        ended = run_command("fit", "body", *flights, f"--vehicle={vehicle}", "-o", model)
+        if ended.said:
+            raise SystemExit(ended.said)
     return str(model)
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from groundstation.telemetry.packet import SAMPLE_PERIOD_S
 
 PATIENCE_S = 120.0
 LOOK_S = 0.5
+ROTATE_MB = 64.0
 WARM_UP = 0.1
 """Share of the run after which memory may grow no more."""
 
@@ -48,16 +48,6 @@ class Found:
     problems: list[str] = field(default_factory=list)
     last: tuple[int, int] | None = None
     """Segment and ticks of the newest sample so far."""
-
-
-@dataclass
-class Usage:
-    """The daemon's memory (MB), descriptors and threads, one row per look after the warm-up."""
-
-    rows: list[tuple[float, int, int]] = field(default_factory=list)
-
-    def add(self, health: dict[str, Any]) -> None:
-        self.rows.append((health["memory_mb"], health["descriptors"], health["threads"]))
 
 
 def verify(path: Path, found: Found) -> None:
@@ -84,17 +74,16 @@ def verify(path: Path, found: Found) -> None:
     found.last = int(segment[-1]), int(ticks[-1])
 
 
-def soak(hours: float, folder: Path, *, viewer: bool, rotate_mb: float) -> dict[str, Any]:
+def soak(hours: float, folder: Path) -> dict[str, Any]:
     """Run the daemon for so many hours of telemetry; the figures."""
-    socket = folder / "control.sock"
-    sessions = folder / "sessions"
+    socket, sessions = folder / "control.sock", folder / "sessions"
     command = [str(Path(sys.executable).with_name("groundstation")), "run", "--speed", "max",
-               "--recordings", str(sessions), "--viewer", "serve" if viewer else "off",
-               "--set", f"recording.rotate_mb={rotate_mb}",
+               "--recordings", str(sessions), "--viewer", "serve",
+               "--set", f"recording.rotate_mb={ROTATE_MB}",
                "--set", "recording.rotate_minutes=0"]  # fmt: skip
     environment = {**os.environ, "GROUNDSTATION_SOCKET": str(socket)}
     wanted = round(hours * 3600 / SAMPLE_PERIOD_S)
-    found, usage = Found(), Usage()
+    found, memory_mb = Found(), []
     with (folder / "log").open("wb") as log:
         daemon = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
     try:
@@ -102,12 +91,10 @@ def soak(hours: float, folder: Path, *, viewer: bool, rotate_mb: float) -> dict[
         while (status["statistics"] or {}).get("samples", 0) < wanted:
             _take(sessions, status, found)
             if status["statistics"] and status["statistics"]["samples"] > WARM_UP * wanted:
-                usage.add(status["health"])
-            _progress(status, wanted, time.monotonic() - began_s)
+                memory_mb.append(status["health"]["memory_mb"])
             time.sleep(LOOK_S)
             status = ask(socket, "GET", "/status")
         lasted_s = time.monotonic() - began_s
-        cpu_s = status["health"]["cpu_s"]
         daemon.send_signal(signal.SIGINT)
         code = daemon.wait(PATIENCE_S)
     finally:
@@ -116,35 +103,26 @@ def soak(hours: float, folder: Path, *, viewer: bool, rotate_mb: float) -> dict[
             daemon.wait()
     last = [line for line in (folder / "log").read_text().splitlines() if line.startswith("recei")]
     words = last[0].split()
-    arrived_samples, arrived_packets = int(words[1]), int(words[5])
     for entry in catalogue(sessions):
         verify(sessions / entry.file, found)
     if code:
         found.problems.append(f"exit status {code}")
-    memory, descriptors, threads = (np.array(column) for column in zip(*usage.rows, strict=True))
-    tenth = max(1, len(memory) // 10)
+    tenth = max(1, len(memory_mb) // 10)
     return {
-        "telemetry_h": arrived_samples * SAMPLE_PERIOD_S / 3600,
         "took_s": lasted_s,
-        "times_real_time": arrived_samples * SAMPLE_PERIOD_S / lasted_s,
-        "daemon_cpu_s": cpu_s,
-        "packets_arrived": arrived_packets,
+        "times_real_time": int(words[1]) * SAMPLE_PERIOD_S / lasted_s,
+        "packets_arrived": int(words[5]),
         "packets_recorded": found.packets,
-        "samples_arrived": arrived_samples,
+        "samples_arrived": int(words[1]),
         "samples_recorded": found.samples,
         "gaps_in_device_time_s": found.gaps_s,
         "samples_reported_lost": status["statistics"]["lost"],
         "device_restarts": found.segments,
         "files": found.files,
         "gigabytes": found.bytes / 1e9,
-        "memory_mb_after_warm_up": float(np.median(memory[:tenth])),
-        "memory_mb_at_end": float(np.median(memory[-tenth:])),
-        "memory_mb_most": float(memory.max()),
-        "descriptors": [int(descriptors.min()), int(descriptors.max())],
-        "threads": [int(threads.min()), int(threads.max())],
-        "viewer": status["viewer"] | {"urls": []},
+        "memory_mb_after_warm_up": float(np.median(memory_mb[:tenth])),
+        "memory_mb_at_end": float(np.median(memory_mb[-tenth:])),
         "recorder_dropped": status["recording"]["dropped"],
-        "faults": status["faults"],
         "problems": found.problems,
     }
 
@@ -181,32 +159,13 @@ def _take(sessions: Path, status: dict[str, Any], found: Found) -> None:
         (sessions / entry.file).unlink()
 
 
-def _progress(status: dict[str, Any], wanted: int, elapsed_s: float) -> None:
-    samples = (status["statistics"] or {}).get("samples", 0)
-    speed = samples * SAMPLE_PERIOD_S / max(elapsed_s, 1e-9)
-    print(
-        f"\r{100 * samples / wanted:5.1f} %  {speed:6.1f} x real time  "
-        f"{status['health']['memory_mb']:.0f} MB  ",
-        end="", file=sys.stderr, flush=True,
-    )  # fmt: skip
-
-
 def main() -> None:
     """Run and print the figures as JSON; exit status 1 where something is missing."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, default=24.0, help="hours of telemetry")
-    parser.add_argument("--folder", type=Path, help="where to work (default: a temporary folder)")
-    parser.add_argument("--rotate-mb", type=float, default=64.0)
-    parser.add_argument("--no-viewer", action="store_true")
-    options = parser.parse_args()
-    folder = Path(tempfile.mkdtemp(prefix="soak-", dir=options.folder))
-    try:
-        figures = soak(
-            options.hours, folder, viewer=not options.no_viewer, rotate_mb=options.rotate_mb
-        )
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-    print(file=sys.stderr)
+    hours = parser.parse_args().hours
+    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
+        figures = soak(hours, Path(folder))
     print(json.dumps(figures, indent=2))
     sys.exit(not passed(figures))
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import resource
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.command import run_command
 from bench.real.sets import FlightSet, Split
 
 CONSTANTS = ("c0", "c1", "c2", "thrust_per_mass")
@@ -26,11 +24,11 @@ def fitted(data: Path, flights: FlightSet, split: Split, folder: Path) -> dict[s
     options = [f"--vehicle={flights.vehicle}"]
     seconds = 0.0
     if flights.measured:
-        said, seconds = run_command("fit", "motor", *recordings, *options, "-o", str(motor))
+        said, seconds, _ = run_command("fit", "motor", *recordings, *options, "-o", motor)
         if said:
             return {"refused": said, "seconds": seconds}
         options += [f"--model={motor}", "--measured-rotors"]
-    said, more = run_command("fit", "body", *recordings, *validate, *options, "-o", str(model))
+    said, more, _ = run_command("fit", "body", *recordings, *validate, *options, "-o", model)
     if said:
         return {"refused": said, "seconds": seconds + more}
     read = json.loads(model.read_text())
@@ -68,7 +66,7 @@ def find(
         path.unlink(missing_ok=True)
     held = [f"--validate={path}" for path in validate]
     options = [f"--model={model}", f"--json={report}", "-o", str(improved)]
-    said, seconds = run_command("discrepancy", *map(str, recordings), *held, *options)
+    said, seconds, _ = run_command("discrepancy", *recordings, *held, *options)
     if not report.is_file():
         return {"refused": said or "no report", "seconds": seconds}
     read = json.loads(report.read_text())
@@ -82,16 +80,3 @@ def find(
         "base_changes": read.get("base_changes", []),
         "where": read["where"][:3],
     }
-
-
-def run_command(*arguments: str) -> tuple[str, float]:
-    """What a command complained of ("" when it ended well), and its processor time in s."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    code = "from groundstation.cli.main import main; main()"
-    ended = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    lines = ended.stderr.strip().splitlines() or ["no reason given"]
-    return lines[-1].removeprefix("groundstation: ") if ended.returncode else "", spent

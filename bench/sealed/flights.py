@@ -9,8 +9,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.command import run_command
 from bench.sealed.bound import significances
 from bench.sealed.cases import PLAIN, Case
 from bench.sealed.hidden import planted
@@ -33,7 +32,6 @@ from groundstation.recording.recording_file import RecordingFile, session_metada
 from groundstation.telemetry.decoder import decode_all
 from groundstation.telemetry.samples import RawBatch, SampleBatch
 
-COMMAND = Path(sys.executable).with_name("groundstation")
 PROGRAMME = str(Path(__file__).with_name("programme.toml"))
 VEHICLE = "vehicle.toml"
 FLIGHT_S, BENCH_S = 60.0, 64.0
@@ -234,15 +232,10 @@ def constants_alone(motor: Path) -> None:
     motor.write_text(json.dumps({**fields, "effects": []}))
 
 
-def command(*arguments: object) -> str:
-    """Run the installed command; what it printed. Raises RuntimeError where it fails."""
-    done = subprocess.run(
-        [COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=600
-    )
-    if done.returncode != 0:
-        last = done.stderr.strip().splitlines()[-1:]
-        raise RuntimeError(f"groundstation {arguments[0]} {arguments[1]}: {last}")
-    return done.stdout
+def command(*arguments: object) -> None:
+    """Run the installed command. Raises RuntimeError where it fails."""
+    if said := run_command(*arguments).said:
+        raise RuntimeError(f"groundstation {arguments[0]} {arguments[1]}: {said}")
 
 
 def vehicle_of(folder: Path) -> str:

@@ -2,71 +2,22 @@
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import json
 import shutil
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.command import run_command
 from bench.results import append, judged, read_results
 from bench.sealed.cases import Case, named
-from bench.sealed.flights import (
-    Generator,
-    Sealed,
-    vehicle_of,
-)
+from bench.sealed.flights import Generator, Sealed, vehicle_of
 from bench.sealed.judge import judge
 from groundstation.fleet.engine import carried_out
-
-PATIENCE_S = 600.0
-
-
-class Search:
-    """A process that searches, restarted where it hangs or dies. Not for two threads at once."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
-
-    def __call__(self, folder: Path) -> dict[str, Any]:
-        """``discrepancy`` on a case's folder: seconds, error, peak_mb."""
-        arguments = search_arguments(folder)
-        if self._process is None:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "bench.sealed.worker"],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-            )  # fmt: skip
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        clock = threading.Timer(PATIENCE_S, process.kill)
-        clock.start()
-        try:
-            process.stdin.write(json.dumps(arguments) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-        except BrokenPipeError:
-            line = ""
-        finally:
-            clock.cancel()
-        if line:
-            answer: dict[str, Any] = json.loads(line)
-            return answer
-        process.communicate()
-        self._process = None
-        return {"error": f"died ({process.returncode})"}
-
-    def close(self) -> None:
-        if self._process is not None:
-            self._process.communicate()  # ends its input, waits, closes both pipes
-            self._process = None
 
 
 def search_arguments(folder: Path) -> list[str]:
@@ -113,23 +64,14 @@ def run(
 
 def carried(case: Case, results: Path, keep: bool) -> Carried:
     """One case, for a worker."""
-    search = _search(threading.get_ident())
     with tempfile.TemporaryDirectory(prefix="case-", dir=results) as parent:
         folder = Path(parent) / "case"
-        came = _judged(case, results, search, folder)
+        came = _judged(case, results, folder)
         if keep and folder.exists() and not came.line["right"]:
             kept = results / "wrong" / case.name.replace(":", "-")
             shutil.rmtree(kept, ignore_errors=True)
             shutil.copytree(folder, kept)
     return came
-
-
-@cache
-def _search(thread: int) -> Search:
-    """This thread's: ``dask worker`` begins as many of them as there are cores."""
-    search = Search()
-    atexit.register(search.close)
-    return search
 
 
 def judged_again(results: Path) -> list[dict[str, Any]]:
@@ -150,7 +92,7 @@ def _opened(results: Path, case: Case) -> Path:
     return results / "opened" / f"{case.name.replace(':', '-')}.json"
 
 
-def _judged(case: Case, results: Path, search: Search, folder: Path) -> Carried:
+def _judged(case: Case, results: Path, folder: Path) -> Carried:
     sealed: Sealed | None = None
     generator = Generator(results / "families")
     try:
@@ -158,15 +100,15 @@ def _judged(case: Case, results: Path, search: Search, folder: Path) -> Carried:
             fcntl.flock(lock, fcntl.LOCK_EX)
             generator.family(case)
         sealed = generator.make(case, folder)
-        answer = search(folder)
-        if answer["error"]:
-            raise RuntimeError(answer["error"])
+        ended = run_command(*search_arguments(folder))
+        if ended.said:
+            raise RuntimeError(ended.said)
     except RuntimeError as error:
         return Carried(_failed(case, str(error), sealed), None)
     said = json.loads((folder / "report.json").read_text())
     opened = json.dumps([asdict(sealed), said])
     line = judge(case, sealed, said)
-    line |= {key: answer[key] for key in ("seconds", "processor_s", "peak_mb")}
+    line |= {"processor_s": round(ended.seconds, 3), "peak_mb": ended.peak_mb}
     return Carried(line, opened)
 
 

@@ -56,13 +56,13 @@ def test_an_unknown_part_is_a_usage_error_that_names_the_known_ones():
 
 def test_a_limit_that_is_missed_is_named_at_the_end_which_is_then_a_failure(monkeypatch, capsys):
     rows = [Row("kept", 1.0, 2.0, "s", most=3.0), Row("missed", 9.0, None, "s", most=3.0)]
-    monkeypatch.setattr("bench.serial_link.rows", lambda: iter(rows))
-    monkeypatch.setattr(sys, "argv", ["bench", "--json", "serial_link"])
+    monkeypatch.setattr("bench.daemon.rows", lambda: iter(rows))
+    monkeypatch.setattr(sys, "argv", ["bench", "--json", "daemon"])
     assert bench.main() == 1
     said = capsys.readouterr()
     assert "limit missed: missed" in said.err
     first, second = json.loads(said.out)
-    assert (first["part"], first["ratio"], first["met"]) == ("serial_link", 0.5, True)
+    assert (first["part"], first["ratio"], first["met"]) == ("daemon", 0.5, True)
     assert (second["reference"], second["ratio"], second["met"]) == (None, None, False)
     rows.pop()
     assert bench.main() == 0

@@ -1,7 +1,6 @@
 """Hidden effects, found by the installed command in a process that sees recordings and a model.
 
-A stable slice of the matrix that ``make bench-discrepancy`` runs. The process stays warm from case
-to case; one of its own for each call: ``test_commands.py``.
+A stable slice of the matrix that ``make bench-discrepancy`` runs.
 """
 
 from __future__ import annotations
@@ -10,11 +9,11 @@ import json
 
 import pytest
 
+from bench.command import run_command
 from bench.sealed.cases import named
 from bench.sealed.flights import Generator
 from bench.sealed.judge import judge
-from bench.sealed.run import Search
-from bench.sealed.worker import command, main
+from bench.sealed.run import search_arguments
 
 HIDDEN = "single:motor_braking_asymmetry:0:affected"
 
@@ -22,14 +21,6 @@ HIDDEN = "single:motor_braking_asymmetry:0:affected"
 @pytest.fixture(scope="module")
 def generator(tmp_path_factory):
     return Generator(tmp_path_factory.mktemp("families"))
-
-
-@pytest.fixture(scope="module")
-def search():
-    """The installed command in a process that stays warm from case to case."""
-    process = Search()
-    yield process
-    process.close()
 
 
 def made(generator, name, folder):
@@ -51,9 +42,9 @@ def opened(name, sealed, folder):
 
 
 @pytest.mark.timeout(1200)
-def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(generator, search, tmp_path):
+def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(generator, tmp_path):
     sealed = made(generator, HIDDEN, tmp_path / "seen")
-    assert search(tmp_path / "seen")["error"] == ""
+    assert run_command(*search_arguments(tmp_path / "seen")).said == ""
     line, report = opened(HIDDEN, sealed, tmp_path / "seen")
     assert line["counted"]
     assert sorted(line["found"]) == sorted(named(HIDDEN).names)
@@ -66,12 +57,7 @@ def test_what_is_hidden_is_named_and_nothing_else_and_the_gap_closes(generator, 
         assert one["value"] == pytest.approx(one["truth"], abs=4.0 * one["stderr"])
 
 
-def test_the_worker_answers_a_refusal_in_one_line(tmp_path, monkeypatch, capsys):
-    import io
-
-    missing = ["discrepancy", str(tmp_path / "absent.mcap"), "--model", "thesis"]
-    monkeypatch.setattr("sys.stdin", io.StringIO(json.dumps(missing) + "\n"))
-    main(command)
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["error"].startswith("refused: ")
-    assert "absent.mcap" in answer["error"]
+def test_a_refusal_is_what_the_command_complained_of(tmp_path):
+    ended = run_command("discrepancy", tmp_path / "absent.mcap", "--model", "thesis")
+    assert "absent.mcap" in ended.said
+    assert ended.seconds > 0.0

@@ -70,7 +70,7 @@ ELSEWHERE = {
     "groundstation fleet index": ("a fleet is flown once", FLEET, '"index"'),
     "groundstation fleet fit": ("a fleet is flown once", FLEET, '"fit"'),
     "groundstation fleet report": ("a fleet is flown once", FLEET, '"report"'),
-    "python -m bench.fleet.make": ("a fleet is flown once", FLEET, "make.__file__"),
+    "python -m bench.fleet_flights": ("a fleet is flown once", FLEET, "fleet_flights.__file__"),
     "sudo udevadm control --reload": ("changes the machine", "tests/links/test_usb_rule.py", ""),
     "ssh ": ("another machine", "tests/viewer/test_viewer.py", "serve"),
 }

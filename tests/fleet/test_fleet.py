@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from typer.testing import CliRunner
 
-from bench.fleet import make
+from bench import fleet_flights
 from groundstation.cli.app import app
 from groundstation.dynamics.model import Model
 from groundstation.dynamics.vehicle import BUILT_IN
@@ -57,7 +57,7 @@ def fits(catalogue):
 def flown(tmp_path_factory):
     """A folder with ``flights`` of four crafts, two of which change, and ``truth.json``."""
     folder = tmp_path_factory.mktemp("fleet")
-    command = [sys.executable, make.__file__, "--crafts", CRAFTS, "--flights", FLIGHTS]
+    command = [sys.executable, fleet_flights.__file__, "--crafts", CRAFTS, "--flights", FLIGHTS]
     command += ["--for", 16, "--seed", 0, "--wear", 2, "-o", "flights", "--truth", "truth.json"]
     done = run_program([str(one) for one in command], cwd=folder, timeout=PATIENCE_S)
     assert done.returncode == 0, done
@@ -178,7 +178,7 @@ def test_a_report_of_what_is_not_fitted_says_what_to_do(flown, tmp_path):
 def test_the_truth_never_lies_among_the_recordings_and_nothing_is_overwritten(flown):
     command = [
         sys.executable,
-        make.__file__,
+        fleet_flights.__file__,
         "-o",
         "others",
         "--truth",

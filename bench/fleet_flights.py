@@ -1,4 +1,4 @@
-"""``python -m bench.fleet.make``: flights of many crafts, some of which wear, age or crash.
+"""``python -m bench.fleet_flights``: flights of many crafts, some of which wear, age or crash.
 
 Crafts are drawn from a population; what becomes of one is written to a file apart, never into a
 recording. Flights are in folders by craft, named as the daemon names them.
@@ -26,9 +26,6 @@ from firmware_sim.settings import Sensor
 from groundstation.dynamics.vehicle import Vehicle, load_vehicle
 from groundstation.text import printable
 
-EXAMPLE = """example:
-  python -m bench.fleet.make --crafts 4 --flights 12 --for 30 -o flights --truth sealed.json
-"""
 FIRST = datetime(2026, 1, 5, 9, tzinfo=UTC)
 BETWEEN = timedelta(hours=7)
 SPREAD = {"mass": 0.01, "inertia": 0.02, "thrust": 0.01, "drag": 0.02, "internal_ohm": 0.05}
@@ -64,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
                 json.dump([asdict(one) for one in fates], file, indent=1)
         _fly_all(options, crafts, fates)
     except (ValueError, OSError) as error:
-        print(f"bench.fleet.make: {printable(str(error))}", file=sys.stderr)
+        print(f"bench.fleet_flights: {printable(str(error))}", file=sys.stderr)
         return 1
     print(f"{options.output}: {options.flights} flights each of {options.crafts} crafts")
     return 0
@@ -72,10 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m bench.fleet.make",
+        prog="python -m bench.fleet_flights",
         description="Flights of many crafts, some of which wear, age or crash.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--crafts", type=int, default=20)
     parser.add_argument("--flights", type=int, default=50, help="of each craft")
