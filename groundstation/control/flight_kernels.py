@@ -73,7 +73,7 @@ def cascade_run(
             after = body_on(p, volts, y, work[0])
             follow(craft, before, after, period, z)
             before = after
-        reading = sense(p, before, z[0], z[1])
+        reading = sense(craft, before, z[0], z[1])
         felt = smoothed(felt, reading.accelerometer, period, smoothing)
         q = estimated(craft, (y[6], y[7], y[8], y[9]), z[0])
         now[0], now[1], now[2], now[3] = q

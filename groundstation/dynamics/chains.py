@@ -26,7 +26,7 @@ from groundstation.compiled import callback, called, inner, spliced
 from groundstation.dynamics import law as laws
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.law import STATE_SLOTS, VALUE_SLOTS, Body, Craft, Motor, Reading, Supply
-from groundstation.dynamics.registry import COMPILED, EFFECTS, at_stage
+from groundstation.dynamics.registry import EFFECTS, at_stage
 from groundstation.errors import BadInputError
 
 for function in (
@@ -150,10 +150,10 @@ def state_access(stage: str) -> Any:
 
 
 @cache
-def loader() -> Any:
-    """(craft record) -> e of every stage in ``COMPILED``, by value."""
+def loader(*stages: str) -> Any:
+    """(craft record) -> e of each of ``stages``, by value."""
     source = ["def load(c):", "    return ("]
-    for stage in COMPILED:
+    for stage in stages:
         source.append("        (")
         for effect in at_stage(stage):
             numbers = "".join(f"c.{effect.name}[{i + 1}], " for i in range(len(effect.parameters)))

@@ -21,7 +21,7 @@ supply_chain, motor_chain, rotor_chain, body_chain = (
 own_supply, own_motor, own_rotor, own_body = (
     own_chain(stage) for stage in ("supply", "motor", "rotor", "body")
 )
-load = loader()
+load = loader(*COMPILED)
 rotor_wrench = inner(law.rotor_wrench)
 read_states, write_states = state_access("body")
 NO_STATES = (0.0,) * max(LISTED_STATES["body"], 1)
@@ -51,9 +51,9 @@ class Physics(NamedTuple):
 
 
 @inner
-def physics(c: Any) -> Any:
-    """A ``CRAFT`` record as ``Physics``."""
-    craft = Craft(
+def craft_of(c: Any) -> Any:
+    """A ``CRAFT`` record's own numbers by value."""
+    return Craft(
         c.mass,
         c.gravity,
         (c.inertia[0], c.inertia[1], c.inertia[2]),
@@ -67,8 +67,36 @@ def physics(c: Any) -> Any:
         c.winding_ohm,
         (c.back_emf_mv[0], c.back_emf_mv[1], c.back_emf_mv[2], c.back_emf_mv[3]),
     )
+
+
+@inner
+def own_values(c: Any) -> Any:
+    """A ``CRAFT`` record's numbers of a user's own effects by value."""
+    return (
+        c.own_values[0],
+        c.own_values[1],
+        c.own_values[2],
+        c.own_values[3],
+        c.own_values[4],
+        c.own_values[5],
+        c.own_values[6],
+        c.own_values[7],
+        c.own_values[8],
+        c.own_values[9],
+        c.own_values[10],
+        c.own_values[11],
+        c.own_values[12],
+        c.own_values[13],
+        c.own_values[14],
+        c.own_values[15],
+    )
+
+
+@inner
+def physics(c: Any) -> Any:
+    """A ``CRAFT`` record as ``Physics``."""
     return Physics(
-        craft,
+        craft_of(c),
         load(c),
         c.acts_supply,
         c.acts_motor,
@@ -77,24 +105,7 @@ def physics(c: Any) -> Any:
         c.acts_sensor,
         c.acts_velocity,
         (c.own[0], c.own[1], c.own[2], c.own[3], c.own[4]),
-        (
-            c.own_values[0],
-            c.own_values[1],
-            c.own_values[2],
-            c.own_values[3],
-            c.own_values[4],
-            c.own_values[5],
-            c.own_values[6],
-            c.own_values[7],
-            c.own_values[8],
-            c.own_values[9],
-            c.own_values[10],
-            c.own_values[11],
-            c.own_values[12],
-            c.own_values[13],
-            c.own_values[14],
-            c.own_values[15],
-        ),
+        own_values(c),
     )
 
 

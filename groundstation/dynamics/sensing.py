@@ -9,33 +9,42 @@ import numpy as np
 
 from groundstation.compiled import called, inner, kernel, spliced
 from groundstation.dynamics import quaternion
-from groundstation.dynamics.chains import chain, own_chain, reckoned, state_access
+from groundstation.dynamics.chains import chain, loader, own_chain, reckoned, state_access
 from groundstation.dynamics.craft import LISTED_STATES, SENSOR_STATES, first_state
 from groundstation.dynamics.integrator import runge_kutta
 from groundstation.dynamics.law import FAR_M, Body, Reading, butterworth_behind
-from groundstation.dynamics.rigid_body import SENSOR, physics
+from groundstation.dynamics.rigid_body import ALL, LISTED, SENSOR, craft_of, own_values
 
 sensor_chain, own_sensor = chain("sensor"), own_chain("sensor")
 read_states, write_states = state_access("sensor")
+load = loader("sensor")
 OWN_SENSOR = LISTED_STATES["sensor"]
 GYRO_FILTER = first_state("gyro_filter")
-STEP = 0.25
-"""Longest step of the integrator over the fastest time constant of the sensors."""
+STEP = 0.5
+"""Longest step of the integrator over the fastest time constant of the sensors: what a filter has
+of a jump is off by 0.02 % of it at most."""
 SETTLE_S, SETTLE_STEP_S = 2.0, 0.002
 
 
 @spliced
-def sense(p: Any, body: Any, z: Any, dz: Any) -> Any:
-    """The ``Reading`` of a body, sensors' states z (``SENSOR_STATES``,); fills their slopes."""
+def sense(craft: Any, body: Any, z: Any, dz: Any) -> Any:
+    """The ``Reading`` of a body by a ``CRAFT`` record and sensors' states z (``SENSOR_STATES``,);
+    fills their slopes."""
     reading = Reading(body.rate, body.force, body.rotor)
-    if p.acts_sensor != 0:
-        before = read_states(z, 0)
-        reading, slopes = sensor_chain(p.effects[SENSOR], p.craft, body, reading, before)
-        write_states(dz, 0, slopes)
-        if p.own[SENSOR] != 0:
-            reading = own_sensor(
-                p.own[SENSOR], p.own_values, p.craft, body, reading, z, dz, OWN_SENSOR
-            )
+    if craft.acts_sensor != 0:
+        reading = _acted_on(craft, body, z, dz, ALL)
+    return reading
+
+
+@spliced
+def _acted_on(craft: Any, body: Any, z: Any, dz: Any, who: int) -> Any:
+    """The same where effects act. who: a constant, ``LISTED`` or ``ALL`` of them."""
+    c, before = craft_of(craft), Reading(body.rate, body.force, body.rotor)
+    reading, slopes = sensor_chain(load(craft)[0], c, body, before, read_states(z, 0))
+    write_states(dz, 0, slopes)
+    if who == ALL and craft.own[SENSOR] != 0:
+        own = craft.own[SENSOR]
+        reading = own_sensor(own, own_values(craft), c, body, reading, z, dz, OWN_SENSOR)
     return reading
 
 
@@ -63,14 +72,14 @@ def estimated(craft: Any, q: Any, z: Any) -> Any:
 
 
 @spliced
-def feel(craft: Any, p: Any, body: Any, force: Any, h: float, room: Any) -> None:
+def feel(craft: Any, body: Any, force: Any, h: float, room: Any) -> None:
     """Lean by the specific force that was measured over the row before a body, not by its own.
 
     room: (4, states); the first are the sensors' states, of which those change that turn reported
     angles.
     """
-    sense(p, body, room[0], room[1])
-    sense(p, reckoned(body, (body.angular, force)), room[0], room[2])
+    sense(craft, body, room[0], room[1])
+    sense(craft, reckoned(body, (body.angular, force)), room[0], room[2])
     for i in range(SENSOR_STATES):
         if craft.turns[i] >= 0:
             room[0, i] += h * (room[2, i] - room[1, i])
@@ -115,24 +124,38 @@ def between(one: Any, other: Any, span: float, share: float) -> Any:
     )
 
 
-@spliced
-def _slope(context: Any, half: int, z: Any, dz: Any) -> None:
-    p, one, other, span, first, step = context
-    sense(p, between(one, other, span, first + 0.5 * half * step), z, dz)
+def _follow(who: int, size: int) -> Any:
+    """Effects with states act: to ask of every slope whether they do doubles what it costs."""
+
+    @spliced
+    def slope(context: Any, half: int, z: Any, dz: Any) -> None:
+        craft, one, other, span, first, step = context
+        _acted_on(craft, between(one, other, span, first + 0.5 * half * step), z, dz, who)
+
+    step = runge_kutta(slope)
+
+    @called
+    def follow(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
+        z, dz, base, total = room[0], room[1], room[2], room[3]
+        parts = max(1, math.ceil(span * craft.fastest / STEP))
+        for part in range(parts):
+            context = (craft, one, other, span, part / parts, 1.0 / parts)
+            step(context, span / parts, size, z, dz, base, total)
+
+    return follow
 
 
-_step = runge_kutta(_slope)
+_follow_listed, _follow_all = _follow(LISTED, OWN_SENSOR), _follow(ALL, SENSOR_STATES)
 
 
-@called
+@inner
 def follow(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
-    """The sensors' states room[0] from a body to the next, ``span`` s later; room: (4, states)."""
-    p = physics(craft)
-    z, dz, base, total = room[0], room[1], room[2], room[3]
-    parts = max(1, math.ceil(span * craft.fastest / STEP))
-    for part in range(parts):
-        context = (p, one, other, span, part / parts, 1.0 / parts)
-        _step(context, span / parts, SENSOR_STATES, z, dz, base, total)
+    """The sensors' states room[0] from a body to the next, ``span`` s later; room: (4, states).
+    For crafts whose sensors have states."""
+    if craft.own[SENSOR] == 0:
+        _follow_listed(craft, one, other, span, room)
+    else:
+        _follow_all(craft, one, other, span, room)
 
 
 @spliced
@@ -150,23 +173,21 @@ def begin(craft: Any, body: Any, z: Any) -> None:
 @kernel
 def gyro_step(craft: Any, period: float, out: Any) -> None:
     """Fills what the roll gyro shows (k,) after a step of the rate by 1 rad/s."""
-    p = physics(craft)
     zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     begun = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, zero, still, still, 0.0, zero, zero)
     body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, (1.0, 0.0, 0.0), still, still, 0.0, zero, zero)
     room = np.zeros((4, SENSOR_STATES))
     begin(craft, begun, room[0])
-    bias = sense(p, begun, room[0], room[1]).gyro[0]
+    bias = sense(craft, begun, room[0], room[1]).gyro[0]
     for k in range(len(out)):
         follow(craft, body, body, period, room)
-        out[k] = sense(p, body, room[0], room[1]).gyro[0] - bias
+        out[k] = sense(craft, body, room[0], room[1]).gyro[0] - bias
 
 
 @kernel
 def settled_reading(craft: Any, rate: Any, force: Any, out: Any) -> None:
     """What gyro and accelerometer (6,) show of constant rates (3,) and specific force (3,) of a
     craft whose angular acceleration is zero, once their filters have settled."""
-    p = physics(craft)
     zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     turn, felt = (rate[0], rate[1], rate[2]), (force[0], force[1], force[2])
     body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, turn, still, still, 0.0, zero, felt)
@@ -175,6 +196,6 @@ def settled_reading(craft: Any, rate: Any, force: Any, out: Any) -> None:
     if craft.sensor_states > 0:
         for _ in range(int(SETTLE_S / SETTLE_STEP_S)):
             follow(craft, body, body, SETTLE_STEP_S, room)
-    reading = sense(p, body, room[0], room[1])
+    reading = sense(craft, body, room[0], room[1])
     for i in range(3):
         out[i], out[3 + i] = reading.gyro[i], reading.accelerometer[i]

@@ -168,7 +168,7 @@ def _advance(
         body = _body_at(craft, speed, row, 2, h, y, dy)
         if craft.sensor_states > 0:
             follow(craft, before, body, h, z)
-        reading = sense(p, body, z[0], z[1])
+        reading = sense(craft, body, z[0], z[1])
     return body, reading
 
 
@@ -384,7 +384,7 @@ def observe(
             if leans:
                 _lean(f, sensor, shown, felt, h, fresh[j], since)
             if craft.turning != 0 and known[1]:
-                feel(craft, p, body, force, h, z)
+                feel(craft, body, force, h, z)
             new = fresh[j] and not math.isnan(attitude[j, 0])
             if fresh[j]:
                 since = 0.0

@@ -4,10 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from groundstation.dynamics.craft import craft_of_vehicle
 from groundstation.dynamics.law import Supply
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.rotations import rotation_matrix
+from groundstation.dynamics.sensing import gyro_step
 from groundstation.dynamics.sensors import sensors_of_model
+from groundstation.dynamics.vehicle import load_vehicle
 from groundstation.errors import BadInputError
 from support.flights import BASE, affected
 
@@ -83,3 +86,14 @@ def test_dead_times_add_up():
     one = affected("dead_time", {"delay_s": 0.002}).effects
     both = msgspec.structs.replace(BASE, effects=one + one)
     assert sensors_of_model(both)[0]["delay"] == pytest.approx(0.004)
+
+
+def test_a_lag_of_the_gyro_is_followed_through_a_jump_as_its_exponential_says():
+    period_s, bandwidth_hz = 0.002, 172.0
+    craft = craft_of_vehicle(
+        load_vehicle("crazyflie1"), {"gyro_low_pass": {"bandwidth_hz": bandwidth_hz}}
+    )
+    shown = np.empty(10)
+    gyro_step(craft[0], period_s, shown)
+    time_s = period_s * np.arange(1, len(shown) + 1)
+    np.testing.assert_allclose(shown, 1.0 - np.exp(-2.0 * np.pi * bandwidth_hz * time_s), atol=3e-4)
