@@ -37,7 +37,7 @@ from groundstation import (
 from groundstation.discrepancy.report_figures import waterfall, where_map
 from groundstation.recording.rrd import write_rrd
 from groundstation.report.figure import png
-from groundstation.viewer.viewer import free_port
+from groundstation.viewer.ports import free_port
 
 IMAGES = Path(__file__).parent / "images"
 RECORDING = Path(__file__).parents[1] / "recordings" / "stand_in_flight.mcap"

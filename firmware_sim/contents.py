@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from firmware_sim.craft import CHOSEN, HEIGHT_DECK, CraftState, StandIn
+from firmware_sim.craft import CHOSEN, HEIGHT_DECK, StandIn
+from firmware_sim.craft_state import CraftState
 from firmware_sim.physics import PARAMETER_NAMES
 from firmware_sim.settings import StandInSettings
 from firmware_sim.supervisor import CAN_FLY, CRASHED, FLYING, LEVEL_OUT, LOCKED, PASSED

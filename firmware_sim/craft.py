@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.craft_state import CraftState, uptime_ms
 from firmware_sim.layout import (
     ACCEL_DLPF,
     LAW_BODY,
@@ -16,7 +16,6 @@ from firmware_sim.layout import (
     PILOT_PASSES,
     POSITION,
     QUATERNION,
-    ROTOR,
     ROWS,
     STATE,
     TRUTH,
@@ -25,7 +24,7 @@ from firmware_sim.settings import StandInSettings
 from groundstation.dynamics.vehicle import BUILT_IN
 from groundstation.telemetry.packet import Packets, encode
 
-__all__ = ["CraftState", "StandIn", "StandInSettings"]
+__all__ = ["StandIn", "StandInSettings"]
 
 CHUNK_PASSES = 5000
 """At most 10 s of flight per call of the kernel: bounds the memory of a long advance."""
@@ -40,45 +39,8 @@ ESTIMATOR, CONTROLLER = "stabilizer.estimator", "stabilizer.controller"
 CHOSEN = (ESTIMATOR, CONTROLLER)
 """By which today's firmware chooses who flies: kept and said, and change nothing."""
 COMPLEMENTARY, KALMAN, PID = 1.0, 2.0, 1.0
-HEIGHT_VARIANCE_M2 = 1e-5
-"""What the Kalman filter says of the height that it makes of ranges or positions."""
 DEVICES = {"brushless": "Crazyflie 2.1 Brushless"}
 """Vehicle -> the name the firmware gives; a 2.1 and a 2.1+ call themselves alike."""
-
-
-@dataclass(frozen=True, slots=True)
-class CraftState:
-    """What the firmware and the plant know at one moment, for clients and displays.
-
-    time_s: device time since power-on of the first cell. uptime_ms: since the last one, the
-    firmware's own clock. angles_deg: the firmware's estimate, pitch nose up. gyro_dps, accel_g: as
-    the firmware uses them. motors: 16-bit. height_m, climb_m_s: the firmware's estimates, range_m:
-    what a Z-ranger measures; 0 without one. height_variance_m2: of its Kalman filter, 0 where that
-    does not run. supervisor: state of ``supervisor``.
-    """
-
-    time_s: float
-    uptime_ms: int
-    powered: bool
-    boots: int
-    angles_deg: tuple[float, float, float]
-    gyro_dps: tuple[float, float, float]
-    accel_g: tuple[float, float, float]
-    thrust: int
-    motors: tuple[int, int, int, int]
-    battery_v: float
-    power_state: int
-    armed: bool
-    arms_itself: bool
-    supervisor: int
-    tumbled: bool
-    calibrated: bool
-    position_m: tuple[float, float, float]
-    rotor_rev_s: tuple[float, float, float, float]
-    height_m: float
-    climb_m_s: float
-    range_m: float
-    height_variance_m2: float
 
 
 class StandIn:
@@ -156,31 +118,7 @@ class StandIn:
     def state(self) -> CraftState:
         """The live state."""
         with self._lock:
-            fw, s = self._firmware[0], self._state[0]
-            return CraftState(
-                time_s=float(s["now_ns"]) * 1e-9,
-                uptime_ms=self.uptime_ms,
-                powered=self.powered,
-                boots=int(s["boots"]),
-                angles_deg=_floats(fw["angles"]),
-                gyro_dps=_floats(fw["gyro"]),
-                accel_g=_floats(fw["accel"]),
-                thrust=int(fw["thrust"]),
-                motors=tuple(int(m) for m in fw["pwm"]),  # type: ignore[arg-type]  # four
-                battery_v=float(fw["battery_filter"]),
-                power_state=int(fw["power_state"]),
-                armed=bool(fw["armed"]),
-                arms_itself=bool(fw["arms_itself"]),
-                supervisor=int(fw["supervisor"]),
-                tumbled=bool(fw["tumbled"]),
-                calibrated=bool(fw["bias_found"]),
-                position_m=_floats(s["y"][:3]),
-                rotor_rev_s=_floats(s["y"][ROTOR : ROTOR + 4]),
-                height_m=float(fw["height"]),
-                climb_m_s=float(fw["climb"]),
-                range_m=float(fw["range_m"]),
-                height_variance_m2=HEIGHT_VARIANCE_M2 * float(fw["knows_height"]),
-            )
+            return CraftState.of(self._firmware[0], self._state[0])
 
     def logged(self, uptime_ms: int) -> CraftState:
         """What a log block read at that time of the firmware's clock: the values after the last
@@ -188,23 +126,7 @@ class StandIn:
         now = self.state()
         with self._lock:
             row = self._row_at(uptime_ms)
-        if row is None:
-            return now
-        return replace(
-            now,
-            time_s=float(row["time_ns"]) * 1e-9,
-            uptime_ms=uptime_ms,
-            angles_deg=_floats(row["angles_deg"]),
-            gyro_dps=_floats(row["gyro_dps"]),
-            accel_g=_floats(row["accel_g"]),
-            thrust=int(row["thrust"]),
-            motors=tuple(int(m) for m in row["pwm"]),  # type: ignore[arg-type]  # four
-            battery_v=float(row["battery_v"]),
-            power_state=int(row["power_state"]),
-            rotor_rev_s=_floats(row["rotor_rev_s"]),
-            height_m=float(row["height_m"]),
-            range_m=float(row["range_m"]),
-        )
+        return now if row is None else now.at(row, uptime_ms)
 
     def command(self, roll_deg: float, pitch_deg: float, yaw_dps: float, thrust: int) -> None:
         """A client's setpoint, as the firmware takes it: pitch nose up, yaw rate clockwise.
@@ -310,7 +232,7 @@ class StandIn:
     @property
     def uptime_ms(self) -> int:
         """The firmware's clock: ms since the last power-on."""
-        return int(self._state[0]["now_ns"] - self._state[0]["boot_ns"]) // 1_000_000
+        return uptime_ms(self._state[0])
 
     @property
     def boots(self) -> int:
@@ -431,7 +353,3 @@ def _packets(rows: NDArray[np.void]) -> Packets:
         return np.empty((0, 32), np.uint8)
     names: Any = ("battery", "motors", "gyro", "accelerometer", "angles", "debug")
     return encode(rows["ticks"], *(rows[name] for name in names))
-
-
-def _floats(values: Any) -> Any:
-    return tuple(float(v) for v in values)

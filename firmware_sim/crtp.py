@@ -27,7 +27,8 @@ from firmware_sim.contents import (
     contents_of,
     supervisor_bits,
 )
-from firmware_sim.craft import CraftState, StandIn
+from firmware_sim.craft import StandIn
+from firmware_sim.craft_state import CraftState
 from firmware_sim.supervisor import CRASHED, LOCKED
 
 CONSOLE, PARAM, COMMANDER, MEM, LOG = 0, 2, 3, 4, 5

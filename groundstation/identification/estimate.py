@@ -9,6 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+TRUSTED = (0.3, 10.0)
+"""Share of Gauss-Newton's curvature that the slopes at the ends of a step may make of it: what
+noise and bounds do to them is not to send the next step out of sight."""
+
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
@@ -107,3 +111,18 @@ def bounded_step(
         step[outside] = np.clip(step, low, high)[outside]
         open_ &= ~outside
     return step
+
+
+def as_met(normal: Array, step: Array, fall: Array) -> Array:
+    """A normal matrix (p, p) with the curvature along the last step (p,) that its ends tell.
+
+    fall: (p,) by how much the gradient fell over the step. Where residuals are large and bent,
+    Gauss-Newton's steps are too long, and go to and fro, or too short (a secant condition, as in
+    Dennis, Gay and Welsch 1981, along one direction).
+    """
+    along = normal @ step
+    expected = float(step @ along)
+    if expected <= 0.0:
+        return normal
+    ratio = float(np.clip(fall @ step / expected, *TRUSTED))
+    return np.asarray(normal + (ratio - 1.0) / expected * np.outer(along, along))

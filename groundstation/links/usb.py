@@ -1,15 +1,13 @@
 """The bridge on a real USB port: isochronous, without loss, through libusb.
 
-Finding, claiming and reading names is pyusb's public work; the stream is ``usb_ring``.
+The device is ``usb_device``, the stream ``usb_ring``.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import itertools
-import re
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, replace
@@ -18,25 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInputError, LinkError, LinkLostError
+from groundstation.errors import LinkError, LinkLostError
 from groundstation.links.base import Link, LinkOptions
 from groundstation.links.clock import HostClock
+from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice, release
 from groundstation.links.usb_frames import FrameClock
 from groundstation.links.usb_ring import DEPTH, DRAIN_S, FRAMES, OVERRUN, STALLED, Block, IsoRing
 from groundstation.telemetry.bridge_usb import (
-    ALTERNATE,
     ENDPOINT,
-    FRAME_BYTES,
     FRAME_NS,
     FRAME_PACKETS,
-    INTERFACE,
-    PRODUCT_ID,
-    VENDOR_ID,
 )
 from groundstation.telemetry.packet import PACKET_BYTES, Packets
 from groundstation.telemetry.samples import RawBatch
 
-DEFAULT_DEVICE = f"{VENDOR_ID:04x}:{PRODUCT_ID:04x}"
 POLL_S = 0.5
 """How often an absent device is looked for."""
 WATCHDOG_S = 1.0
@@ -49,12 +42,7 @@ ANCHOR_BLOCKS = DEPTH
 busy meanwhile, as it is when it opens a recording, would stamp them late."""
 BLOCKS_KEPT = 1024
 """8 s of frames wait for a reader; older ones are dropped and counted."""
-PERMISSION_HELP = (
-    "install the rule with 'groundstation install udev --print | "
-    "sudo tee /etc/udev/rules.d/70-groundstation.rules', then plug the device in again"
-)
 
-_ISOCHRONOUS = 1
 _FRAME_ROWS = np.dtype([("length", "<u4"), ("actual", "<u4"), ("status", "<i4")])
 
 
@@ -100,10 +88,8 @@ class UsbLink(Link):
         self, *, device: str = DEFAULT_DEVICE, serial: str = "", clock: HostClock | None = None
     ) -> None:
         super().__init__("usb", clock=clock)
-        self._ids = parse_ids(device)
-        self.device, self.serial = device.lower(), serial
+        self._device = BridgeDevice(device, serial)
         self.counts = UsbCounts()
-        self._backend: Any = None
         self._claimed: Any = None
         self._ring: IsoRing | None = None
         self._watched: list[tuple[int, bool]] = []
@@ -122,13 +108,13 @@ class UsbLink(Link):
     # -- opening and closing ---------------------------------------------------------------
 
     async def _open(self) -> None:
-        claimed = await asyncio.to_thread(self._claim)
+        claimed = await asyncio.to_thread(self._device.claim)
         while claimed is None:
             if not self._awaited:
                 self._awaited = True
-                raise LinkError(f"no USB device {self._wanted} is plugged in; waiting for one")
+                raise LinkError(f"no USB device {self._device} is plugged in; waiting for one")
             await asyncio.sleep(POLL_S)
-            claimed = await asyncio.to_thread(self._claim)
+            claimed = await asyncio.to_thread(self._device.claim)
         self._claimed = claimed
         self._awaited = True
         self.counts, self._reported = UsbCounts(), UsbCounts()
@@ -146,52 +132,6 @@ class UsbLink(Link):
             raise
         self._alive_s = time.monotonic()
 
-    def _claim(self) -> Any:
-        """Find the device and make it stream; None when it is not there. Blocks."""
-        import usb.core
-        import usb.util
-
-        try:
-            for device in self._find():
-                if self.serial and usb.util.get_string(device, device.iSerialNumber) != self.serial:
-                    usb.util.dispose_resources(device)
-                    continue
-                try:
-                    _select(device)
-                except BaseException:
-                    usb.util.dispose_resources(device)
-                    raise
-                return device
-        except usb.core.USBError as error:
-            if error.errno in (errno.ENODEV, errno.ENOENT):
-                return None  # it went away while it was being opened
-            raise LinkError(f"USB device {self._wanted}: {_explain(error)}") from error
-        except (NotImplementedError, ValueError) as error:
-            # pyusb: no access to the language list or the strings
-            raise LinkError(f"USB device {self._wanted}: {error}; {PERMISSION_HELP}") from error
-        return None
-
-    def _find(self) -> list[Any]:
-        import libusb_package
-        import usb.core
-        from usb.backend import libusb1
-
-        if self._backend is None:
-            self._backend = libusb1.get_backend(find_library=libusb_package.find_library)
-        if self._backend is None:
-            raise LinkError(
-                "libusb is not usable here: reinstall with 'pip install libusb-package'"
-            )
-        vendor, product = self._ids
-        found = usb.core.find(
-            find_all=True, backend=self._backend, idVendor=vendor, idProduct=product
-        )
-        return list(found)
-
-    @property
-    def _wanted(self) -> str:
-        return f"{self.device} with serial number {self.serial}" if self.serial else self.device
-
     async def _close(self) -> None:
         if self._restart is not None:
             await asyncio.wait([self._restart])
@@ -200,7 +140,7 @@ class UsbLink(Link):
         ring, claimed = self._ring, self._claimed
         self._ring = self._claimed = None
         if claimed is not None:
-            await asyncio.to_thread(_release, ring, claimed)
+            await asyncio.to_thread(release, ring, claimed)
         self._frames.settle()
         self._report(force=True)
         self._blocks.clear()
@@ -218,13 +158,13 @@ class UsbLink(Link):
                 return batch
             if ring.gone:
                 self._unwatch()
-                raise LinkLostError(f"USB device {self._wanted} was unplugged")
+                raise LinkLostError(f"USB device {self._device} was unplugged")
             if self._restart is not None:
                 await asyncio.shield(self._restart)
                 self._restart = None
                 continue
             if self._fruitless >= FRUITLESS_MOST:
-                raise LinkLostError(f"USB device {self._wanted} gives no frames; it is opened anew")
+                raise LinkLostError(f"USB device {self._device} gives no frames; it is opened anew")
             silent_s = time.monotonic() - self._alive_s
             if ring.failed or silent_s > WATCHDOG_S:
                 what = "a transfer failed" if ring.failed else f"no frame for {silent_s:.1f} s"
@@ -357,58 +297,3 @@ class UsbLink(Link):
         self._reported = replace(self.counts)
         self._report_due_s = time.monotonic() + REPORT_S
         self.emit("loss", f"{more} USB frames lost", **asdict(self.counts))
-
-
-def parse_ids(device: str) -> tuple[int, int]:
-    """Vendor and product id of ``VID:PID``. Raises BadInputError for anything else."""
-    match = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", device)
-    if match is None:
-        raise BadInputError(
-            f"configuration [usb] device {device!r}: give VID:PID, for example {DEFAULT_DEVICE}"
-        )
-    return int(match[1], 16), int(match[2], 16)
-
-
-def _select(device: Any) -> None:
-    """Claim the interface and switch its endpoint on. Raises LinkError when it is no bridge."""
-    import usb.core
-    import usb.util
-
-    try:
-        configuration = device.get_active_configuration()
-    except usb.core.USBError:
-        device.set_configuration()
-        configuration = device.get_active_configuration()
-    setting = usb.util.find_descriptor(
-        configuration, bInterfaceNumber=INTERFACE, bAlternateSetting=ALTERNATE
-    )
-    endpoint = setting and usb.util.find_descriptor(setting, bEndpointAddress=ENDPOINT)
-    isochronous = endpoint and usb.util.endpoint_type(endpoint.bmAttributes) == _ISOCHRONOUS
-    if not isochronous or endpoint.wMaxPacketSize != FRAME_BYTES:
-        raise LinkError(
-            f"USB device {device.idVendor:04x}:{device.idProduct:04x} is no telemetry bridge: it "
-            f"needs isochronous endpoint 0x{ENDPOINT:02x} of {FRAME_BYTES} bytes in alternate "
-            f"setting {ALTERNATE}; set [usb] device to another one"
-        )
-    usb.util.claim_interface(device, INTERFACE)
-    device.set_interface_altsetting(INTERFACE, ALTERNATE)
-
-
-def _release(ring: IsoRing | None, device: Any) -> None:
-    """Stop the stream and let go of the device, whether or not it is still there. Blocks."""
-    import usb.core
-    import usb.util
-
-    if ring is not None:
-        ring.free()
-    with contextlib.suppress(usb.core.USBError):
-        device.set_interface_altsetting(INTERFACE, 0)
-    usb.util.dispose_resources(device)
-
-
-def _explain(error: Any) -> str:
-    if error.errno == errno.EACCES:
-        return f"no permission; {PERMISSION_HELP}"
-    if error.errno == errno.EBUSY:
-        return "in use by another program; stop that first"
-    return f"{error.strerror}; unplug it and plug it in again"

@@ -112,3 +112,32 @@ class DamagedContentError(ValueError):
         super().__init__(reason)
         self.length = length
         self.chunks = chunks
+
+
+@dataclass(slots=True)
+class Damage:
+    """A place that could not be read.
+
+    offset, length: bytes of the file passed over.
+    chunks: whole chunks lost with it.
+    before_ns, after_ns: log times of the good messages on either side, where there are any.
+    """
+
+    offset: int
+    length: int
+    reason: str
+    chunks: int = 0
+    before_ns: int | None = None
+    after_ns: int | None = None
+
+    def line(self, start_ns: int | None) -> str:
+        """One line for the reader, times counted from ``start_ns``."""
+        text = f"byte {self.offset}: {self.reason}"
+        if self.length:
+            text += f"; {self.length} bytes passed over"
+        if start_ns is None or self.before_ns is None:
+            return text
+        before_s = (self.before_ns - start_ns) / 1e9
+        if self.after_ns is None:
+            return f"{text}, after {before_s:.3f} s of the recording"
+        return f"{text}, between {before_s:.3f} s and {(self.after_ns - start_ns) / 1e9:.3f} s"

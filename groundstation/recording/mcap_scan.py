@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -35,6 +34,7 @@ from groundstation.recording.mcap_file import CHECKSUM_KEY
 from groundstation.recording.mcap_records import (
     RECORD,
     Contents,
+    Damage,
     DamagedContentError,
     Message,
     parse_attachment,
@@ -58,35 +58,6 @@ def looks_like_mcap(head: bytes) -> bool:
     """True where a file beginning with ``head`` was an MCAP, one damaged byte allowed."""
     same = sum(a == b for a, b in zip(head, MCAP0_MAGIC, strict=False))
     return same >= len(MCAP0_MAGIC) - 1
-
-
-@dataclass(slots=True)
-class Damage:
-    """A place that could not be read.
-
-    offset, length: bytes of the file passed over.
-    chunks: whole chunks lost with it.
-    before_ns, after_ns: log times of the good messages on either side, where there are any.
-    """
-
-    offset: int
-    length: int
-    reason: str
-    chunks: int = 0
-    before_ns: int | None = None
-    after_ns: int | None = None
-
-    def line(self, start_ns: int | None) -> str:
-        """One line for the reader, times counted from ``start_ns``."""
-        text = f"byte {self.offset}: {self.reason}"
-        if self.length:
-            text += f"; {self.length} bytes passed over"
-        if start_ns is None or self.before_ns is None:
-            return text
-        before_s = (self.before_ns - start_ns) / 1e9
-        if self.after_ns is None:
-            return f"{text}, after {before_s:.3f} s of the recording"
-        return f"{text}, between {before_s:.3f} s and {(self.after_ns - start_ns) / 1e9:.3f} s"
 
 
 class McapScan:

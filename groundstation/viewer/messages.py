@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.links.event import LinkEvent
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import COLUMNS, SampleBatch, empty_samples
+from groundstation.telemetry.statistics import LinkStatistics
+
+if TYPE_CHECKING:
+    from groundstation.twin.twin import Shown
 
 Array = NDArray[np.float64]
 
@@ -126,3 +132,17 @@ def decode_message(data: bytes) -> Message:
 def decode_acknowledgement(data: bytes) -> Acknowledgement:
     acknowledgement: Acknowledgement = _acknowledgement_decoder.decode(data)
     return acknowledgement
+
+
+def message_of(
+    note: LinkEvent | LinkStatistics | LogTable | Shown,
+) -> EventMessage | StatisticsMessage | TableMessage | TwinMessage:
+    """What the feeder is told of a note."""
+    match note:
+        case LinkEvent():
+            return EventMessage(asdict(note))
+        case LinkStatistics():
+            return StatisticsMessage({"time_ns": note.time_ns, **note.gauges()})
+        case LogTable():
+            return TableMessage.of(note)
+    return TwinMessage.of(note.segment, note.time_s, note.measured, note.predicted, note.gap)

@@ -9,37 +9,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib.util
 import os
 import secrets
-import shlex
-import shutil
 import socket
 import sys
 import uuid
 from collections.abc import Callable
-from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from groundstation.errors import BadInputError, GroundStationError, TakenError
+from groundstation.errors import BadInputError, TakenError
 from groundstation.links.event import LinkEvent
-from groundstation.rerun_log.installed import require_rerun
+from groundstation.rerun_log.installed import rerun_command, rerun_program
 from groundstation.telemetry.log_table import LogTable
 from groundstation.telemetry.samples import SampleBatch
 from groundstation.telemetry.statistics import LinkStatistics
 from groundstation.viewer.child import Child
 from groundstation.viewer.messages import (
     MAX_ROWS,
-    EventMessage,
-    StatisticsMessage,
-    TableMessage,
-    TwinMessage,
     decode_acknowledgement,
+    message_of,
 )
 from groundstation.viewer.mode import ViewerMode
 from groundstation.viewer.outbox import Outbox
+from groundstation.viewer.ports import free_port, listen_on
 from groundstation.viewer.relay import BEHIND
 
 if TYPE_CHECKING:
@@ -146,7 +139,7 @@ class Viewer:
         """A line of the event log, statistics and a craft's own log as plots, the twin's
         predictions beside what was measured; never blocks."""
         if self._task is not None:
-            self._outbox.put_note(_message(note))
+            self._outbox.put_note(message_of(note))
 
     def split(self) -> None:
         """Each batch says which segment it is of."""
@@ -365,74 +358,14 @@ class Viewer:
     def _urls(self) -> list[str]:
         """The browser's address, and the command for a rerun window."""
         web = f"http://127.0.0.1:{self.web_port}/?url={quote(self._address(), safe='')}"
-        return [web, f"{_rerun_command()} --connect {self._address()}"]
-
-
-def rerun_program() -> Path:
-    """The rerun executable itself (the ``rerun`` script only starts it as another child).
-
-    Raises BadInputError when rerun is not installed, GroundStationError when only its program is
-    missing.
-    """
-    require_rerun("the live view (--viewer off: everything but it)")
-    package = importlib.util.find_spec("rerun_cli")
-    folder = Path(package.origin).parent if package and package.origin else Path()
-    program = Path(os.environ.get("RERUN_CLI_PATH", folder / "rerun"))
-    if package is None or not os.access(program, os.X_OK):
-        raise GroundStationError(
-            f"the rerun program is missing ({program}): pip install --force-reinstall rerun-sdk, "
-            "or use --viewer off"
-        )
-    return program
-
-
-def _rerun_command() -> str:
-    script = Path(sys.executable).with_name("rerun")
-    on_path = shutil.which("rerun")
-    return "rerun" if on_path or not script.exists() else shlex.quote(str(script))
+        return [web, f"{rerun_command()} --connect {self._address()}"]
 
 
 def _wayland() -> str | None:
     return os.environ.get("WAYLAND_DISPLAY") or os.environ.get("WAYLAND_SOCKET")
 
 
-def listen_on(port: int, name: str) -> socket.socket:
-    """A port of 127.0.0.1. Raises TakenError where another program holds it."""
-    listening = socket.socket()
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(("127.0.0.1", port))
-        listening.listen(64)
-    except OSError as error:
-        listening.close()
-        raise TakenError(
-            f"{name} port {port} is taken ({error.strerror}): end the program that holds it "
-            "or choose another port"
-        ) from error
-    return listening
-
-
-def free_port(address: str) -> int:
-    """A port of ``address`` that nobody has at the moment."""
-    with socket.socket() as probe:
-        probe.bind((address, 0))
-        return int(probe.getsockname()[1])
-
-
 async def _until(condition: Callable[[], bool], timeout_s: float) -> None:
     deadline = asyncio.get_running_loop().time() + timeout_s
     while not condition() and asyncio.get_running_loop().time() < deadline:
         await asyncio.sleep(0.01)
-
-
-def _message(
-    note: LinkEvent | LinkStatistics | LogTable | Shown,
-) -> EventMessage | StatisticsMessage | TableMessage | TwinMessage:
-    match note:
-        case LinkEvent():
-            return EventMessage(asdict(note))
-        case LinkStatistics():
-            return StatisticsMessage({"time_ns": note.time_ns, **note.gauges()})
-        case LogTable():
-            return TableMessage.of(note)
-    return TwinMessage.of(note.segment, note.time_s, note.measured, note.predicted, note.gap)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from firmware_sim.craft import CraftState
+from firmware_sim.craft_state import CraftState
 from firmware_sim.supervisor import LOCKED
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links import crazyflie

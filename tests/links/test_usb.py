@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from groundstation.errors import BadInputError, LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.factory import make_link
-from groundstation.links.usb import UsbLink, parse_ids
+from groundstation.links.usb import UsbLink
+from groundstation.links.usb_device import parse_ids
 from groundstation.links.usb_ring import FRAMES, Block, require_private_names
 from groundstation.telemetry.bridge_usb import FRAME_BYTES, FRAME_NS
 from support.waiting import eventually

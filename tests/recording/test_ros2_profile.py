@@ -13,7 +13,7 @@ from groundstation.recording.formats import writer_of
 from groundstation.recording.open_recording import open_recording
 from groundstation.recording.recover import recover
 from groundstation.recording.session import Recording
-from groundstation.viewer.viewer import rerun_program
+from groundstation.rerun_log.installed import rerun_program
 from support.programs import run_program
 
 FLIGHT = Path(__file__).parents[2] / "recordings" / "stand_in_flight.mcap"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.unknowns import Key
-from groundstation.identification.estimate import bounded_step, inverse
+from groundstation.identification.estimate import as_met, bounded_step, inverse
 from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.evaluation import ACCELEROMETER
 from groundstation.identification.likelihood.frame import Frame
@@ -56,9 +56,6 @@ SHAPE_HZ, SHAPE_FREEDOM = 3.0, 100.0
 each band needs at least."""
 STEPS, SETTLED = 6, 0.05
 """Gauss-Newton steps at most, and the drop of -2 log L that is not worth another."""
-TRUSTED = (0.3, 10.0)
-"""Share of Gauss-Newton's curvature that the slopes at the ends of a step may make of it: what
-noise and bounds do to them is not to send the next step out of sight."""
 TIMING_BOUNDS = (-8.0, 2.0)
 """Angles of an estimator elsewhere (motion capture) come some periods late."""
 SHARED = 1e-3
@@ -367,21 +364,6 @@ class Problem:
         pairs = zip(one.spectra, other.spectra, strict=True)
         changes = [replace(s, residual=s.residual - t.residual) for s, t in pairs]
         return quadratic(changes, self.noise, (), 0).value
-
-
-def as_met(normal: Array, step: Array, fall: Array) -> Array:
-    """A normal matrix (p, p) with the curvature along the last step (p,) that its ends tell.
-
-    fall: (p,) by how much the gradient fell over the step. Where residuals are large and bent,
-    Gauss-Newton's steps are too long, and go to and fro, or too short (a secant condition, as in
-    Dennis, Gay and Welsch 1981, along one direction).
-    """
-    along = normal @ step
-    expected = float(step @ along)
-    if expected <= 0.0:
-        return normal
-    ratio = float(np.clip(fall @ step / expected, *TRUSTED))
-    return np.asarray(normal + (ratio - 1.0) / expected * np.outer(along, along))
 
 
 def bounded(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.identification.likelihood.problem import TRUSTED, as_met
+from groundstation.identification.estimate import TRUSTED, as_met
 
 
 def drawn(seed, ratio):
