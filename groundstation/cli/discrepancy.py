@@ -27,7 +27,7 @@ from groundstation.cli.terminal import show, show_json
 if TYPE_CHECKING:
     from groundstation import Model
     from groundstation.discrepancy.engine import Discrepancy
-    from groundstation.discrepancy.report_json import DiscrepancyReport
+    from groundstation.discrepancy.report_json import DiscrepancyReport, EffectFound
     from groundstation.identification.likelihood.parameters import Variant
 
 VALIDATE = typer.Option(
@@ -186,11 +186,8 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
     from groundstation.discrepancy.report_json import why_lost
     from groundstation.discrepancy.report_words import (
         by_weight,
-        chosen_in_words,
         flight_plan,
         found_in_words,
-        is_zero,
-        meaning,
         next_in_words,
         possible_in_words,
     )
@@ -209,15 +206,7 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
     for change in report.base_changes:
         show(f"changed: {change.words}")
     for number, effect in enumerate(by_weight(report.effects), 1):
-        show(f"{number}. {effect.name}: {meaning(effect)}")
-        for name, estimate in effect.parameters.items():
-            spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
-            zero = ", not distinguishable from zero" if is_zero(estimate) else ""
-            show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero)
-        again = "" if effect.recurrence is None else f", {chosen_in_words(effect.recurrence)}"
-        show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}{again}")
-        for other in effect.alternatives:
-            show(f"     could also be {other.name}; to tell: {other.manoeuvre}")
+        _say_effect(number, effect)
     for line in possible_in_words(report):
         show(line)
     for small in report.candidates:
@@ -245,3 +234,17 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
         show(f"not looked for ({why_lost(reason)}): {lost}")
     for line in report.warnings:
         show(f"warning: {line}")
+
+
+def _say_effect(number: int, effect: EffectFound) -> None:
+    from groundstation.discrepancy.report_words import chosen_in_words, is_zero, meaning
+
+    show(f"{number}. {effect.name}: {meaning(effect)}")
+    for name, estimate in effect.parameters.items():
+        spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
+        zero = ", not distinguishable from zero" if is_zero(estimate) else ""
+        show(f"     {name} {estimate.value:.4g}{spread} {estimate.unit}".rstrip() + zero)
+    again = "" if effect.recurrence is None else f", {chosen_in_words(effect.recurrence)}"
+    show(f"     gap {effect.gap.before:.3f} -> {effect.gap.after:.3f}{again}")
+    for other in effect.alternatives:
+        show(f"     could also be {other.name}; to tell: {other.manoeuvre}")

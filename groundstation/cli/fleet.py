@@ -205,8 +205,7 @@ def report(
     date = None if compare_before is None else parse_date(compare_before)
     recordings = recordings_of(catalogue, ("craft", "begun", "state", "reason", "sha256"))
     fits = fits_table(catalogue).rows(VALUES)
-    counted = usable(recordings)
-    fleet = findings_of(counted, fits)
+    fleet = findings_of(usable(recordings), fits)
     effects = effects_table(catalogue).rows()
     since = () if date is None else shifts(fleet.series, date)
     needed = to_fly(fleet, effects)
@@ -217,10 +216,9 @@ def report(
         more = More(effects, needed, compare_before, since)
         page(fleet, recordings, fits, catalogue.name, more).write(html)
     if as_json:
-        known = {"effects": list(effects.values())}
         compared = None if date is None else [asdict(one) for one in since]
-        next_ones = {"to_fly": needed, "since": compared}
-        show_json({**fleet.as_dict(), **known, **next_ones})
+        further = {"effects": list(effects.values()), "to_fly": needed, "since": compared}
+        show_json({**fleet.as_dict(), **further})
         return
     crafts = {one.craft for one in fleet.series}
     show(f"{catalogue}: {len(crafts)} crafts, {len(recordings)} recordings, {fleet.tests} tests")

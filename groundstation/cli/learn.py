@@ -60,9 +60,8 @@ def learn(
 
     Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
     """
-    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.cli.learn_flights import SOFTWARE
     from groundstation.learn.journal import journal_in
-    from groundstation.shell import Shell
 
     own_terminal()
     limits = _limits(height, space)
@@ -72,11 +71,19 @@ def learn(
     if undo:
         _undo(journal, output)
         return
-    journal = _begun(journal, _task(link, limits, seed, batteries, hide), output)
+    task = _task(link, limits, seed, batteries, hide)
+    _lead(_begun(journal, task, output), output, limits, yes, as_json)
+
+
+def _lead(journal: Journal, output: Path, limits: Limits, yes: bool, as_json: bool) -> None:
+    """From wherever the journal is to the report; the folder keeps it, whatever ends this."""
+    from groundstation.cli.learn_flights import SOFTWARE, Place
+    from groundstation.shell import Shell
+
+    link, height = journal.task.link, journal.task.height_m
     inputs: dict[str, str | None] = {"flight*.mcap": None, "proof.mcap": None}
-    craft = _craft_text(link) if link.startswith(SOFTWARE) else None
-    if craft is not None:
-        inputs = {CRAFT: craft, **inputs}
+    if link.startswith(SOFTWARE):
+        inputs = {CRAFT: _craft_text(link), **inputs}
     begun_s = time.monotonic()
 
     def told(text: str) -> None:
@@ -88,8 +95,8 @@ def learn(
         Shell(output, inputs, lambda line: told(f"  {line}"), "groundstation learn", True) as shell,
     ):
         pilot = Place(link, height)
-        if craft is not None:
-            pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, hide)), height)
+        if pilot.is_software:
+            pilot = Place(SOFTWARE + str(shell.folder / _sealed(shell, journal.task.hide)), height)
         journal.save(shell.folder)
         _preflight(pilot, journal, limits, yes, told)
         try:

@@ -32,7 +32,6 @@ from groundstation.cli.left_changed import (
 )
 from groundstation.cli.model_files import (
     AS_JSON,
-    fitted_model,
     require_new,
     say_written,
 )
@@ -42,16 +41,21 @@ from groundstation.cli.pid_manoeuvres import (
     fly_programme,
     stop_motors,
 )
-from groundstation.cli.sticks import StandInPilot, open_sticks
+from groundstation.cli.pid_whose import Whose
+from groundstation.cli.sticks import Source, StandInPilot, open_sticks
 from groundstation.cli.terminal import say, show, show_json
 
 if TYPE_CHECKING:
     from groundstation import Recording
-    from groundstation.control.firmwares import Release
     from groundstation.control.programme import Programme
     from groundstation.control.step_analysis import Flown
 
 CLIENT = "pid fly"
+THRUST = typer.Option(
+    "",
+    help="stand-in, height:0.5 (m, held by a craft that knows its height), keyboard or"
+    " gamepad:/dev/input/js0 (default: by what the craft can).",
+)
 
 
 def fly(
@@ -75,11 +79,7 @@ def fly(
         "--firmware",
         help="2014 or 2.x, where neither file nor craft say whose the gains are.",
     ),
-    thrust: str = typer.Option(
-        "",
-        help="stand-in, height:0.5 (m, held by a craft that knows its height), keyboard or"
-        " gamepad:/dev/input/js0 (default: by what the craft can).",
-    ),
+    thrust: str = THRUST,
     restore: bool = typer.Option(False, "--restore", help="Put the former gains back after it."),
     undo: bool = typer.Option(
         False, "--undo", help="Only put back what an interrupted flight left changed."
@@ -96,55 +96,27 @@ def fly(
 
     Example: [bold]groundstation pid fly --gains gains.toml --model body.json --restore[/bold]
     """
-    from groundstation.control.firmwares import require_release
     from groundstation.control.pid import AXES
-    from groundstation.control.plant import plant_of_model
     from groundstation.control.programme import Programme, require_flyable
 
     if html is not None:
         require_new(html)
     planned = Programme(
-        shape=programme,  # type: ignore[arg-type]  # require_flyable judges it
-        axes=tuple(axis or AXES),
-        angle_deg=amplitude,
-        yaw_dps=yaw_rate,
-        hold_s=hold,
-        rest_s=rest,
-        repeats=repeat,
+        programme,  # type: ignore[arg-type]  # require_flyable judges it
+        *(tuple(axis or AXES), amplitude, yaw_rate, hold, rest, repeat),
     )
     require_flyable(planned)
-    wanted = {} if gains is None else _firmware_gains(gains)
-    if firmware is not None:
-        require_release(firmware)
-    if model is not None:
-        # what is wrong with it is better known before a flight
-        loaded = fitted_model(model)
-        plant_of_model(loaded, release=firmware)
+    whose = Whose(gains, model, firmware)
+    wanted = whose.wanted()
     if dry_run:
         _show(planned, wanted, as_json)
         return
     if undo:
         _undo()
         return
-    report = _flight(planned, wanted, _Whose(gains, model, firmware), restore, thrust, yes)
+    report = _flight(planned, wanted, whose, restore, thrust, yes)
     require_ended(report, "flight")
     _judge(report, planned, model, html, as_json)
-
-
-def _firmware_gains(path: Path) -> dict[str, float]:
-    """The firmware's gains of a file. Raises BadInputError for others, which cannot be flown."""
-    from groundstation import PidGains, load_gains
-    from groundstation.control.firmware_loop import require_gains
-
-    wanted: dict[str, float] = {}
-    for name, value in load_gains(path).items():
-        if isinstance(value, PidGains):
-            raise BadInputError(
-                f"gains {path}: the thesis's form cannot be flown, only the firmware's"
-            )
-        wanted[name] = value
-    require_gains(wanted, f"gains {path}")
-    return wanted
 
 
 def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None:
@@ -165,50 +137,10 @@ def _show(programme: Programme, wanted: dict[str, float], as_json: bool) -> None
         show(f"  {name} = {value:g}")
 
 
-@dataclass(frozen=True, slots=True)
-class _Whose:
-    """The files of gains and of the model, and the firmware that the user says they are for."""
-
-    gains: Path | None
-    model: str | None
-    said: str | None
-
-    def require(self, craft: str, uri: str) -> Release | None:
-        """The firmware of the craft that calls its own ``craft`` (empty: it does not say).
-
-        Raises BadInputError where gains or model are another's: the same parameters mean other
-        numbers there.
-        """
-        from groundstation import load_model
-        from groundstation.control.firmwares import firmware_of_vehicle, require_release
-        from groundstation.control.gains_file import require_gains_of
-        from groundstation.dynamics.model import model_vehicle
-
-        if not (craft or self.said):
-            if self.gains is None and self.model is None:
-                return None
-            raise BadInputError(
-                f"{uri} does not say whose loops it flies; say --firmware 2014 or --firmware 2.x"
-            )
-        if craft and self.said and craft != self.said:
-            raise BadInputError(f"--firmware {self.said}: {uri} flies {craft}; nothing was written")
-        release = require_release(craft or str(self.said))
-        if self.gains is not None:
-            require_gains_of(self.gains, release, uri, said=self.said)
-        if self.model is not None and self.said is None:
-            vehicle = model_vehicle(load_model(self.model))
-            if firmware_of_vehicle(vehicle).name != release:
-                raise BadInputError(
-                    f"model {self.model}: a {vehicle.name} flies {vehicle.firmware}, {uri} flies"
-                    f" {release}: not of this craft, or say --firmware {release}"
-                )
-        return release
-
-
 def _flight(
     programme: Programme,
     wanted: dict[str, float],
-    whose: _Whose,
+    whose: Whose,
     restore: bool,
     thrust: str,
     yes: bool,
@@ -240,47 +172,77 @@ def _flight(
         usual = "height" if by_itself else "keyboard" if real else "stand-in"
         with open_sticks(thrust or usual, floor_m) as sticks:
             recording = begin_recording(path)
-            changed = dict(wanted)
-            if HOLD_HEIGHT in before and isinstance(sticks, StandInPilot):
-                changed[HOLD_HEIGHT] = 1.0
+            holds = HOLD_HEIGHT in before and isinstance(sticks, StandInPilot)
+            changed = {**wanted, HOLD_HEIGHT: 1.0} if holds else dict(wanted)
             # what an interrupted flight found is what the craft had
             saved = {name: former.get(name, before[name]) for name in changed}
-            if changed:
-                note_changes(uri, {**former, **saved}, also_written(written, changed))
-            aborted, motors, stopped = "an unforeseen error", "", False
-            try:
-                write_parameters(pilot, changed)
-                details = {
-                    "programme": programme.as_dict(),
-                    "gains": wanted,
-                    "saved": saved,
-                    "firmware": release,
-                }
-                pilot.mark("pid fly begins", **details, flown=_flown_gains(before, wanted))
-                say(f"{uri}: {sticks.help}; Ctrl-C stops", error=True)
-                aborted = fly_programme(pilot, programme, sticks, tells_battery=tells_battery)
-            except KeyboardInterrupt as stop:
-                aborted, stopped = str(stop) or "Ctrl-C", True
-            except GroundStationError as error:
-                aborted = why_aborted(error)
-            finally:
-                # motors first: parameters may take a while
-                with patient():
-                    if stopped:  # said where another Ctrl-C can no longer prevent it
-                        say("stopping the motors", error=True)
-                    motors = stop_motors(pilot)
-                stays = {} if restore or aborted else wanted
-                back = {name: value for name, value in saved.items() if name not in stays}
-                earlier = {name: value for name, value in former.items() if name not in changed}
-                put_back(pilot, CLIENT, back, earlier, written, aborted)
+            changes = _Changes(changed, saved, former, written, {} if restore else wanted)
+            details = {
+                "programme": programme.as_dict(),
+                "gains": wanted,
+                "saved": saved,
+                "firmware": release,
+                "flown": _flown_gains(before, wanted),
+            }
+            flown = _flown(pilot, programme, sticks, changes, details, tells_battery)
     return {
-        "aborted": aborted,
-        "motors": motors,
-        "recording": end_recording(path, recording, aborted),
-        "gains": _flown_gains(before, wanted),
+        **flown,
+        "recording": end_recording(path, recording, flown["aborted"]),
+        "gains": details["flown"],
         "firmware": release,
-        "restored": sorted(back),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class _Changes:
+    """Parameters that a flight writes. changed: all of them, saved: what the craft had. former,
+    written: as an interrupted flight left them. stays: what is not put back after a good flight."""
+
+    changed: dict[str, float]
+    saved: dict[str, float]
+    former: dict[str, float]
+    written: Written
+    stays: dict[str, float]
+
+    def put_back(self, pilot: Pilot, aborted: str) -> list[str]:
+        """The names of what is put back."""
+        stays = {} if aborted else self.stays
+        back = {name: value for name, value in self.saved.items() if name not in stays}
+        earlier = {name: v for name, v in self.former.items() if name not in self.changed}
+        put_back(pilot, CLIENT, back, earlier, self.written, aborted)
+        return sorted(back)
+
+
+def _flown(
+    pilot: Pilot,
+    programme: Programme,
+    sticks: Source,
+    changes: _Changes,
+    details: dict[str, Any],
+    tells_battery: bool,
+) -> dict[str, Any]:
+    """Fly with the changes, stop the motors and put back what does not stay."""
+    if changes.changed:
+        saved = {**changes.former, **changes.saved}
+        note_changes(pilot.lease["uri"], saved, also_written(changes.written, changes.changed))
+    aborted, motors, stopped = "an unforeseen error", "", False
+    try:
+        write_parameters(pilot, changes.changed)
+        pilot.mark("pid fly begins", **details)
+        say(f"{pilot.lease['uri']}: {sticks.help}; Ctrl-C stops", error=True)
+        aborted = fly_programme(pilot, programme, sticks, tells_battery=tells_battery)
+    except KeyboardInterrupt as stop:
+        aborted, stopped = str(stop) or "Ctrl-C", True
+    except GroundStationError as error:
+        aborted = why_aborted(error)
+    finally:
+        # motors first: parameters may take a while
+        with patient():
+            if stopped:  # said where another Ctrl-C can no longer prevent it
+                say("stopping the motors", error=True)
+            motors = stop_motors(pilot)
+        back = changes.put_back(pilot, aborted)
+    return {"aborted": aborted, "motors": motors, "restored": back}
 
 
 def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], Written]:

@@ -94,20 +94,11 @@ def fly_programme(
         answer = _sent(pilot, hands, roll, pitch, yaw)
         return reason_to_abort(answer, low)
 
-    # take-off: until the human says so, or the pilot has had his time
-    for tick in range(10**9):
-        hands = sticks.read()
-        if hands.stop:
-            return "stopped by hand"
-        reason = send(hands)
-        if reason.startswith(LOW_BATTERY) and hands.flies:
-            table = table[:0]  # what is left of it is for the landing
-            break
-        if reason and hands.flies:
-            return reason
-        if hands.begin and hands.flies and tick >= TAKE_OFF_S * RATE_HZ:
-            break
-        clock.wait()
+    reason = _take_off(sticks, send, clock)
+    if reason.startswith(LOW_BATTERY):
+        table = table[:0]  # what is left of it is for the landing
+    elif reason:
+        return reason
     if all(motor == 0.0 for motor in answer["telemetry"]["motors"]):
         return NOT_TURNING
     pilot.mark(BEGINS)
@@ -158,6 +149,23 @@ def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
         f"nothing says that the motors stopped ({why}): the daemon's failsafe asks for it where it"
         " still reaches the craft, whose own firmware stops them 2 s after the last setpoint"
     )
+
+
+def _take_off(sticks: Source, send: Callable[[Hands], str], clock: Clock) -> str:
+    """Until the human says so, or the pilot has had his time; why it was aborted, or empty."""
+    from groundstation.control.programme import RATE_HZ
+
+    for tick in range(10**9):
+        hands = sticks.read()
+        if hands.stop:
+            return "stopped by hand"
+        reason = send(hands)
+        if reason and hands.flies:
+            return reason
+        if hands.begin and hands.flies and tick >= TAKE_OFF_S * RATE_HZ:
+            break
+        clock.wait()
+    return ""
 
 
 def _land(

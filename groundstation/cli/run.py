@@ -39,10 +39,7 @@ def add_commands(app: typer.Typer) -> None:
 
 def run(
     config: Path | None = typer.Option(None, help="TOML configuration file."),
-    link: str | None = typer.Option(
-        None,
-        help=f"{KINDS} (default: stand-in).",
-    ),
+    link: str | None = typer.Option(None, help=f"{KINDS} (default: stand-in)."),
     command: str | None = typer.Option(
         None, help="Command link: udp://HOST:PORT (stand-in) or radio://... (craft)."
     ),

@@ -119,8 +119,12 @@ def optimise(
     for other in OTHER_LIMITS:
         gains, _ = best(within(lambda j: j[:, SETTLING], other), known)
         best(within(lambda j: j[:, OVERSHOOT], other), np.vstack([known, gains]))
-    candidates, judgements = archive.table()
-    # what the later searches found on the way may be better still
+    return _of_all(*archive.table(), limits)
+
+
+def _of_all(candidates: Array, judgements: Array, limits: Limits) -> Design:
+    """The best of all gains (n, d) that were judged (n, 7), and their front: what the later
+    searches found on the way may be better than what they were made for."""
     kept = _kept(judgements, limits)
     fastest, calmest = judgements[kept, SETTLING].min(), judgements[kept, OVERSHOOT].min()
     values = np.where(kept, _knee(fastest, calmest)(judgements), np.inf)

@@ -16,7 +16,14 @@ from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
-from groundstation.discrepancy.findings import Alternative, Candidate, Findings, NotShown, Reason
+from groundstation.discrepancy.findings import (
+    Alternative,
+    Candidate,
+    Findings,
+    FoundEffect,
+    NotShown,
+    Reason,
+)
 from groundstation.discrepancy.proof import Explained, Left, Proof, what_is_left
 from groundstation.dynamics.model import Disturbance, Estimate
 
@@ -296,27 +303,10 @@ def discrepancy_report(
         verdict=findings.verdict.value,
         explained=proof.explained,
         disturbance=findings.model.disturbance,
-        effects=[
-            EffectFound(
-                one.name,
-                one.order,
-                one.adds,
-                one.parameters,
-                one.evidence,
-                list(one.alternatives),
-                Step(one.gap_before, one.gap_after),
-                list(one.channels),
-                one.weight if np.isfinite(one.weight) else None,
-                one.recurrence if np.isfinite(one.recurrence) else None,
-            )
-            for one in findings.effects
-        ],
+        effects=[_effect_found(one) for one in findings.effects],
         possible=[
             PossibleEffect(
-                one.name,
-                one.parameters,
-                one.recurrence,
-                list(one.alternatives),
+                *(one.name, one.parameters, one.recurrence, list(one.alternatives)),
                 one.refused.reason.value if one.refused else "",
             )
             for one in findings.possible
@@ -348,6 +338,21 @@ def discrepancy_report(
         model=model,
         created_by=created_by,
         stretches=[stretch_report(*one) for one in found.stretches],
+    )
+
+
+def _effect_found(one: FoundEffect) -> EffectFound:
+    return EffectFound(
+        one.name,
+        one.order,
+        one.adds,
+        one.parameters,
+        one.evidence,
+        list(one.alternatives),
+        Step(one.gap_before, one.gap_after),
+        list(one.channels),
+        one.weight if np.isfinite(one.weight) else None,
+        one.recurrence if np.isfinite(one.recurrence) else None,
     )
 
 

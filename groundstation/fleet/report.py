@@ -60,31 +60,8 @@ def report(
     fitted = sum(1 for one in fits.values() if one["reason"] is None)
     tried = f"{counted(len(crafts), 'craft')}, {counted(fitted, 'flight')} fitted"
     page = Page(f"Fleet {name}", f"{counted(len(recordings), 'recording')} of {tried}")
+    _verdict(page, fleet, len(crafts), tried)
     found = fleet.findings
-    if found:
-        ill = len({one.craft for one in found})
-        page.verdict(f"{ill} of {len(crafts)} crafts changed, or differ from the others.", "bad")
-        page.next_step(
-            "check on the craft what is named; mend it, fly again, and index: what was mended is"
-            " found to have changed back."
-        )
-        page.bullets(one.text for one in found)
-    elif fleet.tests:
-        page.verdict(
-            f"No craft changed or differs, of {len(crafts)}, by {fleet.tests} tests.", "good"
-        )
-        page.next_step("nothing to mend: index what is flown from now on.")
-    else:
-        page.verdict(f"Nothing could be tested yet: {tried}.", "neutral")
-        page.next_step(
-            "record and fit more: a craft is compared with itself from some flights before and"
-            " after, and with others from four crafts on."
-        )
-    if fleet.tests:
-        page.text(
-            f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
-            " expected to be chance."
-        )
     if more.date is not None:
         add_shifts(page, more.date, more.shifts)
     add_effects(page, more.effects)
@@ -121,6 +98,33 @@ def report(
         page.figure(_drawn(by_key[one.craft, one.quantity], one, fleet), one.text)
     _set_aside(page, recordings, fits)
     return page
+
+
+def _verdict(page: Page, fleet: Fleet, crafts: int, tried: str) -> None:
+    """What came of the tests, and what to do."""
+    found = fleet.findings
+    if found:
+        ill = len({one.craft for one in found})
+        page.verdict(f"{ill} of {crafts} crafts changed, or differ from the others.", "bad")
+        page.next_step(
+            "check on the craft what is named; mend it, fly again, and index: what was mended is"
+            " found to have changed back."
+        )
+        page.bullets(one.text for one in found)
+    elif fleet.tests:
+        page.verdict(f"No craft changed or differs, of {crafts}, by {fleet.tests} tests.", "good")
+        page.next_step("nothing to mend: index what is flown from now on.")
+    else:
+        page.verdict(f"Nothing could be tested yet: {tried}.", "neutral")
+        page.next_step(
+            "record and fit more: a craft is compared with itself from some flights before and"
+            " after, and with others from four crafts on."
+        )
+    if fleet.tests:
+        page.text(
+            f"{fleet.tests} tests were made; of what is named at most {100 * FALSE_SHARE:.0f} % is"
+            " expected to be chance."
+        )
 
 
 def _map(fleet: Fleet, crafts: Sequence[str]) -> Figure:

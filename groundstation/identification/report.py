@@ -88,16 +88,21 @@ def report(model: Model, account: dict[str, Any], evidence: Evidence) -> Page:
     )
     for test in evidence.residuals:
         page.figure(residual(test), residual_text(test))
+    _recordings(page, account)
+    return page
+
+
+def _recordings(page: Page, account: dict[str, Any]) -> None:
+    held = account["held_out"] if isinstance(account["held_out"], list) else []
     page.heading("Recordings")
     page.table(
         ["file", "sha256", "used"],
         [
             *([one["file"], one["sha256"], "fitted"] for one in account["recordings"]),
-            *([one["file"], one["sha256"], "held out"] for one in _held_files(account)),
+            *([one["file"], one["sha256"], "held out"] for one in held),
         ],
-        f"Held out: the {account['held_out']} of all rows." if not _held_files(account) else "",
+        "" if held else f"Held out: the {account['held_out']} of all rows.",
     )
-    return page
 
 
 def _arx_meaning(model: Model, title: str, channel: str) -> Meaning:
@@ -188,10 +193,6 @@ def _tables(page: Page, account: dict[str, Any]) -> None:
         f"Roll's model on pitch data, free run: RMS {other['roll_model_on_pitch']:.4g}; pitch's on"
         f" roll data: {other['pitch_model_on_roll']:.4g}."
     )
-
-
-def _held_files(account: dict[str, Any]) -> list[dict[str, str]]:
-    return account["held_out"] if isinstance(account["held_out"], list) else []
 
 
 def trace(shown: Trace) -> Figure:

@@ -26,6 +26,8 @@ from groundstation.links.cflib_calls import (
 from groundstation.links.log_plan import Variable
 
 BLOCK_S, BEGIN_TRIES = 5.0, 5
+BLOCKS_MOST = "a craft logs 16 blocks and 128 variables"
+"""The firmware's own limits, which cflib knows."""
 MOST_AT_ONCE = 9
 """Variables of a block that one packet holds; of more, cflib adds the rest with another."""
 STOP_S = 0.2
@@ -156,10 +158,8 @@ class LogBlocks:
             await started
             await whole
         except (AttributeError, KeyError) as error:  # cflib's own limits
-            raise BadInputError(
-                f"{self._uri}: {error.args[0] if error.args else error}: a craft logs 16 blocks"
-                " and 128 variables; ask for fewer with --log"
-            ) from error
+            what = f"{self._uri}: {error.args[0] if error.args else error}"
+            raise BadInputError(f"{what}: {BLOCKS_MOST}; ask for fewer with --log") from error
         except asyncio.CancelledError:
             block.stop()  # and deleted at the end: it may be read at this moment
             with contextlib.suppress(ValueError):  # cflib has begun anew

@@ -74,7 +74,7 @@ _REPORT = (
 def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
     """The page of the daemon at ``control``."""
     document = (STATIC / "page.html").read_text()
-    stops, asks, looks = _way("stops", STOPS), _way("asks", ASKS), _way("looks", LOOKS)
+    asks, looks = _way("asks", ASKS), _way("looks", LOOKS)
 
     async def page(request: Request) -> Response:
         token = access.change_token(_cookie(request.headers, access))
@@ -83,19 +83,6 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
     async def now(request: Request) -> Response:
         found = follower.now(_whole(request, "after"), _whole(request, "status"))
         return _json({**found, "alarms": alarms(*follower.state())})
-
-    async def do(request: Request) -> Response:
-        body = await request.body()
-        if len(body) > BODY_MOST:
-            return _refusal(413, f"the request is longer than {BODY_MOST} bytes")
-        try:
-            content = msgspec.json.decode(body, type=dict[str, Any]) if body else None
-            path = request.url.path.removeprefix("/do")
-            disarms = path == "/command/arm" and content == {"on": False}
-            way = stops if path in AT_ONCE or disarms else asks
-            return _json(await way(ask, control, "POST", path, content))
-        except (GroundStationError, msgspec.MsgspecError) as error:
-            return _refusal(400, str(error))
 
     def shows(look: Callable[[Path], Any]) -> Callable[[Request], Awaitable[Response]]:
         """A route with what ``look`` finds by asking the daemon."""
@@ -133,11 +120,31 @@ def page_app(control: Path, access: Access, follower: Follower) -> ASGIApp:
             help_route(),
             *_opening(control, looks),
             _parameters(control, looks, asks),
-            *(Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS),
+            *_doing(control, asks),
             *(Route(f"/{name}", static) for name in files),
         ]
     )
     return _Gate(app, access, control)
+
+
+def _doing(control: Path, asks: Callable[..., Awaitable[Any]]) -> list[Route]:
+    """What the daemon is asked to do; what stops a craft waits for nothing else."""
+    stops = _way("stops", STOPS)
+
+    async def do(request: Request) -> Response:
+        body = await request.body()
+        if len(body) > BODY_MOST:
+            return _refusal(413, f"the request is longer than {BODY_MOST} bytes")
+        try:
+            content = msgspec.json.decode(body, type=dict[str, Any]) if body else None
+            path = request.url.path.removeprefix("/do")
+            disarms = path == "/command/arm" and content == {"on": False}
+            way = stops if path in AT_ONCE or disarms else asks
+            return _json(await way(ask, control, "POST", path, content))
+        except (GroundStationError, msgspec.MsgspecError) as error:
+            return _refusal(400, str(error))
+
+    return [Route(f"/do{path}", do, methods=["POST"]) for path in ACTIONS]
 
 
 def _opening(control: Path, looks: Callable[..., Awaitable[Any]]) -> list[Route]:

@@ -84,18 +84,16 @@ def read_microsd(path: Path) -> Recording:
         _TIMESTAMPS[layout.version][1],
     )
     tables: dict[str, Table] = {}
-    ticks: dict[int, NDArray[np.int64]] = {}
+    columns, time_us = {}, np.empty(0, np.int64)
     for number, event in layout.events.items():
         records = _gather(data, offsets[number], event.dtype)
-        ticks[number] = records["#time"].astype(np.int64) * _TIMESTAMPS[layout.version][1]
-        columns = {name: records[name] for name in event.variables}
-        tables[event.name] = Table(ticks[number].astype(np.float64) * TICK_S, columns)
-    fixed = layout.events.get(FIXED_FREQUENCY_ID)
-    columns, time_us = {}, np.empty(0, np.int64)
-    if fixed is None:
+        ticks = records["#time"].astype(np.int64) * _TIMESTAMPS[layout.version][1]
+        values = {name: records[name] for name in event.variables}
+        tables[event.name] = Table(ticks.astype(np.float64) * TICK_S, values)
+        if number == FIXED_FREQUENCY_ID:
+            columns, time_us = values, ticks
+    if FIXED_FREQUENCY_ID not in layout.events:
         damage.append("no fixed-frequency event: there are tables but no samples")
-    else:
-        columns, time_us = tables[fixed.name].columns, ticks[FIXED_FREQUENCY_ID]
     usable = (time_us >= 0) & (time_us < MAX_TIME_US)
     if not sound:
         usable[usable] = longest_in_order(time_us[usable])

@@ -82,8 +82,6 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
     samples = recording.samples
     steps = row_steps(samples)
     renewed = _renewed(samples)
-    held = {name: rows_held(rows) for name, rows in renewed.items()}
-    ranges, known = ranges_of(samples)
     rows = recording.metadata.get(ROWS_METADATA, {})
     raw_packets = _raw_packets(recording)
     segments = len(np.unique(samples.segment))
@@ -106,21 +104,7 @@ def inspect_recording(recording: Recording) -> dict[str, Any]:
         "row_copies": int(rows.get("copies", 0)),
         "clock": "host" if steps.by_host else "craft",
         "segments": segments,
-        "clipping": _clipping(samples),
-        "ranges": ranges,
-        "missing_values": {
-            name: len(samples) - count for name, count in known.items() if count < len(samples)
-        },
-        "renewed_hz": {
-            name: 1 / (hold * steps.period_s)
-            for name, hold in held.items()
-            if steps.period_s > 0 and np.isfinite(hold)
-        },
-        "missing": [
-            channel.name
-            for channel in CHANNELS
-            if channel.field != "duty_step" and not channel.is_in(samples)
-        ],
+        **_channels(samples, renewed, steps.period_s),
         "tables": {name: len(table.time_s) for name, table in recording.tables.items()},
         "marks": [event for event in recording.events if event.get("kind") in MARKS],
         "damage": list(recording.damage),
@@ -257,6 +241,31 @@ def _packet_counts(recording: Recording) -> dict[str, int]:
         "duplicates": counts.duplicates,
         "malformed": counts.malformed,
         "damaged": counts.damaged + counts.disagreeing,
+    }
+
+
+def _channels(
+    samples: SampleBatch, renewed: Mapping[str, NDArray[np.intp]], period_s: float
+) -> dict[str, Any]:
+    """What each channel holds, how often it is renewed, and which there are none of."""
+    ranges, known = ranges_of(samples)
+    held = {name: rows_held(rows) for name, rows in renewed.items()}
+    return {
+        "clipping": _clipping(samples),
+        "ranges": ranges,
+        "missing_values": {
+            name: len(samples) - count for name, count in known.items() if count < len(samples)
+        },
+        "renewed_hz": {
+            name: 1 / (hold * period_s)
+            for name, hold in held.items()
+            if period_s > 0 and np.isfinite(hold)
+        },
+        "missing": [
+            channel.name
+            for channel in CHANNELS
+            if channel.field != "duty_step" and not channel.is_in(samples)
+        ],
     }
 
 

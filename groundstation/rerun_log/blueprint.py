@@ -47,15 +47,7 @@ def pilot_blueprint(
             plot("Samples per second", f"{LINK}/rate_hz"),
         ),
         plot("Link: loss (%), latency (ms)", f"{LINK}/loss_pct", f"{LINK}/latency_ms"),
-        rrb.TextLogView(
-            name="Events",
-            origin=EVENTS,
-            contents=[EVENTS],
-            columns=rrb.TextLogColumns(
-                timeline_columns=[TimelineColumn(DEVICE_TIME)],
-                text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")],
-            ),
-        ),
+        _events_view(),
         row_shares=[6, 2, 2, 2],
     )
     right = rrb.Vertical(
@@ -94,6 +86,18 @@ def _craft_view() -> rrb.Spatial3DView:
             position=(-0.14, -0.105, 0.155),
             look_target=(0.0, 0.0, -0.022),
             eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+
+
+def _events_view() -> rrb.TextLogView:
+    return rrb.TextLogView(
+        name="Events",
+        origin=EVENTS,
+        contents=[EVENTS],
+        columns=rrb.TextLogColumns(
+            timeline_columns=[TimelineColumn(DEVICE_TIME)],
+            text_log_columns=[TextLogColumn("LogLevel"), TextLogColumn("Body")],
         ),
     )
 

@@ -44,8 +44,18 @@ class Operation:
 
 def operations(station: Station) -> list[Operation]:
     """Everything a client can ask of ``station``."""
-    parts = (_telemetry, _jobs, _settings, _command)
+    parts = (_telemetry, _jobs, _settings, _lease, _command)
     return [one for part in parts for one in part(station)]
+
+
+def _done(call: Callable[[Any], object]) -> Work:
+    """What is done with a request's body and has nothing to say."""
+
+    async def work(body: Any) -> requests.Done:
+        call(body)
+        return requests.Done()
+
+    return work
 
 
 def _telemetry(station: Station) -> list[Operation]:
@@ -61,10 +71,6 @@ def _telemetry(station: Station) -> list[Operation]:
 
     async def record_stop(_: None) -> Any:
         return await station.recordings.stop()
-
-    async def record_mark(body: requests.Mark) -> Any:
-        station.mark(body.text, body.details)
-        return requests.Done()
 
     async def recordings(_: None) -> Any:
         return await asyncio.to_thread(station.recordings.entries)
@@ -85,7 +91,8 @@ def _telemetry(station: Station) -> list[Operation]:
                   answer=list[LinkEvent]),
         Operation("POST", "/record/start", "Begin a new recording", record_start),
         Operation("POST", "/record/stop", "Finish the recording", record_stop),
-        Operation("POST", "/record/mark", "Put a note into the recording", record_mark,
+        Operation("POST", "/record/mark", "Put a note into the recording",
+                  _done(lambda body: station.mark(body.text, body.details)),
                   requests.Mark, requests.Done),
         Operation("GET", "/recordings", "The folder's recordings by name", recordings,
                   answer=list[CatalogueEntry]),
@@ -147,32 +154,22 @@ def _settings(station: Station) -> list[Operation]:
     async def page_address(_: None) -> Any:
         return requests.PageAddress(url=station.page.address())
 
-    async def page_admit(body: requests.PageToken) -> Any:
-        station.page.admit(body.token)
-        return requests.Done()
-
     return [
         Operation("POST", "/page/address", "A new address of the operator's page", page_address,
                   answer=requests.PageAddress),
-        Operation("POST", "/page/admit", "Use up the token of such an address", page_admit,
+        Operation("POST", "/page/admit", "Use up the token of such an address",
+                  _done(lambda body: station.page.admit(body.token)),
                   requests.PageToken, requests.Done),
         Operation("GET", "/config", "Every key of the configuration in force", configuration),
     ]  # fmt: skip
 
 
-def _command(station: Station) -> list[Operation]:
+def _lease(station: Station) -> list[Operation]:
+    """What the one client that commands asks."""
     commander = station.commander
 
     async def acquire(body: requests.Acquire) -> Any:
         return commander.acquire(body.client)
-
-    async def release(body: requests.Holder) -> Any:
-        commander.release(body.token)
-        return requests.Done()
-
-    async def keep(body: requests.Holder) -> Any:
-        commander.keep(body.token)
-        return requests.Done()
 
     async def setpoint(body: requests.Setpoint) -> Any:
         values = msgspec.structs.asdict(body)
@@ -185,16 +182,36 @@ def _command(station: Station) -> list[Operation]:
             height_m=commander.supervisor.height_m,
         )
 
-    async def stop(_: None) -> Any:
-        station.jobs.end_flying()
-        return requests.Stopped(motors=await commander.stop())
-
     async def stop_own(body: requests.Holder) -> Any:
         return requests.Stopped(motors=await commander.stop_own(body.token))
 
-    async def level(body: requests.Level) -> Any:
-        commander.level(body.on)
-        return requests.Done()
+    async def write_parameters(body: requests.Parameters) -> Any:
+        return requests.Values(values=await commander.write_parameters(body.token, body.values))
+
+    return [
+        Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
+                  requests.Acquire, requests.Lease),
+        Operation("POST", "/command/release", "Stop the motors and give the lease back",
+                  _done(lambda body: commander.release(body.token)),
+                  requests.Holder, requests.Done),
+        Operation("POST", "/command/keep", "Keep the lease while nothing is sent",
+                  _done(lambda body: commander.keep(body.token)), requests.Holder, requests.Done),
+        Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
+                  requests.Setpoint, requests.Sent, limited=False),
+        Operation("POST", "/command/stop_own", "Stop the motors and keep the lease", stop_own,
+                  requests.Holder, requests.Stopped, limited=False),
+        Operation("POST", "/command/parameters", "Write parameters and read them back",
+                  write_parameters, requests.Parameters, requests.Values),
+    ]  # fmt: skip
+
+
+def _command(station: Station) -> list[Operation]:
+    """What is asked of the craft, whoever commands."""
+    commander = station.commander
+
+    async def stop(_: None) -> Any:
+        station.jobs.end_flying()
+        return requests.Stopped(motors=await commander.stop())
 
     async def arm(body: requests.Armed) -> Any:
         await commander.arm(body.on)
@@ -211,23 +228,11 @@ def _command(station: Station) -> list[Operation]:
     async def parameters(_: None) -> Any:
         return requests.Values(values=commander.parameters())
 
-    async def write_parameters(body: requests.Parameters) -> Any:
-        return requests.Values(values=await commander.write_parameters(body.token, body.values))
-
     return [
-        Operation("POST", "/command/acquire", "Become the one client that commands", acquire,
-                  requests.Acquire, requests.Lease),
-        Operation("POST", "/command/release", "Stop the motors and give the lease back", release,
-                  requests.Holder, requests.Done),
-        Operation("POST", "/command/keep", "Keep the lease while nothing is sent", keep,
-                  requests.Holder, requests.Done),
-        Operation("POST", "/command/setpoint", "Send one setpoint, up to 100 a second", setpoint,
-                  requests.Setpoint, requests.Sent, limited=False),
         Operation("POST", "/command/stop", "Stop the motors, whoever commands", stop,
                   answer=requests.Stopped, limited=False),
-        Operation("POST", "/command/stop_own", "Stop the motors and keep the lease", stop_own,
-                  requests.Holder, requests.Stopped, limited=False),
-        Operation("POST", "/command/level", "Hold the craft level, or no more", level,
+        Operation("POST", "/command/level", "Hold the craft level, or no more",
+                  _done(lambda body: commander.level(body.on)),
                   requests.Level, requests.Done, limited=False),
         Operation("POST", "/command/arm", "Arm the motors or disarm them, whoever commands", arm,
                   requests.Armed, requests.Done),
@@ -237,8 +242,6 @@ def _command(station: Station) -> list[Operation]:
                   requests.CommandUri, Status),
         Operation("GET", "/command/parameters", "The craft's parameters", parameters,
                   answer=requests.Values),
-        Operation("POST", "/command/parameters", "Write parameters and read them back",
-                  write_parameters, requests.Parameters, requests.Values),
     ]  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import json
 import logging
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -73,34 +74,7 @@ def control_app(station: Station) -> Starlette:
     there is not, 409 for what another client holds, 413 and 429 beyond the limits, 500 for a fault
     of its own, which is an event too."""
     table = operations(station)
-    rate = RateLimit(REQUESTS_HZ, REQUESTS_BURST)
-
-    def guarded(
-        where: str, work: Callable[[Request], Awaitable[Response]], *, limited: bool = True
-    ) -> Callable[[Request], Awaitable[Response]]:
-        async def answer(request: Request) -> Response:
-            try:
-                if limited and not rate.allows():
-                    station.turned_away += 1
-                    return _refusal(429, f"more than {REQUESTS_HZ:g} requests a second")
-                if "origin" in request.headers:  # through a port that leads here, a browser's page
-                    return _refusal(403, "web pages are not answered here: use the daemon's own")
-                return await work(request)
-            except _TooLargeError as error:
-                return _refusal(413, error)
-            except NotAuthorisedError as error:
-                return _refusal(403, error)
-            except TakenError as error:
-                return _refusal(409, error)
-            except GroundStationError as error:
-                return _refusal(400, error)
-            except ClientDisconnect:
-                return Response(status_code=499)
-            except Exception as error:
-                station.journal.fault(f"{where}: {error!r}", source="control")
-                return _refusal(500, f"{where}: internal fault: {error!r}")
-
-        return answer
+    guarded = partial(_guarded, station, RateLimit(REQUESTS_HZ, REQUESTS_BURST))
 
     def route(operation: Operation) -> Route:
         async def work(request: Request) -> Response:
@@ -131,6 +105,41 @@ def control_app(station: Station) -> Starlette:
         ],
         exception_handlers={HTTPException: nowhere},
     )
+
+
+def _guarded(
+    station: Station,
+    rate: RateLimit,
+    where: str,
+    work: Callable[[Request], Awaitable[Response]],
+    *,
+    limited: bool = True,
+) -> Callable[[Request], Awaitable[Response]]:
+    """The answers of ``work`` within the limits, and a status for each of its errors."""
+
+    async def answer(request: Request) -> Response:
+        try:
+            if limited and not rate.allows():
+                station.turned_away += 1
+                return _refusal(429, f"more than {REQUESTS_HZ:g} requests a second")
+            if "origin" in request.headers:  # through a port that leads here, a browser's page
+                return _refusal(403, "web pages are not answered here: use the daemon's own")
+            return await work(request)
+        except _TooLargeError as error:
+            return _refusal(413, error)
+        except NotAuthorisedError as error:
+            return _refusal(403, error)
+        except TakenError as error:
+            return _refusal(409, error)
+        except GroundStationError as error:
+            return _refusal(400, error)
+        except ClientDisconnect:
+            return Response(status_code=499)
+        except Exception as error:
+            station.journal.fault(f"{where}: {error!r}", source="control")
+            return _refusal(500, f"{where}: internal fault: {error!r}")
+
+    return answer
 
 
 def _others(

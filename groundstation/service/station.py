@@ -69,14 +69,8 @@ class Station:
         """Requests and connections beyond the control API's limits."""
         self.started_s = time.monotonic()
         self.journal = Journal(clock, self._is_repetition)
-        link = telemetry_link(
-            config,
-            config.link.name,
-            self.journal,
-            clock,
-            on_table=self._note,
-            port=config.command,
-        )
+        name, port = config.link.name, config.command
+        link = telemetry_link(config, name, self.journal, clock, on_table=self._note, port=port)
         self.commander = self._commanding(link)
         self.receiver = Receiver(
             link,
@@ -87,14 +81,8 @@ class Station:
             fast=config.link.speed == "max",
             busy=lambda: max(self.sessions.fullness, self.twin.fullness) > QUEUE_MOST,
         )
-        self.craft = CraftLinks(
-            config,
-            self.journal,
-            clock,
-            self.receiver,
-            self.commander,
-            on_entry=self._take_command,
-        )
+        ends = self.receiver, self.commander
+        self.craft = CraftLinks(config, self.journal, clock, *ends, on_entry=self._take_command)
         self.newest = Newest(self.receiver.now_ns)
         self.stream = Stream()
         self.sessions = self._recorded()
@@ -105,14 +93,7 @@ class Station:
             settle=self.receiver.settle,
             note=self._noting("recorder"),
         )
-        self.viewer = Viewer(
-            ViewerMode(config.viewer.mode),
-            port=config.viewer.port,
-            web_port=config.viewer.web_port,
-            twin=bool(config.twin.model),
-            tables=bool(config.radio.log),
-            on_event=self._noting("viewer"),
-        )
+        self.viewer = self._shown()
         socket = socket_path(config.control.socket)
         self.page = PageService(config.page, socket)
         self.jobs = Jobs(lambda: self.sessions.folder, self._noting("jobs"), socket)
@@ -155,6 +136,17 @@ class Station:
             low_space_bytes=round(recording.low_space_mb * MEBIBYTE),
             on_fault=self._recorder_fault,
             clock=self.clock,
+        )
+
+    def _shown(self) -> Viewer:
+        config = self.config
+        return Viewer(
+            ViewerMode(config.viewer.mode),
+            port=config.viewer.port,
+            web_port=config.viewer.web_port,
+            twin=bool(config.twin.model),
+            tables=bool(config.radio.log),
+            on_event=self._noting("viewer"),
         )
 
     def stop(self) -> None:

@@ -19,6 +19,27 @@ OUTSIDE = {"asyncio", "http", "socket", "subprocess", "threading", "serial", "us
     *("multiprocessing", "shutil", "tempfile", "urllib"),
 }
 """What touches the world: no business of a pure package."""
+PARTS_MOST, MODULE_LINES, FUNCTION_LINES = 30, 399, 59
+LONG_KERNELS = {
+    "firmware_sim/plant.py: derivative",
+    "groundstation/control/flight_kernels.py: cascade_many",
+    "groundstation/control/flight_kernels.py: cascade_run",
+    "groundstation/prediction/kernels.py: observe",
+    "groundstation/twin/kernels.py: score",
+}
+"""Loops over rows that numba compiles: what they carry from one row to the next is a dozen local
+numbers, and each function that took them would be inlined again, at the price of its compiling."""
+LONG_YET = {
+    "groundstation/comparison/gap.py: ahead_errors",
+    "groundstation/discrepancy/conclusions.py: conclude",
+    "groundstation/identification/arx/workflow.py: identify_arx",
+    "groundstation/identification/body/workflow.py: identify_body",
+    "groundstation/identification/motor/workflow.py: identify_motor",
+    "groundstation/prediction/observer.py: _linearised",
+}
+"""Whoever shortens one shows that its figures stay the same to the last digit."""
+LONG_MODULES = {"groundstation/prediction/kernels.py"}
+"""Of those loops and the pieces that are inlined in them."""
 
 
 def sources(package):
@@ -121,23 +142,32 @@ def assert_no_circle(arrows):
         pytest.fail(" <- ".join(error.args[1]))
 
 
-def functions(package):
-    """File, function, and whether it is a kernel, which numba compiles: that one may be long."""
-    for path in sources(package):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                decorators = " ".join(ast.unparse(one) for one in node.decorator_list)
-                yield path, node, bool(re.search(r"\b(kernel|inner|njit)\b", decorators))
+def test_there_are_at_most_30_packages_and_top_level_modules():
+    assert len(PACKAGES) + len(SMALL) <= PARTS_MOST
 
 
-@pytest.mark.parametrize("package", ["", "firmware_sim"])
-def test_a_function_has_at_most_80_lines_unless_it_is_a_kernel(package):
-    long = [
-        f"{path.relative_to(ROOT)}: {function.name}"
-        for path, function, kernel in functions(package)
-        if not kernel and function.end_lineno - function.lineno >= 80
-    ]
-    assert not long
+def test_a_module_has_at_most_399_lines_unless_it_is_of_kernels():
+    files = (path for package in ("", "firmware_sim") for path in sources(package))
+    lines = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in files}
+    assert {name for name, count in lines.items() if count > MODULE_LINES} == LONG_MODULES
+
+
+def test_a_function_has_at_most_59_lines_unless_it_is_a_kernel():
+    long = {
+        f"{path.relative_to(ROOT)}: {node.name}": compiled(node)
+        for package in ("", "firmware_sim")
+        for path in sources(package)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.end_lineno - node.lineno >= FUNCTION_LINES
+    }
+    assert set(long) == LONG_KERNELS | LONG_YET
+    assert all(long[name] for name in LONG_KERNELS)
+
+
+def compiled(function):
+    decorators = " ".join(ast.unparse(one) for one in function.decorator_list)
+    return bool(re.search(r"\b(kernel|inner)\b", decorators))
 
 
 def test_only_two_links_know_the_software_craft():
