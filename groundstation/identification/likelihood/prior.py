@@ -34,7 +34,7 @@ what flights of one craft differ by."""
 TAIL = 10.0
 """A model that was fitted to flights with something missing may be off by half: its prior has the
 tail of Student's distribution, and weighs an eleventh at 10 standard deviations. So has that of
-motors that no bench has measured."""
+motors whose pace such a fit took from flights."""
 TIMING_DOUBT = 0.5
 LAG_DOUBT_S = 0.01
 """Of measured rotor speeds: a sensor that averages over revolutions, and a log that holds them."""
@@ -111,7 +111,7 @@ def prior_of(model: Model, start: Point, told: bool) -> tuple[list[Prior], bool]
     attitude filter's timing; whether there was a bench.
 
     told: rows show every setting of the motors. Where they do not, no likelihood tells how fast
-    rotors answer, and the model's numbers have no tail.
+    rotors answer, and the model's numbers have no tail. Nor have a profile's, which no flight bent.
     A constant that is zero (a2 of a first-order motor) stays so: it is not in the prior.
     """
     motor = tuple(key for key in MOTOR_KEYS if start[key] != 0.0)
@@ -125,5 +125,7 @@ def prior_of(model: Model, start: Point, told: bool) -> tuple[list[Prior], bool]
         if np.isfinite(given).all():
             covariance, known = given + np.diag((LEAST_MOTOR_DOUBT * values) ** 2), True
     weight = np.asarray(np.linalg.inv(covariance))
+    pace = model.fit.get("body", {}).get("motor_pace", {}).get("value", 1.0)
+    tail = TAIL if told and not known and pace != 1.0 else math.inf
     timing = Prior((TIMING,), {TIMING: 0.0}, np.array([[TIMING_DOUBT**-2]]))
-    return [Prior(motor, centre, weight, TAIL if told and not known else math.inf), timing], known
+    return [Prior(motor, centre, weight, tail), timing], known

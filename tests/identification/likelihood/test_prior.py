@@ -51,15 +51,21 @@ def test_the_value_has_the_slope_that_is_said_and_a_model_far_off_hardly_weighs(
 
 
 @pytest.mark.parametrize(
-    ("benched", "told", "may_be_far_off"),
-    [(False, True, True), (False, False, False), (True, True, False)],
+    ("benched", "pace", "told", "may_be_far_off"),
+    [
+        (False, 0.8, True, True),
+        (False, 0.8, False, False),
+        (False, 1.0, True, False),
+        (True, 0.8, True, False),
+    ],
 )
-def test_motors_that_no_bench_measured_may_be_far_off_where_rows_show_what_they_did(
-    benched, told, may_be_far_off
+def test_motors_may_be_far_off_where_flights_set_their_pace_and_rows_show_what_they_did(
+    benched, pace, told, may_be_far_off
 ):
     values = np.array([START[key] for key in MOTOR_KEYS])
     account = {"names": list(MOTOR_KEYS), "covariance": np.diag((0.02 * values) ** 2).tolist()}
-    fit = {"motor": {"estimates": account}} if benched else {}
+    fit = {"body": {"motor_pace": {"value": pace}}}
+    fit |= {"motor": {"estimates": account}} if benched else {}
     (motors, _), known = prior_of(msgspec.structs.replace(BASE, fit=fit), START, told)
     assert known is benched
     near, far = (
