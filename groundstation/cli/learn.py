@@ -24,7 +24,9 @@ Told = Callable[[str], None]
 CRAFT, SEALED = "craft.toml", "sealed.toml"
 HIDDEN_EFFECTS = (2, 3)
 HEIGHT = typer.Option(0.5, "--height", help="Height to fly at, m.")
-SPACE = typer.Option("2x2", "--space", metavar="WIDTHxDEPTH", help="Room there is, m.")
+SPACE = typer.Option(
+    "2x2", "--space", metavar="WIDTHxDEPTH", help="Room it may use, m; leave more around."
+)
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -56,7 +58,9 @@ def learn(
     """Learn a craft: fly what is unknown, name what a model lacks, prove it, design gains, fly
     them.
 
-    The folder is the state: whatever ends it, the same command goes on. Ctrl-C stops the motors.
+    A real craft is that of a running daemon; between its flights, which follow computing of
+    minutes, it takes off by itself. The folder is the state: whatever ends it, the same command
+    goes on. Ctrl-C stops the motors: a craft in the air drops.
 
     Example: [bold]groundstation learn --link software:crazyflie21 --hide 1[/bold]
     """
@@ -64,6 +68,11 @@ def learn(
     from groundstation.learn.journal import journal_in
 
     own_terminal()
+    if not link.startswith(SOFTWARE) and link != "daemon":
+        raise BadInputError(
+            f"--link {link}: a craft is flown through a running daemon: 'groundstation run --link"
+            f" {link}', then learn without --link"
+        )
     limits = _limits(height, space)
     journal = journal_in(output)
     if hide is not None and not link.startswith(SOFTWARE):

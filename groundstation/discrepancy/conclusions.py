@@ -211,7 +211,8 @@ def _not_shown(scores: Sequence[Scored], named: Container[str]) -> list[NotShown
         for unknown, error in zip(sizes, one.errors.tolist(), strict=True):
             if SHOWN * error > unknown.worth:
                 name, unit = unknown.key.partition(".")[2], unknown.unit
+                stderr = error if math.isfinite(error) else None
                 found.append(
-                    NotShown(effect.name, name, error, unknown.worth, unit, effect.excited_by)
+                    NotShown(effect.name, name, stderr, unknown.worth, unit, effect.excited_by)
                 )
     return found

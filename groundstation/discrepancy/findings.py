@@ -137,13 +137,13 @@ class Candidate:
 class NotShown:
     """An effect that these recordings cannot show.
 
-    stderr: that they would give to ``parameter``; plausible: a usual size of it; manoeuvre: what
-    to fly, or which channel to record.
+    stderr: that they would give to ``parameter``, None where nothing of it shows in them;
+    plausible: a usual size of it; manoeuvre: what to fly, or which channel to record.
     """
 
     name: str
     parameter: str
-    stderr: float
+    stderr: float | None
     plausible: float
     unit: str
     manoeuvre: str

@@ -65,7 +65,7 @@ def open_words(found: DiscrepancyReport) -> list[str]:
 def known_errors(found: DiscrepancyReport) -> dict[str, float]:
     """What flights say already of effects' sizes, by key: of those that are open nothing."""
     open_ones = {name for pair in open_names(found).items() for name in (pair[0], *pair[1])}
-    weak = {f"{one.name}.{one.parameter}": one.stderr for one in found.not_shown}
+    weak = {f"{one.name}.{one.parameter}": one.stderr or np.inf for one in found.not_shown}
     known = {}
     for key, one in KEYS.items():
         if one.effect.name not in open_ones:

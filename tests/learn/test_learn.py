@@ -169,6 +169,7 @@ def test_a_disk_that_is_full_is_one_line_and_what_was_flown_before_is_kept(small
         (["--height", "5"], "--height"),
         (["--hide", "1"], "software"),
         (["--link", "software:zeppelin"], "zeppelin"),
+        (["--link", "radio://0/80"], "groundstation run --link radio://0/80"),
         (["--undo"], "nothing to put back"),
     ],
 )
