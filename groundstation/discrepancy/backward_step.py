@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
-from groundstation.discrepancy.evidence import by_parts, separated
+from groundstation.discrepancy.evidence import by_blocks, separated
 from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.discrepancy.search_state import SearchState
 
@@ -40,8 +40,8 @@ def drop_insignificant(search: SearchState) -> bool:
     linear = problem.linear(now.point, now.keys, problem.flights)
     refused = []
     for one in search.accepted:
-        t, parts = by_parts(problem, separated(problem, linear, one.variant))
-        one.evidence = replace(one.evidence, t=t, parts=parts)
+        t = by_blocks(problem, separated(problem, linear, one.variant))
+        one.evidence = replace(one.evidence, t=t)
         why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
         if why is not None:
             refused.append((t, one, why))

@@ -158,10 +158,6 @@ def _effect(
             "t": evidence.t,
             "held_out": evidence.held_out,
             "held_out_expected": evidence.expected,
-            "axes": evidence.apart(1),
-            "recordings": evidence.apart(0),
-            "whitened_before": evidence.gap[0],
-            "whitened_after": evidence.gap[1],
         },
         alternatives=tuple(
             Alternative(other.name, other.margin, _manoeuvre(name, other.name, own), other.share)

@@ -1,4 +1,4 @@
-"""What speaks for one effect: likelihood, flights left out, blocks of time, channels, parts."""
+"""What speaks for one effect: likelihood, flights left out, blocks of time, channels."""
 
 from __future__ import annotations
 
@@ -32,72 +32,34 @@ BLOCK_S = 1.0
 HELD_OUT_SHARE = 0.2
 """Of what an effect promises on flights that are left out, the least that they have to gain: it
 may be of another size there, and then gains nothing at half of it."""
-INFORMED = 0.05
-"""Least share of Fisher information for the homogeneity test: where an effect hardly shows, a
-small fault of a strong one looks like a disagreement."""
 TOUCHED = 0.02
 """Share of an effect's power in its strongest channel, from which it touches a channel."""
 BANDS_AN_OCTAVE = 3.0
 """In which an effect is weighed against settings that no row shows: wide enough for a mean."""
-LEAST_INFORMATION = 9.0
-"""A part that knows the size to a third of it, or better, takes part in the comparison."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """drop: of -2 log L in the fit, the prior included; held_out: of that of flights that its size
     was not taken from, each left out once, expected: what it is there for an effect of the fitted
-    size. t: by blocks. parts: (flight, channel) -> size relative to the joint fit, and its standard
-    error. gap: whitened RMS before and after, over the channels it touches. beyond: what it does
-    (drop of -2 log L) more than settings of the motors that no row shows can do; infinite where
-    rows show all of them."""
+    size. t: by blocks. channels: that it touches. beyond: what it does (drop of -2 log L) more
+    than settings of the motors that no row shows can do; infinite where rows show all of them."""
 
     drop: float
     held_out: float
     expected: float
     t: float
-    parts: dict[tuple[int, int], tuple[float, float]]
-    gap: tuple[float, float]
     channels: tuple[int, ...]
     beyond: float = math.inf
 
-    def apart(self, by: int) -> float:
-        """Standard errors by which sizes of recordings (by 0) or channels (by 1) lie apart most, of
-        those that are informed."""
-        groups: dict[int, list[tuple[float, float]]] = {}
-        for place, (size, error) in self.parts.items():
-            groups.setdefault(place[by], []).append((size * error**-2, error**-2))
-        sums = np.array([np.sum(one, axis=0) for one in groups.values()]).reshape(-1, 2)
-        pulled, trust = sums[sums[:, 1] > INFORMED * sums[:, 1].sum()].T
-        if len(trust) < 2:
-            return 0.0
-        away = np.abs(pulled / trust - float(pulled.sum()) / float(trust.sum()))
-        return float((away * np.sqrt(trust)).max())
-
 
 def gather(
-    problem: Problem,
-    folds: Sequence[Flight],
-    before: Fit,
-    after: Fit,
-    variant: Variant,
-    away: Linear | None = None,
+    problem: Problem, folds: Sequence[Flight], before: Fit, after: Fit, variant: Variant
 ) -> Evidence:
     """What speaks for a variant: ``before`` and ``after`` it joined. folds: flights each of which
-    is left out once (``folds_of``). away: fitted flights as the fit before leaves them, where they
-    have been evaluated."""
+    is left out once (``folds_of``)."""
     drop = before.cost - after.cost
     linear = problem.linear(after.point, after.keys, problem.flights)
-    channels = touched(problem, linear, variant)
-    if away is None:
-        away = problem.linear(before.point, (), problem.flights)
-    _, own, freedom = problem.cost_of(away)
-    _, better, _ = problem.cost_of(_residuals(linear))
-    count = max(sum(freedom.get(c, 0.0) for c in channels), 1.0)
-    gap = (
-        float(np.sqrt(sum(own.get(c, 0.0) for c in channels) / count)),
-        float(np.sqrt(sum(better.get(c, 0.0) for c in channels) / count)),
-    )
     held, expected = drop, drop
     if folds:
         alike = all(one is other for one, other in zip(folds, problem.flights, strict=False))
@@ -106,9 +68,8 @@ def gather(
             problem, there, variant.keys, sizes_at(variant, after.point)
         )
     effect = separated(problem, linear, variant)
-    t, parts = by_parts(problem, effect)
-    beyond = beyond_unseen(problem, effect)
-    return Evidence(drop, held, expected, t, parts, gap, channels, beyond)
+    t, channels = by_blocks(problem, effect), touched(problem, linear, variant)
+    return Evidence(drop, held, expected, t, channels, beyond_unseen(problem, effect))
 
 
 def folds_of(flights: Sequence[Flight]) -> list[Flight]:
@@ -161,16 +122,6 @@ def cross_validated(
     return held, expected
 
 
-def _residuals(linear: Linear) -> Linear:
-    """The same without columns."""
-    return replace(
-        linear,
-        keys=(),
-        spectra=[replace(s, columns=s.columns[:0], place=s.place[:0]) for s in linear.spectra],
-        verticals=[replace(row, slopes=row.slopes[:0]) for row in linear.verticals],
-    )
-
-
 def touched(problem: Problem, linear: Linear, variant: Variant) -> tuple[int, ...]:
     """Channels that a variant touches in the first flight of a joint fit."""
     places, power = linear.place(variant.keys), {}
@@ -188,47 +139,38 @@ class Separated:
     """An effect as one column, whose coefficient is 1 in the joint fit, without what the other
     unknowns can imitate of it.
 
-    linear: of the joint fit. own: (k,) places of the effect's columns in it. weights: (p,) of all
-    its columns, which make them that one.
+    linear: of the joint fit. weights: (p,) of all its columns, which make them that one.
     """
 
     linear: Linear
-    own: list[int]
     weights: Array
 
 
 def separated(problem: Problem, linear: Linear, variant: Variant) -> Separated:
     """An effect of a joint fit, apart from the rest of it."""
-    return Separated(linear, linear.place(variant.sizes), _alone(problem, linear, variant))
+    return Separated(linear, _alone(problem, linear, variant))
 
 
-def by_parts(
-    problem: Problem, effect: Separated
-) -> tuple[float, dict[tuple[int, int], tuple[float, float]]]:
-    """t of the whole effect from scores by blocks of time, and its size by flight and channel."""
-    linear, own, weights = effect.linear, effect.own, effect.weights
+def by_blocks(problem: Problem, effect: Separated) -> float:
+    """t of the whole effect from scores by blocks of time."""
+    linear, weights = effect.linear, effect.weights
     information, variance = 0.0, 0.0
-    parts: dict[tuple[int, int], tuple[float, float]] = {}
     scores: dict[int, list[Array]] = {}
     for s in linear.spectra:
         if not len(s.place):
             continue
         column = weights[s.place] @ s.columns
         scale = s.weight / problem.noise[s.channel].at(s.hz)
-        strength = float((scale * column**2).sum())
-        score = float((scale * column * s.residual).sum())
-        information += strength
-        if strength > LEAST_INFORMATION and np.isin(s.place, own).any():
-            parts[s.flight, s.channel] = (1.0 + score / strength, strength**-0.5)
+        information += float((scale * column**2).sum())
         scores.setdefault(s.flight, []).append(_block_scores(s, column, problem, s.channel))
     for pieces in scores.values():
         blocks = min(len(p) for p in pieces)
         summed = np.sum([p[:blocks] for p in pieces], axis=0)
         variance += float((summed**2).sum())
     if information <= 0.0:
-        return 0.0, parts
+        return 0.0
     # Scores have mean zero at the optimum: their sum of squares is the variance of their sum.
-    return information / max(variance, information) ** 0.5, parts
+    return information / max(variance, information) ** 0.5
 
 
 def beyond_unseen(problem: Problem, effect: Separated) -> float:

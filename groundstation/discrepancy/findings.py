@@ -90,9 +90,7 @@ class FoundEffect:
     order: 1 for the first one accepted. parameters: by name, in the model file's units, from
     the last joint fit. evidence: ``likelihood_ratio`` (drop of -2 log L when it joined), ``t``
     (from scores summed over blocks of time), ``held_out`` (drop of -2 log L on flights that its
-    size was not taken from), ``axes`` and ``recordings`` (standard deviations by which parts
-    disagree), ``whitened_before`` and ``whitened_after``: RMS of the whitened one-step residual
-    over the channels the effect touches, 1.0 being noise, before and after it joined;
+    size was not taken from) and ``held_out_expected`` (of one that has the fitted size there);
     ``over_others``: standard errors by which a rotor shakes more than the others together.
     model: final constants, with the effects up to this one. recurrence: share of resamples that
     choose it; NaN where none were drawn. adds: its law in words. gap_before, gap_after: of

@@ -128,8 +128,6 @@ def _joined(findings: Findings, asked: Shaken) -> Findings:
     evidence = {
         "likelihood_ratio": asked.drop,
         "t": asked.t,
-        "axes": 0.0,
-        "recordings": asked.recordings[0],
         "over_others": asked.alone,
     }
     return with_last(findings, IMBALANCE, asked.parameters, evidence, asked.channels)

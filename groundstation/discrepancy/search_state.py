@@ -12,7 +12,6 @@ from groundstation.discrepancy.findings import Leftover, Predicted, Refusal
 from groundstation.discrepancy.screening import Scored, Screening, without
 from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import CANDIDATES
-from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import RENAMES, Point, Variant, absent
 from groundstation.identification.likelihood.problem import Fit, Problem
 
@@ -72,8 +71,6 @@ class SearchState:
         self.banned: set[str] = set()
         self.shapes: Point = {}
         """Of effects with a shape that is tried: its best value."""
-        self._away: tuple[Fit, Linear] | None = None
-        """Fitted flights as a fit leaves them beside which several candidates are weighed."""
         self.first: Screening
         self.scores: list[Scored]
         self.last: Screening
@@ -119,9 +116,7 @@ class SearchState:
 
     def weighed(self, before: Fit, after: Fit, variant: Variant) -> Evidence:
         """What speaks for a variant: ``before`` and ``after`` it joined."""
-        if self._away is None or self._away[0] is not before:
-            self._away = before, self.problem.linear(before.point, (), self.problem.flights)
-        return gather(self.problem, self.folds, before, after, variant, self._away[1])
+        return gather(self.problem, self.folds, before, after, variant)
 
 
 def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:

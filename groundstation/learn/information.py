@@ -14,6 +14,7 @@ from groundstation.identification.estimate import inverse
 from groundstation.identification.flight import prepare
 from groundstation.identification.likelihood.parameters import BODY_KEYS, KEYS, point_of
 from groundstation.identification.likelihood.problem import Problem
+from groundstation.identification.likelihood.spectra import quadratic
 from groundstation.identification.runs import Run
 
 Array = NDArray[np.float64]
@@ -75,11 +76,11 @@ def information_of(
     problem = Problem(flights, model, point)
     problem.settle_filters()
     linear = problem.learn_noise(problem.linear(point, problem.every_key, flights))
-    total = problem.with_prior(linear)
     keys = tuple(linear.keys)
     parts = {name: np.zeros((len(keys),) * 2) for name in runs}
-    for (flight, _), (normal, *_) in total.parts.items():
-        parts[flights[flight].run.name] += normal
+    for number, flight in enumerate(flights):
+        own = [s for s in linear.spectra if s.flight == number]
+        parts[flight.run.name] += quadratic(own, problem.noise, (), len(keys)).normal
     spread = dict(known or {})
     doubts = [_doubt(key, point, spread) for key in keys]
     prior = np.diag([0.0 if doubt is None else doubt**-2 for doubt in doubts])

@@ -25,8 +25,8 @@ GYRO_Z, FORCE_Z = 2, 5
 VARIANT = {one.effect: one for one in VARIANTS}
 
 
-def evidence(parts=None, drop=1000.0, held_out=400.0, expected=500.0, t=30.0):
-    return Evidence(drop, held_out, expected, t, parts or {}, (2.0, 1.0), (GYRO_Z, FORCE_Z))
+def evidence(drop=1000.0, held_out=400.0, expected=500.0, t=30.0):
+    return Evidence(drop, held_out, expected, t, (GYRO_Z, FORCE_Z))
 
 
 def said(stage, effect="rate_damping", **trial):
@@ -82,13 +82,6 @@ def test_what_other_rows_would_not_choose_is_possible_and_not_named():
     place = fit(rate_damping__damping_n_m_s=1e-5)
     assert said(Stage.NAMED, fit=place, recurrence=0.59) is Reason.NOT_RECURRENT
     assert said(Stage.NAMED, fit=place, recurrence=0.6) is None
-
-
-def test_it_is_told_by_how_much_channels_and_recordings_lie_apart():
-    parts = {(0, GYRO_Z): (0.2, 0.05), (0, FORCE_Z): (1.4, 0.04), (1, FORCE_Z): (1.4, 0.04)}
-    assert evidence(parts).apart(1) == pytest.approx(18.2, abs=0.1)
-    assert evidence(parts).apart(0) == pytest.approx(7.3, abs=0.1)
-    assert evidence({(0, GYRO_Z): (0.2, 0.05)}).apart(0) == 0.0
 
 
 def test_a_size_by_which_flights_differ_as_much_is_possible_and_not_named():

@@ -247,7 +247,7 @@ class Problem:
             linear.verticals,
             len(linear.keys),
         )
-        normal, gradient, cost = found.normal.copy(), found.gradient.copy(), found.value
+        normal, gradient, cost = found.normal, found.gradient, found.value
         for prior in self.prior:
             weight, slope, value = prior.at(linear.point)
             cost += value
@@ -255,7 +255,7 @@ class Problem:
             at = linear.place([prior.keys[number] for number in inside])
             normal[np.ix_(at, at)] += weight[np.ix_(inside, inside)]
             gradient[at] += slope[inside]
-        return Quadratic(normal, gradient, cost, found.parts)
+        return Quadratic(normal, gradient, cost)
 
     def fit(
         self, point: Point, keys: Sequence[str], steps: int = STEPS, settled: float = SETTLED
@@ -341,29 +341,6 @@ class Problem:
             slopes[[keys.index(key) for key in fresh.keys]] = row.slopes
             verticals.append(replace(row, slopes=slopes))
         return Linear(fresh.point, keys, spectra, verticals)
-
-    def cost(
-        self, point: Point, flights: Sequence[Flight]
-    ) -> tuple[float, dict[int, float], dict[int, float]]:
-        """-2 log L of flights at a point: whole, and by channel with its degrees of freedom."""
-        return self.cost_of(self.linear(point, (), flights))
-
-    def cost_of(self, linear: Linear) -> tuple[float, dict[int, float], dict[int, float]]:
-        """The same of flights that have been evaluated."""
-        found = quadratic(linear.spectra, self.noise, linear.verticals, 0)
-        value_of: dict[int, float] = {}
-        freedom: dict[int, float] = {}
-        for (_, channel), (_, _, own, count) in found.parts.items():
-            value_of[channel] = value_of.get(channel, 0.0) + own
-            freedom[channel] = freedom.get(channel, 0.0) + count
-        return found.value, value_of, freedom
-
-    def apart(self, one: Linear, other: Linear) -> float:
-        """Squared distance of the same flights' residuals at two points, beside noise: what
-        -2 log L falls by from one to the other, on average, where the other is the truth."""
-        pairs = zip(one.spectra, other.spectra, strict=True)
-        changes = [replace(s, residual=s.residual - t.residual) for s, t in pairs]
-        return quadratic(changes, self.noise, (), 0).value
 
 
 def bounded(

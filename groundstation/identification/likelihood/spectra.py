@@ -67,15 +67,11 @@ class Vertical:
 
 @dataclass(frozen=True, slots=True)
 class Quadratic:
-    """-2 log L around a point: value - 2 gradient d + d normal d; parts by flight and channel.
-
-    parts: (flight, channel) -> (normal (p, p), gradient (p,), value, degrees of freedom).
-    """
+    """-2 log L around a point: value - 2 gradient d + d normal d, normal (p, p)."""
 
     normal: Array
     gradient: Array
     value: float
-    parts: dict[tuple[int, int], tuple[Array, Array, float, float]]
 
 
 def transform(
@@ -200,26 +196,19 @@ def quadratic(
 ) -> Quadratic:
     """-2 log L (without its constant) of residuals as a quadratic of ``count`` unknowns."""
     normal, gradient, value = np.zeros((count, count)), np.zeros(count), 0.0
-    parts: dict[tuple[int, int], tuple[Array, Array, float, float]] = {}
     for s in spectra:
         scale = s.weight / noises[s.channel].at(s.hz)
         root = np.sqrt(scale)
         white, error = s.columns * root, s.residual * root
-        part = np.zeros((count, count))
-        part[np.ix_(s.place, s.place)] = white @ white.T
-        slope = np.zeros(count)
-        slope[s.place] = white @ error
-        own = float(error @ error)
-        parts[s.flight, s.channel] = (part, slope, own, 0.5 * float(s.weight.sum()))
-        normal += part
-        gradient += slope
-        value += own
+        normal[np.ix_(s.place, s.place)] += white @ white.T
+        gradient[s.place] += white @ error
+        value += float(error @ error)
     for row in verticals:
         scaled = row.slopes / row.sigma**2
         normal += np.outer(scaled, row.slopes)
         gradient += scaled * row.residual
         value += (row.residual / row.sigma) ** 2
-    return Quadratic(normal, gradient, value, parts)
+    return Quadratic(normal, gradient, value)
 
 
 def settled(rows: Array, lasting: Array | None, scale: Array) -> Array:
