@@ -30,7 +30,8 @@ WORTH = 16.0
 LEAST_T = 4.5
 """Standard errors, from scores by blocks: about one false alarm in 100 000 trials."""
 LEAST_DROP, DROP_PER_PARAMETER = 20.0, 6.0
-"""The same as a drop of -2 log L for one parameter, and the quantile's growth with each more."""
+"""The same as a drop of -2 log L for one parameter, and more for each further one: the logarithm of
+some 400 independent values (Schwarz 1978)."""
 LEAST_HELD_OUT = 3.0
 """Drop of -2 log L on flights that are left out: more than chance gives (95 % of chi-squared with
 one degree of freedom is 3.8, for a size that is not fitted to them half of it)."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.discrepancy.findings import Predicted
-from groundstation.discrepancy.proof import WORSE_ANYWHERE, FittedRows
+from groundstation.discrepancy.proof import LEFT, FittedRows
 from groundstation.discrepancy.screening import without
 from groundstation.discrepancy.search_state import Accepted
 from groundstation.discrepancy.slow_disturbance import (
@@ -59,7 +59,7 @@ class Judge:
         # within noise that hardly changes.
         better = self._given.of(model).rms < self._given.before.rms
         before = self._beside.before
-        hardly = (1.0 + WORSE_ANYWHERE) * before.rms / before.noise_floor
+        hardly = LEFT * before.rms / before.noise_floor
         worse = {
             channel: t
             for channel, t in found.worse.items()

@@ -22,20 +22,20 @@ GIVEN, BASE = "given model", "base constants"
 """Names of the first steps of a proof."""
 BLOCK_S = 1.0
 """Errors of neighbouring rows share their rows; those of seconds apart do not."""
-WORSE_T, WORSE_SHARE = 1.0, 0.02
+LEAST_SHARE = 0.02
+"""Of a prediction error, the least that counts as a change."""
+WORSE_T = 1.0
 """A channel is predicted worse where the mean squared error grows by so many standard errors,
-from the spread of blocks, and the RMS by this share: a doubt counts against what was found, and
-what does not change a prediction is no doubt."""
-WORSE_ANYWHERE = 0.1
-"""A channel whose RMS grows by this share beyond what it was and beyond noise is predicted worse
-whatever its blocks scatter: errors that all lie in one second (a model that believes it has left
-the ground) have no standard error, and whoever flies the model meets them. As far as noise floors
-are off (``LEFT``)."""
+from the spread of blocks, and the RMS by ``LEAST_SHARE``: a doubt counts against what was found,
+and what does not change a prediction is no doubt."""
 LEAST_BLOCKS = 3
 KEPT = 4
 """Predictions of a minute take 10 MB, and a search asks for fifty."""
 LEFT = 1.1
-"""A channel's gap from which something is left in it: what noise floors are off by (docs)."""
+"""A channel's gap from which something is left in it: what noise floors are off by (docs). One
+whose RMS grows so many times beyond what it was and beyond noise is predicted worse whatever its
+blocks scatter: errors that all lie in one second (a model that believes it has left the ground)
+have no standard error, and whoever flies the model meets them."""
 BANDS_HZ = (0.0, 0.5, 2.0, 8.0, 30.0, 1000.0)
 """Trim and drift, translation, attitude control, rotors and filters, vibration."""
 
@@ -210,8 +210,8 @@ def _explained(given: float, moved: float, named: float, followed: float) -> Exp
 def worse_channels(before: Comparison, after: Comparison) -> dict[int, float]:
     """Channels that are predicted worse: number -> by how many standard errors, at least
     ``WORSE_T``; without end where the other model predicts no number at all."""
-    growth = after.rms > (1.0 + WORSE_SHARE) * before.rms
-    anyhow = after.rms > (1.0 + WORSE_ANYWHERE) * np.maximum(before.rms, before.noise_floor)
+    growth = after.rms > (1.0 + LEAST_SHARE) * before.rms
+    anyhow = after.rms > LEFT * np.maximum(before.rms, before.noise_floor)
     lost = np.isfinite(before.rms) & ~np.isfinite(after.rms)
     blocks = np.concatenate(
         [_block_sums(one, other) for one, other in zip(before.errors, after.errors, strict=True)]

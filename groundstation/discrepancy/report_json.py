@@ -24,12 +24,10 @@ from groundstation.discrepancy.findings import (
     NotShown,
     Reason,
 )
-from groundstation.discrepancy.proof import Explained, Left, Proof, what_is_left
+from groundstation.discrepancy.proof import LEFT, Explained, Left, Proof, what_is_left
 from groundstation.dynamics.model import Disturbance, Estimate
 
 WORST = 10
-WORSE, CLEARLY = 1.05, 1.1
-"""A gap that grows by this share, to this, is said to be worse."""
 UNIT = "RMS prediction error 20 and 50 ms ahead over the noise floor (1.0: nothing left to explain)"
 
 
@@ -78,6 +76,15 @@ class Gap(msgspec.Struct, frozen=True):
     train: Level | None
     channels: dict[str, ChannelGap]
     further: dict[str, Level]
+
+    @property
+    def worse(self) -> dict[str, ChannelGap]:
+        """Channels that the improved model predicts worse, by more than noise floors are off."""
+        return {
+            name: one
+            for name, one in self.channels.items()
+            if one.after is not None and one.after > LEFT * max(one.before, 1.0)
+        }
 
 
 class Step(msgspec.Struct, frozen=True):
@@ -377,8 +384,7 @@ def _worse(gap: Gap) -> list[str]:
     return [
         f"the improved model is worse on {name} on proof samples: gap {channel.before:.2f} before,"
         f" {channel.after:.2f} after"
-        for name, channel in gap.channels.items()
-        if channel.after is not None and channel.after > max(WORSE * channel.before, CLEARLY)
+        for name, channel in gap.worse.items()
     ]
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from groundstation.comparison.localisation import Place
 from groundstation.discrepancy.findings import FoundEffect, NotShown
+from groundstation.discrepancy.proof import LEFT
 from groundstation.discrepancy.report_json import CompareReport, DiscrepancyReport, EffectFound
 from groundstation.dynamics.meanings import physics_of, title_of
 from groundstation.dynamics.model import Estimate
@@ -20,10 +21,6 @@ LARGE_LEFT = 0.3
 """Share of what was wrong from which what is left is worth a warning of its own."""
 FAR = 2.0
 """Gap of a channel from which simulations of it are not to be relied on."""
-NEAR_NOISE = 1.1
-"""Gap up to which a model is as good as noise allows: noise floors are off by as much."""
-
-
 DOUBTS = {
     "recordings_disagree": "though stretches and flights differ by nearly as much",
     "without_weight": "though predictions are hardly better with it",
@@ -166,15 +163,10 @@ def advice_of(report: DiscrepancyReport) -> list[Advice]:
     """What must not be overlooked, the gravest first."""
     found: list[Advice] = []
     level, what = report.gap.validation, report.explained
-    worse = [
-        name
-        for name, channel in report.gap.channels.items()
-        if channel.after is not None and channel.after > NEAR_NOISE * max(channel.before, 1.0)
-    ]
     plan = flight_plan(report.not_shown)
     fly = f"Fly the plan below: {plan[0][0]}" if plan else "Fly longer, and other manoeuvres"
-    if worse:
-        names = listed([one.replace("_", " ") for one in worse])
+    if report.gap.worse:
+        names = listed([one.replace("_", " ") for one in report.gap.worse])
         found.append(
             Advice(
                 f"The improved model predicts {names} worse than the given one",
@@ -183,7 +175,7 @@ def advice_of(report: DiscrepancyReport) -> list[Advice]:
             )
         )
     large = what is not None and what.left > LARGE_LEFT and level.after is not None
-    if large and what is not None and level.after is not None and level.after > NEAR_NOISE:
+    if large and what is not None and level.after is not None and level.after > LEFT:
         most = report.left[0] if report.left else None
         where = f", most of it in {most.channel.replace('_', ' ')}" if most else ""
         found.append(

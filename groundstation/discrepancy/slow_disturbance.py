@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import AheadErrors
-from groundstation.discrepancy.acceptance import is_significant
+from groundstation.discrepancy.acceptance import LEAST_SURE, is_significant
 from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
 from groundstation.dynamics.registry import DISTURBANCE
@@ -32,9 +32,8 @@ BLOCK_S = 0.5
 """Ten times the horizon, which neighbours share at their edges; a circle takes five seconds."""
 PACES_S = (0.3, 1.0, 3.0, 10.0, 30.0)
 """How fast it may change: more slowly than a craft is steered, and told by a flight of a minute."""
-LEAST_BLOCKS, LEAST_LASTING = 20, 9.0
-"""Means that tell anything, and the drop of -2 log L from which a channel has what lasts (three
-standard errors); all six are asked at once, and need more."""
+LEAST_BLOCKS = 20
+"""Means that tell anything."""
 LIFT_SHARE = 0.03
 """Of its weight, what a craft's thrust differs by from flight to flight at one PWM and voltage:
 flights of one craft tell thrusts per mass up to 5 % apart."""
@@ -143,7 +142,7 @@ def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     count = sum(np.isfinite(means).sum(axis=0) for means in flights)
     drops, variances = drift_of(flights, BLOCK_S, PACES_S)
     likeliest = np.where(count >= LEAST_BLOCKS, drops.max(axis=0), 0.0)
-    lasting = likeliest >= LEAST_LASTING
+    lasting = likeliest >= LEAST_SURE**2  # all six are asked at once, and need more
     found = Slow(
         spread=np.zeros(6),
         time_s=PACES_S[0],

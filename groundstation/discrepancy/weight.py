@@ -9,12 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.proof import LEFT
+from groundstation.discrepancy.proof import LEAST_SHARE, LEFT
 
 Array = NDArray[np.float64]
-
-LEAST_WEIGHT = 0.02
-"""Of what a channel would be left with, the least that a name has to take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +27,7 @@ class Weight:
     @property
     def is_carried(self) -> bool:
         """Whether it takes enough off, and the gap is no smaller without it."""
-        return self.share > 0.0 and self.most >= LEAST_WEIGHT
+        return self.share > 0.0 and self.most >= LEAST_SHARE
 
     @property
     def raises(self) -> bool:
