@@ -41,6 +41,15 @@ FORMER = {
     "run --page-port": "give --set page.port=PORT",
     "run --viewer-port": "give --set viewer.port=PORT",
     "run --web-port": "give --set viewer.web_port=PORT",
+    **dict.fromkeys(
+        (
+            f"{what} {one}"
+            for what in ("compare", "discrepancy")
+            for one in ("--stretch", "--marked")
+        ),
+        "the report shows the seconds in which the model is most wrong ('A closer look'); 'inspect'"
+        " lists what the live model check marked",
+    ),
     "simulate --html": "'groundstation compare --html' draws where a model and a flight disagree;"
     " in Python, simulate_run(...).plot() draws a replayed flight",
 }

@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from groundstation.cli.flights import (
-    MARKED,
     MODEL,
-    STRETCH,
     VEHICLE,
-    marked_in,
     model_for,
     read_flights,
     require_apart,
@@ -30,10 +27,10 @@ from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
     from groundstation.comparison.localisation import Place
-    from groundstation.discrepancy.report_json import Gap, StretchReport
+    from groundstation.discrepancy.report_json import Gap
 
 RECORDINGS = typer.Argument(metavar="REC...", help="Recordings of flights.")
-ROWS, STRETCH_ROWS = 8, 4
+ROWS = 8
 CLEAR = 3.0
 """Standard deviations of noise energy from which a place is worth naming."""
 
@@ -46,8 +43,6 @@ def compare(
     recordings: list[Path] = RECORDINGS,
     model: str = MODEL,
     vehicle: str | None = VEHICLE,
-    stretch: list[str] | None = STRETCH,
-    marked: bool = MARKED,
     attitude: str | None = ATTITUDE,
     html: Path | None = HTML,
     as_json: bool = AS_JSON,
@@ -62,7 +57,7 @@ def compare(
     import msgspec
 
     from groundstation import compare as judge
-    from groundstation.discrepancy.report_json import CompareReport, gap_of, stretch_report
+    from groundstation.discrepancy.report_json import CompareReport, gap_of
 
     if html is not None:
         require_new(html)
@@ -73,7 +68,6 @@ def compare(
         read, left_out = read_flights(recordings, loaded, vehicle)
         for line in left_out:
             show(line, error=True)
-        asked = marked_in(read, stretch or [], marked)
         flights = [run for one in read for run in one.runs]
         progress(0.3, "predicting 20 and 50 ms ahead")
         found = judge(flights, loaded, turning=turning)
@@ -82,7 +76,6 @@ def compare(
         names = [one.name for one in read if one.runs]
         report = CompareReport(
             *(found.places, gap_of(found, (found.further(), None)), names, model),
-            [stretch_report(one, found) for one in asked],
             turning,
         )
         if html is not None:
@@ -93,23 +86,9 @@ def compare(
     if as_json:
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return
-    say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
     say_written(html)
-
-
-def say_stretches(stretches: list[StretchReport]) -> None:
-    """Each stretch that was asked for, and where in it the model is wrong."""
-    for one in stretches:
-        show(f"{one.recording} from {one.begin_s:.2f} to {one.end_s:.2f} s ({one.why}):")
-        later = "" if one.gap.after is None else f", after {one.gap.after:.2f}"
-        show(f"  gap {one.gap.before:.2f}{later}")
-        clear = [row for row in one.where if row.significance >= CLEAR][:STRETCH_ROWS]
-        for row in clear:
-            show(f"  {_row(row)}")
-        if not clear:
-            show("  nowhere clearly worse than noise")
 
 
 def say_gap(gap: Gap) -> None:

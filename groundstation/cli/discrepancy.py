@@ -9,13 +9,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from groundstation.cli.compare import RECORDINGS, say_gap, say_stretches, say_where
+from groundstation.cli.compare import RECORDINGS, say_gap, say_where
 from groundstation.cli.flights import (
-    MARKED,
     MODEL,
-    STRETCH,
     VEHICLE,
-    marked_in,
     model_for,
     read_flights,
     require_apart,
@@ -73,8 +70,6 @@ def discrepancy(
     validate: list[Path] | None = VALIDATE,
     vehicle: str | None = VEHICLE,
     effects: Path | None = EFFECTS,
-    stretch: list[str] | None = STRETCH,
-    marked: bool = MARKED,
     output: Path | None = OUTPUT,
     json: Path | None = JSON,
     html: Path | None = HTML,
@@ -105,7 +100,6 @@ def discrepancy(
             [one.runs for one in held],
             own=own,
             left_out=[*short, *held_short],
-            asked=marked_in([*fitted, *held], stretch or [], marked),
             progress=lambda what, share: progress(share, what),
         )
         report = discrepancy_report(
@@ -222,7 +216,6 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
         )
     for one in report.left:
         show(f"left in {one.words}")
-    say_stretches(report.stretches)
     say_gap(report.gap)
     say_where(report.where)
     if report.not_shown:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -15,17 +15,10 @@ from groundstation.paths import digest
 
 if TYPE_CHECKING:
     from groundstation import Model, Run
-    from groundstation.comparison.stretches import Marked
 
 MODEL = typer.Option(..., "--model", help="Model file, or the built-in 'thesis'.")
 VEHICLE = typer.Option(
     None, "--vehicle", help="Vehicle profile of the recordings (default: the model's)."
-)
-STRETCH = typer.Option(
-    None, "--stretch", metavar="FROM:TO", help="Look at these seconds first; repeatable."
-)
-MARKED = typer.Option(
-    False, "--marked", help="Look first at what the live twin marked ('run --twin') in each REC."
 )
 
 
@@ -50,11 +43,10 @@ def model_for(source: str, vehicle: str | None) -> Model:
 
 @dataclass(frozen=True, slots=True)
 class Flights:
-    """One recording: its flights, lost rows as NaN, and what happened while it was recorded."""
+    """One recording: its flights, lost rows as NaN."""
 
     name: str
     runs: list[Run]
-    events: Sequence[Mapping[str, Any]]
 
 
 def read_flights(
@@ -80,56 +72,8 @@ def read_flights(
     runs, left_out = flights_of_each((one.samples, one.path.name) for one in recordings)
     left_out += [line for one in recordings for line in renewal_notes(one.samples, one.path.name)]
     return [
-        Flights(one.path.name, its, one.events) for one, its in zip(recordings, runs, strict=True)
+        Flights(one.path.name, its) for one, its in zip(recordings, runs, strict=True)
     ], left_out
-
-
-def marked_in(flights: Sequence[Flights], spans: Sequence[str], by_twin: bool) -> list[Marked]:
-    """The stretches that ``--stretch`` and ``--marked`` ask for.
-
-    Raises BadInputError for a span that is none, one in which no recording has a flight, and where
-    the twin marked nothing.
-    """
-    from groundstation.comparison import stretches
-    from groundstation.identification.segments import span_of
-
-    typed = [span_of(text, "--stretch") for text in spans]
-    names = [one.name for one in flights]
-    if (typed or by_twin) and len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise BadInputError(f"two recordings are called {twice}: a stretch fits both; rename one")
-    found: list[Marked] = []
-    for span in typed:
-        there = [
-            one.name
-            for one in flights
-            if any(
-                run.time_s[0] - run.recording_start_s < span[1]
-                and span[0] < run.time_s[-1] - run.recording_start_s
-                for run in one.runs
-            )
-        ]
-        if not there:
-            raise BadInputError(
-                f"--stretch {span[0]:g}:{span[1]:g}: no recording has a flight then; seconds count"
-                " from a recording's first sample"
-            )
-        found += stretches.by_hand([span], there)
-    if by_twin:
-        marks: list[Marked] = []
-        for one in flights:
-            if not one.runs:
-                continue
-            first, last = one.runs[0].recording_start_s, float(one.runs[-1].time_s[-1])
-            marks += stretches.by_twin(one.events, one.name, first, last)
-        if not marks:
-            flown = [one.name for one in flights if one.runs]
-            raise BadInputError(
-                f"{', '.join(flown)}: the live twin marked nothing; record with 'groundstation run"
-                " --twin MODEL', or give --stretch FROM:TO"
-            )
-        found += marks
-    return found
 
 
 def require_apart(recordings: Sequence[Path], validate: Sequence[Path]) -> None:

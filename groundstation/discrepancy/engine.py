@@ -8,9 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from groundstation.comparison.comparison import Comparison, compare
+from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import require_consistent
-from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.blocks import last_blocks
 from groundstation.discrepancy.conclusions import conclude
 from groundstation.discrepancy.differences import with_differences
@@ -27,7 +26,7 @@ from groundstation.discrepancy.rotor_sensor import with_sensor_lag
 from groundstation.discrepancy.search import Outcome, concluded, search_effects
 from groundstation.discrepancy.search_state import SearchState
 from groundstation.discrepancy.slow_disturbance import EVERY_S, with_disturbance
-from groundstation.discrepancy.usable import still_there, usable
+from groundstation.discrepancy.usable import usable
 from groundstation.dynamics.effect import CANDIDATES
 from groundstation.dynamics.model import Model, model_vehicle
 from groundstation.dynamics.registry import EFFECTS
@@ -69,13 +68,11 @@ class Discrepancy(Result):
     """What a model is missing, with the proof.
 
     held_out: which samples are the proof, in words; empty where whole recordings were given for it.
-    stretches: those that were asked for, with the given and the improved model on their recordings.
     """
 
     findings: Findings
     proof: Proof
     held_out: str = ""
-    stretches: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
     SHOWN_BY: ClassVar[str] = "groundstation.discrepancy.shown:discrepancy"
 
     @property
@@ -95,7 +92,6 @@ def find_discrepancy(
     validation: Sequence[Sequence[Run]] = (),
     *,
     own: Sequence[Variant] = (),
-    asked: Sequence[Marked] = (),
     left_out: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Discrepancy:
@@ -103,8 +99,8 @@ def find_discrepancy(
 
     recordings: the runs of each (``recordings.flights_of``). validation: recordings that are the
     proof, and touch neither names nor sizes; none: parts of the others (``division``). own: effects
-    of the user's own as further candidates. asked: stretches to look at. left_out: what of the
-    recordings has no runs, in words (``recordings.flights_of_each``).
+    of the user's own as further candidates. left_out: what of the recordings has no runs, in words
+    (``recordings.flights_of_each``).
 
     Raises BadInputError where no recording has gyro, PWM and battery voltage, no flight, no motion,
     or where the model is of another craft.
@@ -113,18 +109,9 @@ def find_discrepancy(
     report("comparing", 0.05)
     model = bare(model)  # what is slow is another on every day
     (recordings, validation), unused = usable((recordings, validation), model)
-    asked, not_shown = still_there(asked, (recordings, validation))
     parts = divide(recordings, validation, model_vehicle(model).configuration)
     train = Predictions(compare(parts.fit_on, model))
-    black_box = train.before.black_box
-    proof_rows = Predictions(compare(parts.judged, model, black_box))
-    names = {one.recording for one in asked}
-    runs = [run for part in (*recordings, *validation) for run in part if run.name in names]
-    given = compare(runs, model, black_box) if runs else None
-    if given is not None:
-        for one in asked:
-            within(given, one)  # says, before anything is searched, where nothing of it flew
-
+    proof_rows = Predictions(compare(parts.judged, model, train.before.black_box))
     findings = find_effects(
         parts.fit_on,
         model,
@@ -134,7 +121,7 @@ def find_discrepancy(
     )
     report("proving it", 0.8)
     driven = {**train.before.warnings, **proof_rows.before.warnings}
-    said = (*left_out, *unused, *not_shown, *driven.values(), *findings.warnings)
+    said = (*left_out, *unused, *driven.values(), *findings.warnings)
     findings = replace(
         findings,
         given=with_disturbance(model, train.before),
@@ -142,11 +129,7 @@ def find_discrepancy(
         warnings=said,
     )
     findings, proof = prove(findings, train, proof_rows)
-    looked: tuple[tuple[Marked, Comparison, Comparison], ...] = ()
-    if given is not None:
-        better = given.with_model(findings.model)
-        looked = tuple((one, given, better) for one in asked)
-    return Discrepancy(findings, proof, parts.what, looked)
+    return Discrepancy(findings, proof, parts.what)
 
 
 def find_effects(

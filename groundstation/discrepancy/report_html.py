@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.localisation import Place, spectrum_of, worst_stretch
 from groundstation.discrepancy.proof import Proof
@@ -21,7 +19,6 @@ from groundstation.discrepancy.report_json import (
     CompareReport,
     DiscrepancyReport,
     Gap,
-    StretchReport,
     why_lost,
 )
 from groundstation.discrepancy.report_words import (
@@ -66,7 +63,6 @@ def compare_page(found: Comparison, report: CompareReport) -> Page:
     page.verdict(compared_in_words(report, worst), "good" if worst is None else "bad")
     page.next_step(compared_next(report, worst))
     page.advice([], list(found.warnings.values()))
-    _stretches(page, report.stretches)
     _channels(page, report.gap)
     page.heading("Where")
     page.figure(where_map([("error over noise", found.places)]), MAP_TEXT)
@@ -87,7 +83,6 @@ def discrepancy_page(proof: Proof, report: DiscrepancyReport) -> Page:
         f"What {report.model} was missing", f"Discrepancy report on {', '.join(report.recordings)}"
     )
     _verdict(page, report)
-    _stretches(page, report.stretches)
     page.heading("What was found")
     if report.explained is not None:
         page.text(f"On proof samples, {report.explained.words(report.disturbance)}.")
@@ -263,30 +258,6 @@ def _closer(page: Page, before: Comparison, after: Comparison | None, worst: Pla
                 "Errors one row ahead by frequency: what stands above noise is not explained"
                 " (vibration is not meant to be).",
             )
-
-
-def _stretches(page: Page, stretches: Sequence[StretchReport]) -> None:
-    """The stretches that were asked for, with where they are worst."""
-    if not stretches:
-        return
-    page.heading("Looked at first")
-    rows: list[tuple[str | float | None, ...]] = []
-    for one in stretches:
-        worst = _worst(one.where)
-        rows.append(
-            (
-                f"{one.recording}, {one.begin_s:.2f} to {one.end_s:.2f} s",
-                one.why,
-                one.gap.before,
-                one.gap.after,
-                "nowhere clearly worse than noise" if worst is None else _place(worst),
-            )
-        )
-    page.table(
-        ["stretch", "named by", "gap before", "gap after", "worst"],
-        rows,
-        "Errors and noise floor of these rows alone; 1 is noise.",
-    )
 
 
 def _limits(page: Page, report: DiscrepancyReport) -> None:

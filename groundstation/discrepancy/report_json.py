@@ -12,7 +12,6 @@ from groundstation.comparison.comparison import Comparison
 from groundstation.comparison.gap import HORIZONS_S, PER_SI, UNITS, overall
 from groundstation.comparison.localisation import Place
 from groundstation.comparison.noise_floor import SOURCE
-from groundstation.comparison.stretches import Marked, within
 from groundstation.discrepancy.acceptance import WORTH
 from groundstation.discrepancy.base_constants import in_words
 from groundstation.discrepancy.engine import Discrepancy
@@ -154,19 +153,6 @@ class ResidualDetail(msgspec.Struct, frozen=True):
     excess: float
 
 
-class StretchReport(msgspec.Struct, frozen=True):
-    """A stretch that was asked for: seconds since the recording's first row, its own ``where``
-    and, by channel, error over noise before and after."""
-
-    recording: str
-    begin_s: float
-    end_s: float
-    why: str
-    gap: Level
-    channels: dict[str, Level]
-    where: list[Place]
-
-
 class CompareReport(msgspec.Struct, frozen=True):
     """``compare --json``."""
 
@@ -174,7 +160,6 @@ class CompareReport(msgspec.Struct, frozen=True):
     gap: Gap
     recordings: list[str]
     model: str
-    stretches: list[StretchReport] = []
     attitude: Literal["body", "arx"] = "body"
 
 
@@ -198,30 +183,9 @@ class DiscrepancyReport(msgspec.Struct, frozen=True):
     validation: list[str] | str
     model: str
     created_by: str
-    stretches: list[StretchReport] = []
     explained: Explained | None = None
     disturbance: Disturbance | None = None
     possible: list[PossibleEffect] = []
-
-
-def stretch_report(
-    marked: Marked, before: Comparison, after: Comparison | None = None
-) -> StretchReport:
-    """One stretch of comparisons on whole recordings, of the given and the improved model."""
-    given = within(before, marked)
-    better = None if after is None else within(after, marked)
-    channels = {}
-    for number, name in enumerate(CHANNELS):
-        floor = given.noise_floor[number]
-        if np.isfinite(floor) and floor > 0 and np.isfinite(given.rms[number]):
-            later = None if better is None else float(better.rms[number] / floor)
-            channels[name] = Level(float(given.rms[number] / floor), later, 1.0)
-    return StretchReport(
-        *(marked.recording, marked.begin_s, marked.end_s, marked.why),
-        level(given, better),
-        channels,
-        given.places[:WORST],
-    )
 
 
 def gap_of(
@@ -344,7 +308,6 @@ def discrepancy_report(
         validation=validation,
         model=model,
         created_by=created_by,
-        stretches=[stretch_report(*one) for one in found.stretches],
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from groundstation.comparison.consistency import broken_rotor_sensors
 from groundstation.comparison.refusals import missing_channel, require_channels
-from groundstation.comparison.stretches import Marked
 from groundstation.dynamics.model import Model
 from groundstation.identification.runs import Run
 from groundstation.identification.torque import mostly_saturated
@@ -28,17 +27,6 @@ def usable(groups: Groups, model: Model) -> tuple[list[list[list[Run]]], list[st
     require_channels([run for group in useful for part in group for run in part])
     sound, broken = _without_broken_sensors(useful, model)
     return sound, [*useless, *broken]
-
-
-def still_there(asked: Sequence[Marked], groups: Groups) -> tuple[list[Marked], list[str]]:
-    """The stretches of which a recording is left, and what is not shown, in words."""
-    names = {run.name for group in groups for part in group for run in part}
-    kept = [one for one in asked if one.recording in names]
-    gone = [one for one in asked if one.recording not in names]
-    return kept, [
-        f"{one.recording}: left out, so its seconds {one.begin_s:g} to {one.end_s:g} are not shown"
-        for one in gone
-    ]
 
 
 def _without_useless(groups: Groups) -> tuple[list[list[list[Run]]], list[str]]:

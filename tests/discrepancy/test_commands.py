@@ -272,23 +272,8 @@ def test_a_recording_both_fitted_and_held_out_is_refused(folder, tmp_path):
     assert "given twice" in said_no("compare", copy, copy, *model)
 
 
-def test_a_stretch_that_was_asked_for_comes_first(folder):
-    flight, model = folder / "hidden.mcap", folder / "base.json"
-    said = told("compare", flight, "--model", model, "--stretch", "27:31", "--json")
-    (stretch,) = msgspec.json.decode(said, type=CompareReport).stretches
-    assert (stretch.recording, stretch.begin_s, stretch.end_s) == ("hidden.mcap", 27.0, 31.0)
-    assert stretch.where[0].channel in ("gyro_x", "gyro_y")
-
-
 def test_a_pipe_is_refused_and_not_waited_for(folder, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for command in ("compare", "discrepancy"):
         done = in_process(command, tmp_path / "pipe", "--model", "thesis")
         assert "not a file" in require_failure(done)
-
-
-def test_a_stretch_that_is_none_and_marks_that_are_missing_are_refused(folder):
-    arguments = ("compare", folder / "hidden.mcap", "--model", folder / "base.json")
-    assert "no recording has a flight then" in said_no(*arguments, "--stretch", "90:95")
-    assert "give two rising numbers" in said_no(*arguments, "--stretch", "9")
-    assert "the live twin marked nothing" in said_no(*arguments, "--marked")

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.comparison.stretches import Marked
-from groundstation.discrepancy.usable import still_there, usable
+from groundstation.discrepancy.usable import usable
 from groundstation.errors import BadInputError
 from support.flights import BASE, flown
 
@@ -71,10 +70,3 @@ def test_of_a_recording_in_two_runs_one_may_be_left_out_by_its_seconds(flight):
         f"{flight.name}, 20 to {20 + flight.seconds:.0f} s: left out, a motor is saturated in most"
         " rows"
     ]
-
-
-def test_stretches_of_what_was_left_out_are_told(flight):
-    asked = [Marked(flight.name, 1.0, 2.0, "by hand"), Marked("full", 1.0, 2.5, "by hand")]
-    kept, told = still_there(asked, [[[flight]], []])
-    assert kept == asked[:1]
-    assert told == ["full: left out, so its seconds 1 to 2.5 are not shown"]

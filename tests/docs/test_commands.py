@@ -53,9 +53,6 @@ ELSEWHERE = {
     "make demo": ("three minutes", ".ci/run", "make -s demo"),
     "groundstation learn": ("minutes", "tests/learn/test_learn.py", '"learn"'),
     "groundstation plan": ("flies a model for 90 s", "tests/learn/test_plan.py", '"plan"'),
-    "groundstation compare flight.mcap --model body.json --marked": (
-        *("a flight that a twin watched", "tests/discrepancy/test_commands.py", '"--marked"'),
-    ),
     "groundstation bench motor": (
         *("a craft on the bench", "tests/system/test_bench_motor.py", '"bench", "motor"'),
     ),
