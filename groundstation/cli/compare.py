@@ -22,7 +22,7 @@ from groundstation.cli.model_files import (
     say_written,
     told_turning,
 )
-from groundstation.cli.progress import shown
+from groundstation.cli.progress import shown, tell_found
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
@@ -86,6 +86,7 @@ def compare(
     if as_json:
         show_json(msgspec.json.decode(msgspec.json.encode(report)))
         return
+    tell_found(f"gap over all channels {report.gap.validation.before:.2f} (1.00: noise alone)")
     say_gap(report.gap)
     say_where(report.where)
     say_written(html)

@@ -18,7 +18,7 @@ from groundstation.cli.flights import (
     require_apart,
 )
 from groundstation.cli.model_files import HTML, require_new, say_written
-from groundstation.cli.progress import shown
+from groundstation.cli.progress import shown, tell_found
 from groundstation.cli.terminal import show, show_json
 
 if TYPE_CHECKING:
@@ -182,6 +182,7 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
         by_weight,
         flight_plan,
         found_in_words,
+        meaning,
         next_in_words,
         possible_in_words,
     )
@@ -197,10 +198,14 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
     show(f"next: {next_in_words(report, written)}")
     if report.explained is not None:
         show(report.explained.words(report.disturbance))
-    for change in report.base_changes:
-        show(f"changed: {change.words}")
+    found = [f"changed: {change.words}" for change in report.base_changes]
+    for line in found:
+        show(line)
     for number, effect in enumerate(by_weight(report.effects), 1):
-        _say_effect(number, effect)
+        found.append(f"{number}. {effect.name}: {meaning(effect)}")
+        show(found[-1])
+        _say_numbers(effect)
+    tell_found(", ".join([verdict, *found]))
     for line in possible_in_words(report):
         show(line)
     for small in report.candidates:
@@ -229,10 +234,9 @@ def _say(report: DiscrepancyReport, *, written: bool) -> None:
         show(f"warning: {line}")
 
 
-def _say_effect(number: int, effect: EffectFound) -> None:
-    from groundstation.discrepancy.report_words import chosen_in_words, is_zero, meaning
+def _say_numbers(effect: EffectFound) -> None:
+    from groundstation.discrepancy.report_words import chosen_in_words, is_zero
 
-    show(f"{number}. {effect.name}: {meaning(effect)}")
     for name, estimate in effect.parameters.items():
         spread = "" if estimate.stderr is None else f" +- {estimate.stderr:.2g}"
         zero = ", not distinguishable from zero" if is_zero(estimate) else ""

@@ -9,7 +9,7 @@ import typer
 
 from groundstation import BadInputError
 from groundstation.cli.model_files import AS_JSON, require_new
-from groundstation.cli.progress import shown, spoken
+from groundstation.cli.progress import shown, spoken, tell_found
 from groundstation.cli.recordings import list_folder
 from groundstation.cli.terminal import show, show_json
 from groundstation.errors import DamagedRecordingError, RecordingError
@@ -226,6 +226,7 @@ def _print_report(report: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    tell_found(report["verdict"])
     spoken()
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)

@@ -28,7 +28,7 @@ from groundstation.cli.model_files import (
     runs_in,
     say_written,
 )
-from groundstation.cli.progress import shown
+from groundstation.cli.progress import shown, tell_found
 from groundstation.cli.terminal import show, show_json
 from groundstation.paths import digest
 
@@ -310,11 +310,15 @@ def _print_account(account: dict[str, Any], output: Path) -> None:
         show(f"  held out: {account['held_out']} of all rows, so that every axis is fitted")
     estimates = account.get("estimates")
     if estimates:
-        width = max(map(len, estimates["names"]))
-        for name, value, error in zip(
-            estimates["names"], estimates["values"], estimates["stderr"], strict=True
-        ):
-            show(f"  {name:<{width}}{value:14.6g} +- {error:.2g}")
+        names = estimates["names"]
+        width = max(map(len, names))
+        sizes = [
+            f"{value:14.6g} +- {error:.2g}"
+            for value, error in zip(estimates["values"], estimates["stderr"], strict=True)
+        ]
+        for name, size in zip(names, sizes, strict=True):
+            show(f"  {name:<{width}}{size}")
+        tell_found(", ".join(f"{a} {b.strip()}" for a, b in zip(names, sizes, strict=True)))
     for axis, one in account.get("axes", {}).items():
         tests = ", ".join(
             f"{test.replace('_', ' ')} {'passes' if one[test]['passes'] else 'fails'}"

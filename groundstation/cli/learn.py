@@ -11,7 +11,7 @@ import typer
 
 from groundstation import BadInputError, GroundStationError
 from groundstation.cli.model_files import AS_JSON, fitted_model, require_new, say_written
-from groundstation.cli.progress import own_terminal, shown
+from groundstation.cli.progress import own_terminal, shown, tell_found
 from groundstation.cli.terminal import require_yes, show, show_json
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def _lead(journal: Journal, output: Path, limits: Limits, yes: bool, as_json: bo
             journal.seconds += time.monotonic() - begun_s
             journal.save(shell.folder)
         _report(journal, shell.folder, as_json, told)
+        tell_found(", ".join(one for one in journal.said if one.startswith(("search", "gains: "))))
 
 
 def plan(

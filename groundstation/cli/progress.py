@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from groundstation.compiling import compiles
 from groundstation.text import printable
@@ -119,7 +120,7 @@ def shown(first: str) -> Iterator[Callable[[float, str], None]]:
     """Within the block, call what is yielded with (share done, what is being done)."""
 
     def show(share: float, what: str) -> None:
-        _tell(share, what)
+        _tell({"share": share if share >= 0.0 else None, "stage": what})
         for waiting in _watched:
             if share >= 0.0:  # less: no further than before
                 waiting.share = share
@@ -129,12 +130,17 @@ def shown(first: str) -> Iterator[Callable[[float, str], None]]:
     yield show
 
 
-def _tell(share: float, what: str) -> None:
+def tell_found(text: str) -> None:
+    """What the command has found, in a line, for a program that waits for it."""
+    _tell({"found": text})
+
+
+def _tell(what: dict[str, Any]) -> None:
     path = os.environ.get(TOLD)
     if path:
         try:
             with open(f"{path}.new", "w") as file:
-                json.dump({"share": share if share >= 0.0 else None, "stage": what}, file)
+                json.dump(what, file)
             os.replace(f"{path}.new", path)
         except OSError:
             pass  # nobody waits any more

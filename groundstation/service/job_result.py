@@ -1,25 +1,14 @@
-"""What a job has found: the lines of its log that say so, and the advice in the model it wrote."""
+"""What a fit that was a job advises, from the model it wrote."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from groundstation.documents import read_document
-from groundstation.text import printable
-
-FOUND = {
-    "inspect": r"verdict\s+(.*)",
-    "fit": r"\s+(\w+)\s+(\S+ \+- \S+)",
-    "compare": r"(gap over all channels.*)",
-    "discrepancy": r"(\d+\. \w+: .*|changed: .*|no discrepancy|unexplained)",
-    "learn": r"((?:search|gains: ).*)",
-}
-"""Kind of a job -> its lines that say what was found, and which parts of them."""
 
 
 class Advice(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,13 +16,6 @@ class Advice(msgspec.Struct, frozen=True, kw_only=True):
 
     effects: list[str] = []
     measured_rotors: bool = False
-
-
-def result(kind: str, lines: Sequence[str]) -> str:
-    """In a line; the last one of the log where none says what was found."""
-    found = [match for line in lines if (match := re.fullmatch(FOUND.get(kind, "(?!)"), line))]
-    told = ", ".join(" ".join(match.groups()) for match in found)
-    return printable(told or (lines[-1] if lines else ""))
 
 
 def advice(model: Path) -> Advice:

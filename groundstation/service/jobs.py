@@ -19,7 +19,7 @@ from groundstation.documents import read_document
 from groundstation.errors import BadInputError, GroundStationError
 from groundstation.paths import dated
 from groundstation.service.commands import limit_memory, own_command, own_environment
-from groundstation.service.job_result import Advice, advice, result
+from groundstation.service.job_result import Advice, advice
 from groundstation.text import printable
 
 FOLDER = "jobs"
@@ -32,7 +32,7 @@ STOP_S = 5.0
 NICENESS = 1
 """The recorder goes first, and what only shows (5) last: a person waits for a job."""
 PROGRESS = "GROUNDSTATION_PROGRESS"
-"""Where a command tells how far it is (``cli/progress.py``)."""
+"""Where a command tells how far it is, and what it has found (``cli/progress.py``)."""
 _ENTRY, _LOG, _REPORT, _MODEL, _GAINS, _PROGRESS = (
     "job.json", "log.txt", "report.html", "model.json", "gains.toml", "progress.json",
 )  # fmt: skip
@@ -77,6 +77,14 @@ class Job(msgspec.Struct, kw_only=True):
     report: str | None = None
     model_file: str | None = None
     gains_file: str | None = None
+
+
+class _Told(msgspec.Struct, frozen=True):
+    """What a command says of itself."""
+
+    stage: str = ""
+    share: float | None = None
+    found: str = ""
 
 
 class Jobs:
@@ -161,11 +169,15 @@ class Jobs:
 
     def _look(self, job: Job) -> None:
         """How far it is, as far as it has told."""
-        with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError, AttributeError):
-            told = msgspec.json.decode(read_document(self._folder() / FOLDER / job.id / _PROGRESS))
-            job.stage = printable(str(told.get("stage", "")))
-            share = told.get("share")
-            job.share = share if isinstance(share, float | int) else job.share
+        told = self._told(job)
+        job.stage = printable(told.stage)
+        job.share = job.share if told.share is None else told.share
+
+    def _told(self, job: Job) -> _Told:
+        with contextlib.suppress(OSError, msgspec.MsgspecError, ValueError):
+            path = self._folder() / FOLDER / job.id / _PROGRESS
+            return msgspec.json.decode(read_document(path), type=_Told)
+        return _Told()
 
     def log(self, name: str) -> str:
         """The end of a job's log."""
@@ -223,8 +235,8 @@ class Jobs:
         job.state, job.began_ns = "running", time.time_ns()
         try:
             status = await self._work(job)
-            lines = self.log(job.id).strip().splitlines()
-            job.text = result("" if status else job.kind, lines)
+            *_, last = ["", *self.log(job.id).strip().splitlines()]
+            job.text = printable(last if status else self._told(job).found or last)
             if job.kind == "fit" and not status:
                 job.advice = await asyncio.to_thread(advice, self._job_folder(job.id) / _MODEL)
         except (OSError, GroundStationError) as error:  # its folder was deleted, say

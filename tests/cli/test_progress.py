@@ -1,12 +1,13 @@
 """What is shown of a command that says nothing: when, what, and that nothing of it stays."""
 
 import io
+import json
 
 import pytest
 
 from groundstation import compiling
 from groundstation.cli import progress
-from groundstation.cli.progress import line, own_terminal, shown, spoken, watched
+from groundstation.cli.progress import line, own_terminal, shown, spoken, tell_found, watched
 from groundstation.cli.terminal import show
 from support.waiting import until
 
@@ -80,3 +81,13 @@ def test_compiling_is_told_only_while_something_is_compiled():
     finally:
         compiling.end("a kernel")
     assert "compiling" not in line(0, 0.5, "reading", 2.0)
+
+
+def test_what_was_found_is_told_to_the_program_that_waits(tmp_path, monkeypatch):
+    told = tmp_path / "progress.json"
+    monkeypatch.setenv("GROUNDSTATION_PROGRESS", str(told))
+    with shown("reading") as show_share:
+        show_share(0.5, "fitting")
+        assert json.loads(told.read_text()) == {"share": 0.5, "stage": "fitting"}
+        tell_found("c0 1 +- 0.1")
+    assert json.loads(told.read_text()) == {"found": "c0 1 +- 0.1"}
