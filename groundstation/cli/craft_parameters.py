@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import time
+from typing import TYPE_CHECKING, Any
 
 from groundstation import GroundStationError, Pilot, socket_path
-from groundstation.cli.left_changed import Written, forget_changes, note_changes
+from groundstation.cli.left_changed import (
+    Written,
+    changes_left,
+    forget_changes,
+    note_changes,
+    still_changed,
+)
 from groundstation.cli.terminal import say
 from groundstation.service.motor_stop import BY_OPERATOR
 
@@ -59,6 +66,30 @@ def put_back(
         forget_changes(uri)
     if back and aborted:
         say("the former gains are back", error=True)
+
+
+def left_on(uri: str, present: dict[str, float]) -> tuple[dict[str, float], Written]:
+    """What an interrupted flight found on this craft and the craft still holds as that changed it,
+    and what it wrote; empty where there is nothing such."""
+    left = changes_left(uri)
+    if left is None:
+        return {}, {}
+    former = still_changed(left, present)
+    if not former:
+        forget_changes(uri)
+        return {}, {}
+    _tell_left(uri, left, former, present)
+    return former, left["written"]
+
+
+def _tell_left(
+    uri: str, left: dict[str, Any], former: dict[str, float], present: dict[str, float]
+) -> None:
+    when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(left["time"]))
+    say(f"the flight of {when} on {uri} was interrupted and left changed:", error=True)
+    for name, value in former.items():
+        say(f"  {name}: was {value:g}, is {present[name]:g}", error=True)
+    say("'groundstation pid fly --undo' puts the former values back", error=True)
 
 
 def why_aborted(error: GroundStationError) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,12 @@ from groundstation.cli.commanding import (
     require_height,
     require_ready,
 )
-from groundstation.cli.craft_parameters import put_back, why_aborted, write_parameters
+from groundstation.cli.craft_parameters import (
+    left_on,
+    put_back,
+    why_aborted,
+    write_parameters,
+)
 from groundstation.cli.left_changed import (
     Written,
     also_written,
@@ -28,7 +32,6 @@ from groundstation.cli.left_changed import (
     crafts_left,
     forget_changes,
     note_changes,
-    still_changed,
 )
 from groundstation.cli.model_files import (
     AS_JSON,
@@ -155,7 +158,7 @@ def _flight(
         if real and thrust == "stand-in":
             raise BadInputError(f"--thrust stand-in: {uri} is a real craft; a human gives thrust")
         before = pilot.parameters()
-        former, written = _left_changed(uri, before)
+        former, written = left_on(uri, before)
         unknown = [name for name in wanted if name not in before]
         if unknown:
             raise BadInputError(
@@ -245,32 +248,8 @@ def _flown(
     return {"aborted": aborted, "motors": motors, "restored": back}
 
 
-def _left_changed(uri: str, present: dict[str, float]) -> tuple[dict[str, float], Written]:
-    """What an interrupted flight found on this craft and the craft still holds as that changed it,
-    and what it wrote; empty where there is nothing such."""
-    left = changes_left(uri)
-    if left is None:
-        return {}, {}
-    former = still_changed(left, present)
-    if not former:
-        forget_changes(uri)
-        return {}, {}
-    _tell_left(uri, left, former, present)
-    return former, left["written"]
-
-
 def _flown_gains(before: dict[str, float], wanted: dict[str, float]) -> dict[str, float]:
     return {name: value for name, value in before.items() if name.startswith("pid_")} | wanted
-
-
-def _tell_left(
-    uri: str, left: dict[str, Any], former: dict[str, float], present: dict[str, float]
-) -> None:
-    when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(left["time"]))
-    say(f"the flight of {when} on {uri} was interrupted and left changed:", error=True)
-    for name, value in former.items():
-        say(f"  {name}: was {value:g}, is {present[name]:g}", error=True)
-    say("'groundstation pid fly --undo' puts the former values back", error=True)
 
 
 def _undo() -> None:
@@ -287,7 +266,7 @@ def _undo() -> None:
                 f"the changes were made on {', '.join(crafts)}, the daemon commands {uri};"
                 " nothing was written"
             )
-        former, _ = _left_changed(uri, pilot.parameters())
+        former, _ = left_on(uri, pilot.parameters())
         if former:
             write_parameters(pilot, former)
             forget_changes(uri)

@@ -1,0 +1,92 @@
+"""``learn`` of a craft whose log is the link: cflib over UDP carries telemetry and commands."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from groundstation.service.client import ask
+from support.daemons import COMMAND, Daemon
+from support.learning import begun
+from support.programs import LONGEST_S, Program, free_port
+from support.waiting import in_real_time, until
+
+CRAFT = 'plant = "reduced"\ncraft = "crazyflie21"\nprogram = "wait"\nheight_deck = true\nseed = 3\n'
+BETTER = {
+    f"pid_{loop}.{axis}_{gain}": value
+    for axis in ("roll", "pitch")
+    for loop, gain, value in (
+        ("rate", "kp", 223.3), ("rate", "ki", 94.4), ("rate", "kd", 3.262),
+        ("attitude", "kp", 11.22), ("attitude", "ki", 5.575),
+    )
+}  # fmt: skip
+"""As ``learn`` designs them for such a craft."""
+
+
+@pytest.fixture
+def daemon(tmp_path):
+    """Of a craft that has just been switched on."""
+    settings, uri = tmp_path / "craft.toml", f"127.0.0.1:{free_port()}"
+    settings.write_text(CRAFT)
+    with (
+        Program(
+            [sys.executable, "-m", "firmware_sim", "--settings", settings, "--crtp", uri],
+            stdout=subprocess.DEVNULL,
+        ),
+        Daemon(tmp_path, "--link", f"udp://{uri}", "--recordings", "sessions") as running,
+    ):
+        running.status_when(
+            lambda status: status["command"] and status["command"]["state"] == "connected",
+            "the craft is there",
+        )
+        yield running
+
+
+@contextlib.contextmanager
+def learn(daemon, folder, *options):
+    state = {"GROUNDSTATION_SOCKET": str(daemon.socket), "XDG_STATE_HOME": str(folder.parent)}
+    with Program(
+        [COMMAND, "learn", "--yes", "-o", folder, *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "NO_COLOR": "1", **state},
+    ) as program:
+        yield program
+
+
+def test_designed_gains_are_flown_written_and_put_back_even_if_a_flight_with_them_was_killed(
+    daemon, tmp_path
+):
+    folder = tmp_path / "learnt"
+    begun(folder, "daemon", "crazyflie21", "steps")
+    lines = [f'"{name}" = {value}' for name, value in BETTER.items()]
+    (folder / "gains.toml").write_text("\n".join(['firmware = "2.x"', *lines]))
+
+    def of_the_craft():
+        return ask(daemon.socket, "GET", "/command/parameters")["values"]
+
+    def programmes():
+        events = ask(daemon.socket, "GET", "/events")
+        return sum(event["text"] == "pid fly programme" for event in events)
+
+    before = of_the_craft()
+    with learn(daemon, folder) as killed:
+        with in_real_time():
+            until(lambda: programmes() == 2, "the designed gains fly")
+        killed.kill()
+        killed.communicate(timeout=LONGEST_S)
+    assert of_the_craft() != before
+    with learn(daemon, folder) as learns:
+        _, error = learns.communicate(timeout=LONGEST_S)
+    assert learns.returncode == 0, error
+    assert "was interrupted and left changed" in error
+    assert json.loads((folder / "learn.json").read_text())["gains"].startswith("written: ")
+    assert {name: of_the_craft()[name] for name in BETTER} == pytest.approx(BETTER, rel=1e-6)
+    with learn(daemon, folder, "--undo") as undoes:
+        _, error = undoes.communicate(timeout=LONGEST_S)
+    assert undoes.returncode == 0, error
+    assert of_the_craft() == before
