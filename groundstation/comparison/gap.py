@@ -24,6 +24,7 @@ from groundstation.identification.runs import Run
 from groundstation.prediction.attitude_rhythm import fresh_rhythm, fresh_rows
 from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (
+    Ahead,
     observe_as_it_is,
     own_noise,
     predict_observed,
@@ -94,13 +95,13 @@ def ahead_errors(
     if rows_judged is not None:
         inside = np.zeros(len(run), bool)
         inside[rows_judged] = True
-        moved = replace(moved, flown=moved.flown & inside)
+        moved = replace(moved, flown=flown & inside)
     rhythm, fresh = fresh_rhythm(whole.attitude).stride, fresh_rows(whole.attitude)
     known = np.isfinite(_measured(run)) & moved.flown[:, None]
     known[:, ATTITUDE] &= fresh[:, None]
     step_rows = np.array([1] * 6 + [rhythm] * 3)
-    horizons = [max(round(horizon / run.period_s), rhythm) for horizon in horizons_s]
-    rows = tuple(np.array([count] * 6 + [count - count % rhythm] * 3) for count in horizons)
+    ends = [max(round(horizon / run.period_s), rhythm) for horizon in horizons_s]
+    rows = tuple(np.array([count] * 6 + [count - count % rhythm] * 3) for count in ends)
     # The model flies on every input; what was not measured afresh must not look measured.
     shown = np.where(fresh[:, None], run.attitude, np.nan)
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
@@ -112,27 +113,27 @@ def ahead_errors(
     ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
-    made = ahead.errors(driven)
+    step, *horizons = _where_judged(ahead, driven, known, (step_rows, *rows))
+    return AheadErrors(run, whole, moved, noise, step_rows, step, tuple(horizons), rows)
 
-    def errors(wanted: NDArray[np.int64]) -> Array:
+
+def _where_judged(
+    ahead: Ahead, run: Run, known: NDArray[np.bool_], wanted: Sequence[NDArray[np.int64]]
+) -> list[Array]:
+    """Errors (n, 9) so many rows ahead, for each of ``wanted`` (9,), in the row they are judged at.
+
+    known: (n, 9), what can be judged, and begun at.
+    """
+    made, found = ahead.errors(run), []
+    for rows in wanted:
         error = np.full(known.shape, np.nan)
         for part in (slice(0, 6), ATTITUDE):
-            count = int(wanted[part][0])
+            count = int(rows[part][0])
             at = ahead.rows + count
-            values = made[:, int(np.searchsorted(counts, count)), part]
+            values = made[:, int(np.searchsorted(ahead.horizons, count)), part]
             error[at, part] = np.where(known[at, part] & known[ahead.rows, part], values, np.nan)
-        return error
-
-    return AheadErrors(
-        run,
-        whole,
-        moved,
-        noise,
-        step_rows,
-        errors(step_rows),
-        tuple(errors(one) for one in rows),
-        rows,
-    )
+        found.append(error)
+    return found
 
 
 def _stride(every_s: float, period_s: float) -> int:

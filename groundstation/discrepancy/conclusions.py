@@ -28,6 +28,7 @@ from groundstation.identification.body.certainty import open_delay_s, unseen_del
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
+    Point,
     Variant,
     absent,
     estimates_of,
@@ -56,10 +57,8 @@ def conclude(
     errors = outcome.errors
     given = tuple(key for v in known for key in v.keys)
     named, possible = _named_and_possible(outcome, recurrence, problem)
-    unnamed = given
-    for one in outcome.accepted:
-        if one not in named:
-            unnamed = (*unnamed, *one.variant.keys)
+    others = [one for one in outcome.accepted if one not in named]
+    unnamed = (*given, *(key for one in others for key in one.variant.keys))
 
     def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
         again = recurrence.get(one.variant.label)
@@ -79,12 +78,8 @@ def conclude(
         verdict = Verdict.UNEXPLAINED
     elif not effects:
         verdict = Verdict.NO_DISCREPANCY
-    changed = dict(final.point)
-    for one in outcome.accepted:
-        rename = one.variant.definition.renames
-        if rename is not None:
-            size = final.point[one.variant.sizes[0]]
-            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
+    base = (*BODY_KEYS, *MOTOR_KEYS, *given)
+    changed = _with_renamed(final.point, outcome, problem)
     return Findings(
         verdict=verdict,
         effects=tuple(effects),
@@ -95,9 +90,7 @@ def conclude(
         base=model,
         given=model,
         moved=model_of(final.point, errors, unnamed, model, problem.frame.own),
-        base_changes=base_changes(
-            problem, final, changed, errors, (*BODY_KEYS, *MOTOR_KEYS, *given)
-        ),
+        base_changes=base_changes(problem, final, changed, errors, base),
         model=model_of(final.point, errors, keys, model, problem.frame.own),
         candidates=_candidates(outcome),
         not_shown=tuple(_not_shown(outcome.scores, {effect.name for effect in effects})),
@@ -105,6 +98,17 @@ def conclude(
         residual=residual,
         warnings=tuple(warnings),
     )
+
+
+def _with_renamed(point: Point, outcome: Outcome, problem: Problem) -> Point:
+    """The point with constants moved by the accepted effects that are another name for it."""
+    changed = dict(point)
+    for one in outcome.accepted:
+        rename = one.variant.definition.renames
+        if rename is not None:
+            size = point[one.variant.sizes[0]]
+            changed[rename.constant] = rename.moved(problem.start[rename.constant], size)
+    return changed
 
 
 def _named_and_possible(

@@ -101,6 +101,16 @@ class Evidence:
     steps: Sequence[Step] = ()
     preparation: Preparation | None = None
 
+    @classmethod
+    def of_all(cls, parts: Sequence[Evidence]) -> Evidence:
+        """One after the other; without what was made of recordings."""
+        return cls(
+            {title: found for one in parts for title, found in one.estimates.items()},
+            [trace for one in parts for trace in one.traces],
+            [test for one in parts for test in one.residuals],
+            [step for one in parts for step in one.steps],
+        )
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Identified(Result):

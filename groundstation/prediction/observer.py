@@ -26,6 +26,7 @@ from groundstation.errors import BadInputError
 from groundstation.prediction.riccati import Row, settled
 
 Array = NDArray[np.float64]
+Places = NDArray[np.intp]
 
 ERRORS = 12
 NUDGE = 1e-4
@@ -137,30 +138,8 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
     one, hover = craft[0], hover_rev_s(craft)
     driven = STATES + np.flatnonzero(one["body_noise"])
     last, before = gyro_states(one["follows"])
-    errors = ERRORS + len(driven) + len(before)
-    count = 2 * errors
-    starts = np.zeros((count, STATES))
-    starts[:, QUATERNION.start], starts[:, ROTOR] = 1.0, hover
-    starts[:, POSITION.stop - 1] = FAR_M
-    starts = with_states(craft, starts).copy()
-    sensed = np.tile(resting_sensors(one), (count, 1))
-    for i in range(errors):
-        for k, sign in ((2 * i, 1.0), (2 * i + 1, -1.0)):
-            part, axis = divmod(i, 3)
-            if part == 0:
-                turn = np.zeros(3)
-                turn[axis] = sign * NUDGE
-                starts[k, QUATERNION] = quaternion_of_attitude(turn)
-            elif part == 1:
-                starts[k, RATE.start + axis] = sign * NUDGE
-            elif part == 2:
-                sensed[k, last[axis : axis + 1]] = sign * NUDGE
-            elif part == 3:
-                starts[k, 3 + axis] = sign * NUDGE
-            elif i < ERRORS + len(driven):
-                starts[k, driven[i - ERRORS]] = sign * NUDGE
-            else:
-                sensed[k, before[i - ERRORS - len(driven)]] = sign * NUDGE
+    starts, sensed = _nudged(craft, hover, driven, last, before)
+    count = len(starts)
     measured = np.empty((count, 1, 9))
     coast(
         one,
@@ -196,11 +175,42 @@ def _linearised(craft: Crafts, sensor: NDArray[np.void], period_s: float) -> tup
             " without end; look at your own effects first"
         )
     # ``seen`` is of the error before the row; the observer needs it of the one after.
-    after = np.zeros((ERRORS, errors))
+    after = np.zeros((ERRORS, count // 2))
     after[:6] = np.linalg.lstsq(a.T, seen.T, rcond=1e-12)[0].T
     after[6:9, 0:3] = np.eye(3)
     after[9:, 9:ERRORS] = np.eye(3)
     return a, after
+
+
+def _nudged(
+    craft: Crafts, hover: float, driven: Places, last: Places, before: Places
+) -> tuple[Array, Array]:
+    """States (2 e, s) and sensors' states at hover, each error in turn ``NUDGE`` more and less.
+
+    driven: places of states that noise drives; last, before: as in ``gyro_states``.
+    """
+    errors = ERRORS + len(driven) + len(before)
+    starts = np.zeros((2 * errors, STATES))
+    starts[:, QUATERNION.start], starts[:, ROTOR] = 1.0, hover
+    starts[:, POSITION.stop - 1] = FAR_M
+    starts = with_states(craft, starts).copy()
+    sensed = np.tile(resting_sensors(craft[0]), (2 * errors, 1))
+    for k in range(2 * errors):
+        i, size = k // 2, NUDGE if k % 2 == 0 else -NUDGE
+        part, axis = divmod(i, 3)
+        if part == 0:
+            starts[k, QUATERNION] = quaternion_of_attitude(size * np.eye(3)[axis])
+        elif part == 1:
+            starts[k, RATE.start + axis] = size
+        elif part == 2:
+            sensed[k, last[axis : axis + 1]] = size
+        elif part == 3:
+            starts[k, 3 + axis] = size
+        elif i < ERRORS + len(driven):
+            starts[k, driven[i - ERRORS]] = size
+        else:
+            sensed[k, before[i - ERRORS - len(driven)]] = size
+    return starts, sensed
 
 
 def integrating_force(transition: Array, period_s: float, gravity: float) -> Array:

@@ -29,15 +29,6 @@ LONG_KERNELS = {
 }
 """Loops over rows that numba compiles: what they carry from one row to the next is a dozen local
 numbers, and each function that took them would be inlined again, at the price of its compiling."""
-LONG_YET = {
-    "groundstation/comparison/gap.py: ahead_errors",
-    "groundstation/discrepancy/conclusions.py: conclude",
-    "groundstation/identification/arx/workflow.py: identify_arx",
-    "groundstation/identification/body/workflow.py: identify_body",
-    "groundstation/identification/motor/workflow.py: identify_motor",
-    "groundstation/prediction/observer.py: _linearised",
-}
-"""Whoever shortens one shows that its figures stay the same to the last digit."""
 LONG_MODULES = {"groundstation/prediction/kernels.py"}
 """Of those loops and the pieces that are inlined in them."""
 
@@ -161,7 +152,7 @@ def test_a_function_has_at_most_59_lines_unless_it_is_a_kernel():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and node.end_lineno - node.lineno >= FUNCTION_LINES
     }
-    assert set(long) == LONG_KERNELS | LONG_YET
+    assert set(long) == LONG_KERNELS
     assert all(long[name] for name in LONG_KERNELS)
 
 

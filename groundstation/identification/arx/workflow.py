@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -32,7 +33,6 @@ from groundstation.identification.arx.fit import (
     step_response,
 )
 from groundstation.identification.division import divided
-from groundstation.identification.estimate import Estimates
 from groundstation.identification.fit_record import (
     Evidence,
     Identified,
@@ -88,38 +88,13 @@ def identify_arx(
         ]
 
     data = {axis: (rows_of(fit_on, axis), rows_of(validate_on, axis)) for axis in AXES}
-    found: dict[str, ArxAxis] = {}
-    report: dict[str, Any] = {}
-    warnings: list[str] = []
-    estimates: dict[str, Estimates] = {}
-    traces: list[Trace] = []
-    tests: list[ResidualTest] = []
-    steps: list[Step] = []
     for one, other in data.values():
         for part in (*one, *other):
             require_usable(part, one[0].period_s, LONGEST_ROWS)
-    for number, (axis, (one, other)) in enumerate(data.items()):
+    found: dict[str, _Found] = {}
+    for number, (axis, parts) in enumerate(data.items()):
         progress(number / 3, f"searching models of {axis}")
-        shown = _require_shown(axis, one)
-        search = search_arx(one, other, criterion=criterion, among=orders)
-        found[axis] = search.chosen.axis
-        estimates[f"{axis} {search.chosen.label}"] = arx_estimates(found[axis], one)
-        beside = _beside(search, orders)
-        fitted_rows = sum(len(part.outputs) for part in one)
-        residual_tests = [_tested(axis, channel, c, other[0], fitted_rows) for c in beside]
-        test = residual_tests[0]
-        tests += residual_tests
-        traces += [_trace(axis, channel, c.axis, other[0]) for c in beside]
-        steps += _steps(axis, search, beside)
-        warnings += _warnings(axis, search.chosen, test)
-        report[axis] = {
-            "chosen": search.chosen.label,
-            "input_shows_f": shown,
-            "estimates": estimates[f"{axis} {search.chosen.label}"].as_dict(),
-            **_judged(search, one, other, UNITS[channel][0]),
-            **test.as_dict(),
-            **_named(beside, residual_tests),
-        }
+        found[axis] = _found(axis, channel, criterion, orders, *parts)
     account = {
         "what": "arx",
         "method": f"least squares, chosen by {criterion.value.replace('_', ' ')}",
@@ -129,15 +104,54 @@ def identify_arx(
         "selection": str(selection),
         "held_out": apart,
         "orders": [list(order) for order in orders],
-        "axes": report,
+        "axes": {axis: one.report for axis, one in found.items()},
         "other_axis": {
-            "roll_model_on_pitch": free_run_rms(found["roll"], data["pitch"][1]),
-            "pitch_model_on_roll": free_run_rms(found["pitch"], data["roll"][1]),
+            "roll_model_on_pitch": free_run_rms(found["roll"].chosen, data["pitch"][1]),
+            "pitch_model_on_roll": free_run_rms(found["pitch"].chosen, data["roll"][1]),
         },
-        "warnings": warnings,
+        "warnings": [line for one in found.values() for line in one.warnings],
     }
-    model = msgspec.structs.replace(before, arx=found)
-    return Identified(model, account, Evidence(estimates, traces, tests, steps))
+    model = msgspec.structs.replace(before, arx={axis: one.chosen for axis, one in found.items()})
+    return Identified(model, account, Evidence.of_all([one.evidence for one in found.values()]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """The model of one axis. report: its part of the account."""
+
+    chosen: ArxAxis
+    report: dict[str, Any]
+    warnings: list[str]
+    evidence: Evidence
+
+
+def _found(
+    axis: str,
+    channel: str,
+    criterion: Criterion,
+    orders: Sequence[Order],
+    fit_on: Sequence[ArxData],
+    validate_on: Sequence[ArxData],
+) -> _Found:
+    """The search of one axis; what is shown of it has the chosen structure first."""
+    shown = _require_shown(axis, fit_on)
+    search = search_arx(fit_on, validate_on, criterion=criterion, among=orders)
+    chosen, beside = search.chosen, _beside(search, orders)
+    estimates = arx_estimates(chosen.axis, fit_on)
+    rows = sum(len(part.outputs) for part in fit_on)
+    tests = [_tested(axis, channel, c, validate_on[0], rows) for c in beside]
+    report = {
+        "chosen": chosen.label,
+        "input_shows_f": shown,
+        "estimates": estimates.as_dict(),
+        **_judged(search, fit_on, validate_on, UNITS[channel][0]),
+        **tests[0].as_dict(),
+        **_named(beside, tests),
+    }
+    traces = [_trace(axis, channel, c.axis, validate_on[0]) for c in beside]
+    steps = _steps(axis, search, beside)
+    evidence = Evidence({f"{axis} {chosen.label}": estimates}, traces, tests, steps)
+    return _Found(chosen.axis, report, list(_warnings(axis, chosen, tests[0])), evidence)
 
 
 def _parts(

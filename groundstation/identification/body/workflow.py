@@ -97,10 +97,6 @@ def identify_body(
     progress(0.8, "judging it on held-out data")
     rows = sum(len(stretch) for stretch in fit_on)
     traces, residuals = _pictures(validate_on, fit, rows)
-    warnings = [*fit.warnings]
-    warnings += [f"{one.name}: left out, a motor is saturated in most rows" for one in saturated]
-    warnings += knocks([*fit_on, *validate_on])
-    warnings += _of_the_motors(fit, exact=covariance is None and not measured)
     account: dict[str, Any] = {
         "what": "body",
         "method": "prediction error, each flight's own noise spectrum",
@@ -109,6 +105,27 @@ def identify_body(
         "rate_hz": 1.0 / runs[0].period_s,
         "selection": str(selection),
         "held_out": apart,
+        **_found(fit, fit_on, validate_on),
+        "residual_tests": {one.channel: one.as_dict() for one in residuals},
+        "supply": [one.as_dict() for one in supplies],
+        "warnings": [
+            *fit.warnings,
+            *(f"{one.name}: left out, a motor is saturated in most rows" for one in saturated),
+            *knocks([*fit_on, *validate_on]),
+            *_of_the_motors(fit, exact=covariance is None and not measured),
+        ],
+    }
+    terms = supply_terms(supplied, supplies, _profile(before, vehicle))
+    prepared = flight_preparation(fit_on, vehicle.configuration)
+    evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
+    return Identified(_fitted(before, vehicle, fit, terms), account, evidence)
+
+
+def _found(
+    fit: BodyFit, fit_on: Sequence[Stretch], validate_on: Sequence[Stretch]
+) -> dict[str, Any]:
+    """What the fit says, and how well it predicts either part."""
+    return {
         "estimates": fit.estimates.as_dict(),
         "fitted_along": {key: _stated(*found) for key, found in fit.nuisances.items()},
         "left_out": _left_out(fit),
@@ -116,16 +133,7 @@ def identify_body(
         "not_identified": fit.not_identified,
         "identification": validate_body(fit_on, fit),
         "validation": validate_body(validate_on, fit),
-        "residual_tests": {one.channel: one.as_dict() for one in residuals},
-        "supply": [one.as_dict() for one in supplies],
-        "warnings": warnings,
     }
-    model = _fitted(
-        before, vehicle, fit, supply_terms(supplied, supplies, _profile(before, vehicle))
-    )
-    prepared = flight_preparation(fit_on, vehicle.configuration)
-    evidence = Evidence({"body": fit.estimates}, traces, residuals, (), prepared)
-    return Identified(model, account, evidence)
 
 
 def _names(effects: Sequence[str], before: Model, measured: bool) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,6 +26,7 @@ from groundstation.identification.fit_record import (
 )
 from groundstation.identification.motor.figures import motor_pictures
 from groundstation.identification.motor.fit import (
+    MotorFit,
     bench_run,
     delay_in_words,
     fit_motor,
@@ -91,7 +93,6 @@ def identify_motor(
     driven = [_driven(run, fit.motor, vehicle, motor, supplied) for run in validate_on]
     progress(0.8, "judging it on held-out data")
     delay = fit.estimates["delay_s"]
-    figures = [(run.name, *validate_motor(run, fit.motor, delay, fit.values)) for run in driven]
     drawn = [(run, simulate_run(run, fit.motor, delay, fit.values)) for run in driven[:4]]
     traces, residuals = motor_pictures(drawn, sum(len(run) for run in fit_on))
     terms = [*effect_terms(fit.estimates, unit_of), *supply_terms(supplied, supplies, vehicle)]
@@ -101,16 +102,7 @@ def identify_motor(
         "samples": sum(len(run) for run in fit_on),
         "selection": str(selection),
         "held_out": apart,
-        "estimates": fit.estimates.as_dict(),
-        "rejected_readings": fit.rejected,
-        "identification": {
-            "rotor_rms_rev_s": list(fit.rms_rev_s),
-            "rotor_fit_percent": list(fit.fit_percent),
-        },
-        "validation": [
-            {"recording": name, "rotor_fit_percent": percent, "rotor_rms_rev_s": error}
-            for name, percent, error in figures
-        ],
+        **_found(fit, driven),
         "residual_tests": {one.channel: one.as_dict() for one in residuals},
         "supply": [one.as_dict() for one in supplies],
         "findings": [delay_in_words(fit.estimates)],
@@ -122,6 +114,26 @@ def identify_motor(
     prepared = bench_preparation(fit_on, motor)
     evidence = Evidence({"motor": fit.estimates}, traces, residuals, (), prepared)
     return Identified(model, account, evidence)
+
+
+def _found(fit: MotorFit, validate_on: Sequence[MotorRun]) -> dict[str, Any]:
+    """What the fit says, and how well it predicts either part."""
+    delay = fit.estimates["delay_s"]
+    figures = [
+        (run.name, *validate_motor(run, fit.motor, delay, fit.values)) for run in validate_on
+    ]
+    return {
+        "estimates": fit.estimates.as_dict(),
+        "rejected_readings": fit.rejected,
+        "identification": {
+            "rotor_rms_rev_s": list(fit.rms_rev_s),
+            "rotor_fit_percent": list(fit.fit_percent),
+        },
+        "validation": [
+            {"recording": name, "rotor_fit_percent": percent, "rotor_rms_rev_s": error}
+            for name, percent, error in figures
+        ],
+    }
 
 
 def _require_known(effects: Sequence[str], measured: bool) -> None:
