@@ -47,7 +47,7 @@ class BridgeDevice:
         import usb.util
 
         try:
-            for device in self._find():
+            for device in self.find():
                 serial = self._serial
                 if serial and usb.util.get_string(device, device.iSerialNumber) != serial:
                     usb.util.dispose_resources(device)
@@ -67,7 +67,8 @@ class BridgeDevice:
             raise LinkError(f"USB device {self}: {error}; {PERMISSION_HELP}") from error
         return None
 
-    def _find(self) -> list[Any]:
+    def find(self) -> list[Any]:
+        """Devices with these ids, by pyusb; its library is loaded the first time. Blocks."""
         import libusb_package
         import usb.core
         from usb.backend import libusb1

@@ -11,6 +11,7 @@ from emulated_bridge import EmulatedBridge, open_when_there, read_until_lost
 from groundstation.errors import LinkError
 from groundstation.links.base import LinkState
 from groundstation.links.usb import UsbLink
+from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice
 from support.links import joined, listen, read_span
 
 REPLUG_STREAMS_S = 2.0
@@ -113,14 +114,14 @@ def test_without_permission_the_rule_and_the_command_that_installs_it_are_told(b
         await link.close()
 
     asyncio.run(until_there())
-    link, nobody = UsbLink(), 65534
-    link._find()  # what another user could not read here is loaded before
+    device, nobody = BridgeDevice(DEFAULT_DEVICE, ""), 65534
+    device.find()  # what another user could not read here is loaded before
     ours, theirs = os.pipe()
     child = os.fork()
     if child == 0:
         os.setuid(nobody)
         try:
-            link._claim()
+            device.claim()
         except LinkError as error:
             os.write(theirs, str(error).encode())
         os._exit(0)

@@ -115,12 +115,12 @@ def test_no_frame_of_five_thousand_is_lost_while_recording(bridge, flight, tmp_p
 
 def test_device_read_for_comparison_loses_frames(bridge):
     """What pyusb's own read costs on the same bus: the reason for the ring."""
-    from groundstation.links.usb import UsbLink
+    from groundstation.links.usb_device import DEFAULT_DEVICE, BridgeDevice
 
     async def found():
-        link = UsbLink()
+        wanted = BridgeDevice(DEFAULT_DEVICE, "")
         bridge.plug()
-        while (device := link._claim()) is None:
+        while (device := wanted.claim()) is None:
             await asyncio.sleep(0.1)
         return device
 
