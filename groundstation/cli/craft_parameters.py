@@ -82,6 +82,17 @@ def left_on(uri: str, present: dict[str, float]) -> tuple[dict[str, float], Writ
     return former, left["written"]
 
 
+def put_back_left(pilot: Pilot, present: dict[str, float]) -> dict[str, float]:
+    """Put back what an interrupted flight left changed on the craft, which has ``present``: the
+    former values."""
+    uri = pilot.lease["uri"]
+    former, _ = left_on(uri, present)
+    if former:
+        write_parameters(pilot, former)
+        forget_changes(uri)
+    return former
+
+
 def _tell_left(
     uri: str, left: dict[str, Any], former: dict[str, float], present: dict[str, float]
 ) -> None:

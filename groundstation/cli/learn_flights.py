@@ -21,12 +21,12 @@ from groundstation.cli.commanding import (
     require_ready,
 )
 from groundstation.cli.craft_parameters import (
-    left_on,
     put_back,
+    put_back_left,
     why_aborted,
     write_parameters,
 )
-from groundstation.cli.left_changed import also_written, forget_changes, note_changes
+from groundstation.cli.left_changed import also_written, note_changes
 from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
@@ -91,15 +91,6 @@ def _copied(recording: Path, file: Path) -> None:
         raise GroundStationError(
             f"{file}: cannot be written: {error.strerror}; the flight is in {recording}"
         ) from error
-
-
-def _put_back_left(pilot: Pilot, present: dict[str, float]) -> dict[str, float]:
-    """Put back what a flight that was killed left changed on the craft: the former values."""
-    former, _ = left_on(pilot.lease["uri"], present)
-    if former:
-        write_parameters(pilot, former)
-        forget_changes(pilot.lease["uri"])
-    return former
 
 
 def _within(value: float, most: float) -> float:
@@ -213,7 +204,7 @@ class Place:
             tells = require_ready(pilot, needs_battery=False)["battery_v"] is not None
             require_height(pilot)
             before = pilot.parameters()
-            before |= _put_back_left(pilot, before)
+            before |= put_back_left(pilot, before)
             saved = {name: before[name] for name in gains}
             floor_m = pilot.setpoint(0.0, 0.0, 0.0, 0)["height_m"] or 0.0
             recording = begin_recording(path)

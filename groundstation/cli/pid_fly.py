@@ -22,6 +22,7 @@ from groundstation.cli.commanding import (
 from groundstation.cli.craft_parameters import (
     left_on,
     put_back,
+    put_back_left,
     why_aborted,
     write_parameters,
 )
@@ -30,7 +31,6 @@ from groundstation.cli.left_changed import (
     also_written,
     changes_left,
     crafts_left,
-    forget_changes,
     note_changes,
 )
 from groundstation.cli.model_files import (
@@ -266,10 +266,7 @@ def _undo() -> None:
                 f"the changes were made on {', '.join(crafts)}, the daemon commands {uri};"
                 " nothing was written"
             )
-        former, _ = left_on(uri, pilot.parameters())
-        if former:
-            write_parameters(pilot, former)
-            forget_changes(uri)
+        former = put_back_left(pilot, pilot.parameters())
     if former:
         show("the former values are back: " + ", ".join(former))
     else:
