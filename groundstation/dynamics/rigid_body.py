@@ -21,7 +21,6 @@ supply_chain, motor_chain, rotor_chain, body_chain = (
 own_supply, own_motor, own_rotor, own_body = (
     own_chain(stage) for stage in ("supply", "motor", "rotor", "body")
 )
-load = loader(*COMPILED)
 rotor_wrench = inner(law.rotor_wrench)
 read_states, write_states = state_access("body")
 NO_STATES = (0.0,) * max(LISTED_STATES["body"], 1)
@@ -29,13 +28,15 @@ BARE, LISTED, ALL = 0, 1, 2
 """Who may act in a kernel: no effect, listed ones without states, all. What could act costs speed
 by being there."""
 SUPPLY, MOTOR, ROTOR, BODY, SENSOR = range(len(COMPILED))
+load = loader(*COMPILED[:SENSOR])
 OWN_BODY = 17 + LISTED_STATES["body"]
 """Where the states of a user's own body effects begin."""
 
 
 class Physics(NamedTuple):
     """A ``CRAFT`` record by value: what is stored to arrays cannot change it, so the compiler keeps
-    it in registers. own_values: the record's, for a user's own effects.
+    it in registers. effects: the values of those within the equations of motion; ``sensing`` has
+    the sensors'. own_values: the record's, for a user's own effects.
     """
 
     craft: Craft
@@ -44,7 +45,6 @@ class Physics(NamedTuple):
     acts_motor: int
     acts_rotor: int
     acts_body: int
-    acts_sensor: int
     acts_velocity: int
     own: Any
     own_values: Any
@@ -102,7 +102,6 @@ def physics(c: Any) -> Any:
         c.acts_motor,
         c.acts_rotor,
         c.acts_body,
-        c.acts_sensor,
         c.acts_velocity,
         (c.own[0], c.own[1], c.own[2], c.own[3], c.own[4]),
         own_values(c),
