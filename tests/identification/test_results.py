@@ -58,11 +58,18 @@ def test_an_estimate_that_stands_where_it_began_is_none():
 def test_a_prediction_worse_than_the_mean_is_said_and_one_of_twice_its_error_is_none():
     percents = {"gyro_roll_fit_percent_20ms": 70.0, "accelerometer_z_fit_percent": -3.0}
     assert [len(one) for one in judged(validation=percents)] == [0, 1]
-    percents["accelerometer_z_fit_percent"] = -751.0
+    percents["gyro_roll_fit_percent_20ms"] = -251.0
     (reason,), _ = judged(validation=percents)
     assert (
-        "accelerometer z on unseen data is predicted worse than by its mean (fit -751 %)" in reason
+        "gyro roll 20ms on unseen data is predicted worse than by its mean (fit -251 %)" in reason
     )
     rotors = [{"recording": "a", "rotor_fit_percent": -120.0, "rotor_rms_rev_s": 9.0}]
     (reason,), _ = judged(validation=rotors)
     assert "rotor speed of a" in reason
+
+
+def test_a_vertical_force_worse_than_its_mean_is_said_and_the_rates_constants_stand():
+    percents = {"gyro_roll_fit_percent_20ms": 70.0, "accelerometer_z_fit_percent": -244.0}
+    reasons, (doubt,) = judged(validation=percents)
+    assert not reasons
+    assert "accelerometer z on unseen data is predicted worse than by its mean" in doubt
