@@ -96,8 +96,7 @@ class Comparison(Result):
             ahead_errors(
                 one.recorded,
                 model,
-                motion=one.motion,
-                noise=one.noise,
+                like=one,
                 turning=self.turning,
                 every_s=every_s,
                 horizons_s=self.horizons_s,

@@ -75,22 +75,22 @@ def ahead_errors(
     rows_judged: slice | None = None,
     *,
     motion: Motion | None = None,
-    noise: Noise | None = None,
+    like: AheadErrors | None = None,
     turning: Turning = "body",
     every_s: float = 0.0,
     horizons_s: Sequence[float] = HORIZONS_S,
 ) -> AheadErrors:
     """Errors of ``model`` on a run (lost rows as NaN) at the shortest horizon and ``horizons_s``.
 
-    rows_judged: only these; the rows before tell the state. motion: that of another model on the
-    same run, so that the same rows are judged; None: of this one. noise: of the run's sensors
-    (``own_noise``); None: read off it. turning: what of the model turns the craft. every_s:
+    rows_judged: only these; the rows before tell the state. motion: of this model, where it is
+    known. like: of another model on the same run, so that the same rows are judged, with the same
+    noise of the run's sensors (``own_noise``). turning: what of the model turns the craft. every_s:
     predictions start no more often than that, where rows are faster.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
-    whole = without_gaps(run)
-    moved = motion_of(whole, model) if motion is None else motion
+    whole = without_gaps(run) if like is None else like.run
+    moved = like.motion if like is not None else motion or motion_of(whole, model)
     flown = moved.flown
     if rows_judged is not None:
         inside = np.zeros(len(run), bool)
@@ -107,8 +107,7 @@ def ahead_errors(
     inputs = {name: getattr(whole, name) for name in ("duty", "duty_step", "supply_v")}
     driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
-    if noise is None:
-        noise = own_noise(driven, flown)
+    noise = own_noise(driven, flown) if like is None else like.noise
     seen = observe_as_it_is(model, driven, noise)
     ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
     if turning == "arx":

@@ -8,6 +8,7 @@ holds anything measured in the present row or later: that would know the noise i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,12 @@ class Signals:
     values: Array
 
 
-def signals_of(run: Run, motion: Motion, configuration: Configuration) -> dict[str, Signals]:
-    """Candidates for the one-step errors of ``torque``, ``force`` and ``attitude``."""
+Kind = Literal["torque", "force", "attitude"]
+"""What one-step errors are of."""
+
+
+def signals_of(run: Run, motion: Motion, configuration: Configuration, kind: Kind) -> Signals:
+    """Candidates for the one-step errors of a kind."""
     mixer = MIXERS[configuration]
     common = _Collected()
     speed = np.sqrt(motion.squares.end)
@@ -76,21 +81,16 @@ def signals_of(run: Run, motion: Motion, configuration: Configuration) -> dict[s
     velocity = _late(motion.velocity, 1)
     common.add("velocity", ways, velocity)
     common.add("velocity times its magnitude", ways, velocity * np.abs(velocity))
-    ground = _ground(motion)
-    made = {}
-    for kind, squares in (("torque", motion.squares.square), ("force", motion.squares.end)):
-        own = _mixed(squares, mixer)
-        inputs = _lagged(own, MIXED)
+    squares = motion.squares.end if kind == "force" else motion.squares.square
+    own = _mixed(squares, mixer)
+    if kind == "attitude":
+        inputs = _lagged(own[:, :3], AXES)
+    else:
+        inputs, ground = _lagged(own, MIXED), _ground(motion)
         for column in range(ground.shape[1]):
             inputs.add("rotor squares near the ground", MIXED, own * ground[:, [column]])
-        made[kind] = Signals(
-            (*inputs.names, *common.names), np.hstack([*inputs.columns, *common.columns])
-        )
-    inputs = _lagged(_mixed(motion.squares.square, mixer)[:, :3], AXES)
-    made["attitude"] = Signals(
-        (*inputs.names, *common.names), np.hstack([*inputs.columns, *common.columns])
-    )
-    return made
+    names = (*inputs.names, *common.names)
+    return Signals(names, np.hstack([*inputs.columns, *common.columns]))
 
 
 class _Collected:

@@ -27,7 +27,7 @@ from groundstation.comparison.gap import (
     AheadErrors,
     pooled_rms,
 )
-from groundstation.comparison.generic_signals import Signals, signals_of
+from groundstation.comparison.generic_signals import Kind, Signals, signals_of
 from groundstation.comparison.noise_floor_fit import ChannelPredictor, fit_signals
 from groundstation.dynamics.mixer import Configuration
 from groundstation.dynamics.rotations import euler_rates
@@ -50,7 +50,7 @@ WHITEN_ORDER = 40
 WORTH = 0.985
 """The past is used where it leaves at most this share of the error."""
 LEAST_ROWS = 200
-KINDS = ("torque", "force", "attitude")
+KINDS: tuple[Kind, ...] = ("torque", "force", "attitude")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,17 @@ class Floor:
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """One run: one-step errors (n, 9), signals for them by kind, and stretches in the air."""
+    """One run: one-step errors (n, 9), the craft's layout, and stretches in the air."""
 
     errors: AheadErrors
     step: Array
-    signals: dict[str, Signals]
+    configuration: Configuration
     stretches: tuple[slice, ...]
+
+    def signals(self, kind: Kind) -> Signals:
+        """Candidates for errors of a kind: made when they are asked for, since those of a minute
+        of flight are 20 MB."""
+        return signals_of(self.errors.run, self.errors.motion, self.configuration, kind)
 
 
 def prepare(errors: AheadErrors, configuration: Configuration) -> Prepared:
@@ -96,28 +101,34 @@ def prepare(errors: AheadErrors, configuration: Configuration) -> Prepared:
     stretches = tuple(
         slice(int(first) + 2, int(last)) for first, last in edges if last - first > LEAST_ROWS
     )
-    signals = signals_of(errors.run, errors.motion, configuration)
-    return Prepared(errors, _one_step(errors), signals, stretches)
+    return Prepared(errors, _one_step(errors), configuration, stretches)
 
 
 def learn(prepared: Sequence[Prepared]) -> BlackBox:
     """Fit the black box on runs."""
     found: list[ChannelPredictor | None] = []
+    shares = [np.zeros_like(one.step) for one in prepared]
     for first, kind in zip((0, 3, 6), KINDS, strict=True):
+        signals = [one.signals(kind) for one in prepared]
         pieces = [
-            (one.signals[kind].values[rows], one.step[rows, first : first + 3])
-            for one in prepared
+            (own.values[rows], one.step[rows, first : first + 3])
+            for one, own in zip(prepared, signals, strict=True)
             for rows in _rows(one, first)
         ]
-        found += fit_signals(pieces) if pieces else [None] * 3
-    nothing = ChannelPredictor(np.zeros(0, np.int64), np.zeros(0))
-    without = tuple(None if one is None else nothing for one in found)
-    plain = [_unexplained(one, without) for one in prepared]
-    tried = [_unexplained(one, tuple(found)) for one in prepared]
+        fitted = fit_signals(pieces) if pieces else [None] * 3
+        for one, own, explained in zip(prepared, signals, shares, strict=True):
+            for channel, predictor in enumerate(fitted, first):
+                explained[:, channel] = _share(one, own, predictor)
+        found += fitted
+    plain = [_unexplained(one, found, np.zeros_like(one.step)) for one in prepared]
+    left = [_unexplained(one, found, share) for one, share in zip(prepared, shares, strict=True)]
     # Never more than it knows without: signals that do not help at the horizons are left out.
-    worse = _pooled(tried) > _pooled(plain)
-    channels = tuple(without[k] if worse[k] else one for k, one in enumerate(found))
-    left = [_unexplained(one, channels) for one in prepared] if worse.any() else tried
+    worse = _pooled(left) > _pooled(plain)
+    nothing = ChannelPredictor(np.zeros(0, np.int64), np.zeros(0))
+    channels = tuple(nothing if out else one for out, one in zip(worse, found, strict=True))
+    if worse.any():
+        useful = [np.where(worse, 0.0, share) for share in shares]
+        left = [_unexplained(one, found, own) for one, own in zip(prepared, useful, strict=True)]
     whiteners = []
     for channel in range(9):
         series = [
@@ -132,7 +143,12 @@ def learn(prepared: Sequence[Prepared]) -> BlackBox:
 
 def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
     """What the black box leaves of a run, in the rows of its errors."""
-    left = _unexplained(prepared, black_box.channels)
+    share = np.zeros_like(prepared.step)
+    for first, kind in zip((0, 3, 6), KINDS, strict=True):
+        signals = prepared.signals(kind)
+        for channel, predictor in enumerate(black_box.channels[first : first + 3], first):
+            share[:, channel] = _share(prepared, signals, predictor)
+    left = _unexplained(prepared, black_box.channels, share)
     memories = _memories(left.step, prepared.errors.run.period_s)
     horizons = []
     for counts, total, weights in zip(
@@ -198,15 +214,17 @@ class _Unexplained:
     totals: tuple[Array, ...]
 
 
-def _unexplained(one: Prepared, channels: Sequence[ChannelPredictor | None]) -> _Unexplained:
+def _unexplained(
+    one: Prepared, channels: Sequence[ChannelPredictor | None], share: Array
+) -> _Unexplained:
+    """share: (n, 9), what signals explain."""
     errors, period = one.errors, one.errors.run.period_s
     step = np.zeros_like(one.step)
     for channel, predictor in enumerate(channels):
         if predictor is None:
             continue
-        share = _share(one, channel, predictor)
         for rows in _rows(one, channel):
-            step[rows, channel] = one.step[rows, channel] - share[rows]
+            step[rows, channel] = one.step[rows, channel] - share[rows, channel]
     totals = []
     for counts, error in zip(_counts(one), (errors.step, *errors.horizons), strict=True):
         total = step.copy()  # specific force is judged at the end only: nothing adds up
@@ -219,7 +237,7 @@ def _unexplained(one: Prepared, channels: Sequence[ChannelPredictor | None]) -> 
     return _Unexplained(step, tuple(totals))
 
 
-def _share(one: Prepared, channel: int, predictor: ChannelPredictor) -> Array:
+def _share(one: Prepared, signals: Signals, predictor: ChannelPredictor | None) -> Array:
     """What the signals explain of a channel's one-step errors, (n,), without vibration.
 
     Through the controller the inputs hold the vibration of the rows before, and noise-free sums
@@ -229,11 +247,10 @@ def _share(one: Prepared, channel: int, predictor: ChannelPredictor) -> Array:
     from scipy.ndimage import gaussian_filter1d
 
     share = np.zeros(len(one.step))
-    if len(predictor.columns):
-        signals = one.signals[KINDS[channel // 3]].values
+    if predictor is not None and len(predictor.columns):
         sigma = SMOOTH_S / one.errors.run.period_s
         for stretch in one.stretches:
-            explained = signals[stretch, predictor.columns] @ predictor.weights
+            explained = signals.values[stretch, predictor.columns] @ predictor.weights
             share[stretch] = gaussian_filter1d(explained, sigma, mode="nearest")
     return share
 

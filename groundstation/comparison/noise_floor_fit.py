@@ -75,7 +75,10 @@ def _bands(parts: Pieces) -> _Bands:
     for signals, errors in parts:
         size = next_fast_len(len(signals), real=True)
         window = tukey(len(signals), 0.1)[:, None]
-        spectrum = rfft(np.hstack([signals / scale, errors]) * window, size, axis=0)
+        stack = np.hstack([signals, errors])
+        stack[:, : len(scale)] /= scale
+        stack *= window
+        spectrum = rfft(stack, size, axis=0, overwrite_x=True)
         spectrum *= np.sqrt(2.0 / size)
         spectrum[0] *= np.sqrt(0.5)
         if size % 2 == 0:

@@ -250,7 +250,7 @@ def _require_told(outcome: Outcome, problem: Problem, known: Prior) -> list[str]
     """
     names = ", ".join(sorted({f.run.name for f in problem.flights}))
     first = outcome.first
-    at = first.linear.place(BASE_KEYS)
+    at = first.place(BASE_KEYS)
     normal = first.total.normal[np.ix_(at, at)]
     weight, _, _ = known.at(first.point)
     own = [BASE_KEYS.index(key) for key in known.keys]

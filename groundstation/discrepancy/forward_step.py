@@ -115,12 +115,12 @@ def join_tried(search: SearchState) -> bool:
     if not promising:
         return False
     problem, last = search.problem, search.last
-    noise, own, reference = dict(problem.noise), dict(problem.shapes), problem.reference
+    noise, own, motors = dict(problem.noise), dict(problem.shapes), problem.motors
     keys = (*search.now.keys, *(key for one in promising for key in one.keys))
     search.last = screen(problem, {**search.now.point, **search.shapes}, keys)
     if join_best(search, promising):
         return True
-    problem.noise, problem.shapes, problem.reference = noise, own, reference
+    problem.noise, problem.shapes, problem.motors = noise, own, motors
     search.last = last
     return False
 

@@ -1,4 +1,4 @@
-"""Every effect at once: residuals and columns at one point, and what each would explain there.
+"""Every effect at once: what each would explain at one point.
 
 One Gram matrix of all columns holds what any subset of the effects, fitted jointly, would take
 off -2 log L, to first order.
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from groundstation.dynamics.unknowns import Key
 from groundstation.identification.estimate import inverse
-from groundstation.identification.likelihood.linearisation import Linear
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     KEYS,
@@ -60,14 +59,15 @@ class Scored:
 
 @dataclass(frozen=True, slots=True)
 class Screening:
-    """Columns of every unknown at a point, and -2 log L around it with the prior's part."""
+    """-2 log L around a point as a parabola of every unknown in ``keys`` (p,), with the prior's
+    part."""
 
-    linear: Linear
+    point: Point
+    keys: tuple[str, ...]
     total: Quadratic
 
-    @property
-    def point(self) -> Point:
-        return self.linear.point
+    def place(self, keys: Sequence[str]) -> list[int]:
+        return [self.keys.index(key) for key in keys]
 
     def best(self) -> Array:
         """The change (p,) of every unknown to the joint optimum."""
@@ -75,32 +75,32 @@ class Screening:
 
     def covariance(self, keys: Sequence[str]) -> Array:
         """Of ``keys`` fitted jointly, (k, k)."""
-        at = self.linear.place(keys)
+        at = self.place(keys)
         return inverse(self.total.normal[np.ix_(at, at)])
 
     def without_effects(self, kept: Sequence[str]) -> Screening:
         """The same parabola seen from where every effect but those behind ``kept`` is absent."""
-        linear, total = self.linear, self.total
-        gone = {k: absent(k) for k in linear.keys if k not in BASE_KEYS and k in linear.point}
+        point, total = self.point, self.total
+        gone = {k: absent(k) for k in self.keys if k not in BASE_KEYS and k in point}
         gone = {k: v for k, v in gone.items() if k not in kept}
         if not gone:
             return self
-        step = np.array([gone[k] - linear.point[k] if k in gone else 0.0 for k in linear.keys])
+        step = np.array([gone[k] - point[k] if k in gone else 0.0 for k in self.keys])
         value = total.value - 2.0 * total.gradient @ step + step @ total.normal @ step
-        there = replace(linear, point={k: v for k, v in linear.point.items() if k not in gone})
+        there = {k: v for k, v in point.items() if k not in gone}
         gradient = total.gradient - total.normal @ step
-        return Screening(there, replace(total, gradient=gradient, value=float(value)))
+        return Screening(there, self.keys, replace(total, gradient=gradient, value=float(value)))
 
     def scores(self, base_keys: Sequence[str], variants: Sequence[Variant]) -> list[Scored]:
         """Every variant's drop of -2 log L when it joins ``base_keys``, best first."""
-        linear, total = self.linear, self.total
+        total = self.total
         variants = self._seen(variants)
-        at = linear.place(base_keys)
+        at = self.place(base_keys)
         base = inverse(total.normal[np.ix_(at, at)])
         settled = base @ total.gradient[at]
         scored = []
         for variant in variants:
-            own = linear.place(variant.sizes)
+            own = self.place(variant.sizes)
             cross = total.normal[np.ix_(own, at)]
             normal = total.normal[np.ix_(own, own)]
             left = normal - cross @ base @ cross.T
@@ -117,7 +117,7 @@ class Screening:
 
     def _seen(self, variants: Sequence[Variant]) -> list[Variant]:
         """Those whose columns are here."""
-        return [one for one in variants if set(one.sizes) <= set(self.linear.keys)]
+        return [one for one in variants if set(one.sizes) <= set(self.keys)]
 
     def beside_all(self, variants: Sequence[Variant]) -> list[Scored]:
         """Every variant's size and share of -2 log L beside all the others at once."""
@@ -125,7 +125,7 @@ class Screening:
         change = covariance @ self.total.gradient
         scored = []
         for variant in self._seen(variants):
-            own = self.linear.place(variant.sizes)
+            own = self.place(variant.sizes)
             values = sizes_at(variant, self.point) + change[own]
             block = covariance[np.ix_(own, own)]
             drop = removal_cost(values, block)
@@ -137,7 +137,7 @@ def screen(problem: Problem, point: Point, more: Sequence[str] = ()) -> Screenin
     """All columns at a point, and those of ``more`` keys; the noise is learnt anew there."""
     keys = tuple(dict.fromkeys((*problem.every_key, *more)))
     linear = problem.learn_noise(problem.linear(point, keys, problem.flights))
-    return Screening(linear, problem.with_prior(linear))
+    return Screening(linear.point, linear.keys, problem.with_prior(linear))
 
 
 def settle(problem: Problem) -> Screening:
@@ -152,10 +152,10 @@ def settle(problem: Problem) -> Screening:
     for _ in range(SETTLINGS):
         seen = screen(problem, point)
         change = _within_reason(seen, problem.frame.unknowns)
-        at = seen.linear.place(BODY_KEYS)
+        at = seen.place(BODY_KEYS)
         moved = bounded(point, BODY_KEYS, change[at])
         bent = any(abs(np.log(moved[key] / point[key])) > BENT for key in BODY_KEYS)
-        goals = bounded(point, list(CURVED), change[seen.linear.place(list(CURVED))])
+        goals = bounded(point, list(CURVED), change[seen.place(list(CURVED))])
         goals |= {key: _possible(KEYS[key], goals[key]) for key in CURVED}
         far = [k for k, near in CURVED.items() if abs(goals[k] - point.get(k, absent(k))) > near]
         if not bent and not far:
@@ -170,7 +170,7 @@ def _within_reason(seen: Screening, unknowns: Mapping[str, Key]) -> Array:
     """The change (p,) to the best fit of everything at once, with each effect's range as a weak
     prior: a yaw damping of a thousand times that would bend c2 tenfold to go with it."""
     normal, gradient = seen.total.normal.copy(), seen.total.gradient.copy()
-    for i, key in enumerate(seen.linear.keys):
+    for i, key in enumerate(seen.keys):
         one = unknowns.get(key)
         if one is not None:
             size = max(abs(end - one.absent) for end in one.plausible)
@@ -194,7 +194,7 @@ def tried(
         wide.frame = replace(problem.frame, own=(*problem.frame.own, *probes))
         sizes = (key for one in probes for key in one.sizes)
         linear = wide.linear(point, (*keys, *sizes), problem.flights)
-        seen = Screening(linear, wide.with_prior(linear))
+        seen = Screening(linear.point, linear.keys, wide.with_prior(linear))
         found.append(
             [
                 (replace(seen.scores(keys, [one])[0], variant=variant), {shape.key: key.absent})

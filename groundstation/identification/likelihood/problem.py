@@ -117,7 +117,8 @@ class Problem:
         self.trim = trim_of(model_vehicle(model))
         self.noise: dict[int, Noise] = {}
         self.shapes: dict[tuple[int, int], Noise] = {}
-        self.reference: Linear | None = None
+        self.motors: list[tuple[tuple[str, ...], Array]] | None = None
+        """Keys and columns of a0, a1, a2 in each spectrum where the noise was learnt last."""
 
     def settle_filters(self) -> None:
         """Choose how far measured rates are believed: what predicts the next one best."""
@@ -205,7 +206,7 @@ class Problem:
             values = [s.residual - change[s.place] @ s.columns for s in linear.spectra]
             used = [leverage(s, noise[s.channel], covariance) for s in linear.spectra]
         self.noise = whiten_by_own(linear.spectra, values, used)
-        self.reference = linear
+        self.motors = _motors_of(linear)
         return linear
 
     def _reshape(
@@ -321,19 +322,15 @@ class Problem:
         They cost most, since motors must be simulated for each, and change least: the bench
         holds the constants where they are.
         """
-        if self.reference is None:
+        if self.motors is None:
             return self.linear(point, keys, self.flights)
         fresh = self.linear(point, [key for key in keys if key not in MOTOR_KEYS], self.flights)
-        old = {(s.flight, s.channel): s for s in self.reference.spectra}
-        motor = [self.reference.keys.index(key) for key in MOTOR_KEYS if key in keys]
         spectra = []
-        for s in fresh.spectra:
-            before = old[s.flight, s.channel]
-            rows = np.flatnonzero(np.isin(before.place, motor))
-            names = [self.reference.keys[i] for i in before.place[rows]]
+        for s, (names, known) in zip(fresh.spectra, self.motors, strict=True):
+            rows = [i for i, name in enumerate(names) if name in keys]
             place = [keys.index(fresh.keys[i]) for i in s.place]
-            place += [keys.index(name) for name in names]
-            columns = np.concatenate([s.columns, before.columns[rows]])
+            place += [keys.index(names[i]) for i in rows]
+            columns = np.concatenate([s.columns, known[rows]])
             spectra.append(replace(s, columns=columns, place=np.array(place, np.int64)))
         verticals = []
         for row in fresh.verticals:
@@ -341,6 +338,16 @@ class Problem:
             slopes[[keys.index(key) for key in fresh.keys]] = row.slopes
             verticals.append(replace(row, slopes=slopes))
         return Linear(fresh.point, keys, spectra, verticals)
+
+
+def _motors_of(linear: Linear) -> list[tuple[tuple[str, ...], Array]]:
+    """Keys and columns (k, 2 m) of the motors in each spectrum."""
+    motors = [linear.keys.index(key) for key in MOTOR_KEYS if key in linear.keys]
+    found = []
+    for s in linear.spectra:
+        rows = np.flatnonzero(np.isin(s.place, motors))
+        found.append((tuple(linear.keys[i] for i in s.place[rows]), s.columns[rows]))
+    return found
 
 
 def bounded(
