@@ -18,12 +18,13 @@ from groundstation.identification.likelihood.spectra import Spectrum, Vertical, 
 Array = NDArray[np.float64]
 
 END_SPEED_M_S = 0.3
-"""Vertical speed that a flight may end with when it does not end at rest."""
+"""Vertical speed that what was recorded of a flight may end with, on the ground as well: a
+touch-down is over between two rows, and how fast the craft came down is not in the recording."""
 LEAST_LIFT_DOUBT = 0.05
 """m/s^2: the model's mean force is 1 g to half a percent; what the accelerometer says of it is
 better known, but where slow air moves real craft its mean has no weight."""
-REST_SPEEDS_M_S = (0.03, 0.15)
-"""What may be left of it where it begins and ends at rest; a sampled impact is never exact."""
+REST_SPEED_M_S = 0.03
+"""What it may begin with where it takes off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +90,8 @@ def _vertical(number: int, series: Series, keys: Sequence[str], flight: Flight) 
         return []
     residual, slopes = series.vertical
     seconds = (flight.whole.stop - flight.whole.start) * flight.period_s
-    ends = zip(flight.rests, REST_SPEEDS_M_S, strict=True)
-    begin, end = (still if rest else END_SPEED_M_S for rest, still in ends)
-    sigma = np.hypot(begin, end) / seconds
+    begin = REST_SPEED_M_S if flight.rests[0] else END_SPEED_M_S
+    sigma = np.hypot(begin, END_SPEED_M_S) / seconds
     found = [Vertical(number, residual, _row(slopes, keys), float(sigma))]
     if series.lift is not None:
         loose = max(
