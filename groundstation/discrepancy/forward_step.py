@@ -34,8 +34,8 @@ FITTED, MORE_FITTED = 4, 2
 def join_what_is_sure(search: SearchState, plain: Screening) -> None:
     """Join what is beyond doubt beside every other effect, all at once.
 
-    One by one, the first to join would have to stand for those that are still missing.
-    Evidence is gathered by taking the weakest away again and again; the order is the reverse.
+    One by one, the first to join would have to stand for those that are still missing. Each is
+    weighed beside all others that stay, the weakest first; the order is the reverse.
     """
     best: dict[str, Scored] = {}
     for one in search.first.beside_all(search.candidates):
@@ -54,8 +54,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         search.now = Fit(point, keys, np.inf, np.zeros((len(keys),) * 2))
         return
     search.progress("fitting what is beyond doubt", 0.2)
-    after = search.now = search.problem.fit(point, keys)
-    out: list[Variant] = []
+    after = search.problem.fit(point, keys)
     while sure:
         weakest = sure.pop(int(np.argmin([_removal(after, one.variant) for one in sure])))
         variant = weakest.variant
@@ -70,10 +69,8 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
             search.held_out[variant.label] = evidence.held_out
         else:
             search.refused[variant.label] = why
-            out.append(variant)
-        after = before
-    if out:
-        search.refit_without(*out)
+            after = before
+    search.now = after
 
 
 def join_best(search: SearchState, able: Sequence[Variant]) -> bool:

@@ -94,14 +94,8 @@ class SearchState:
         """Take an effect out, and fit the others without it."""
         self.accepted.remove(one)
         self.refused[one.variant.label] = why
-        self.refit_without(one.variant)
-
-    def refit_without(self, *variants: Variant) -> None:
-        """Fit again without effects that are no longer accepted."""
-        point = self.now.point
-        for variant in variants:
-            point = without(point, variant)
         joined = (key for one in self.accepted for key in one.variant.keys)
+        point = without(self.now.point, one.variant)
         self.now = self.problem.fit(point, (*self.base_keys, *joined))
 
     def refit(self, accepted: Sequence[Accepted], held: set[str]) -> Fit:

@@ -25,6 +25,7 @@ from groundstation.identification.body.certainty import (
     blurred,
     certain,
     is_fast,
+    open_delay_s,
     unseen,
     unseen_delay_s,
 )
@@ -147,7 +148,7 @@ def fit_body(
         raise BadInputError("body fit: nothing to fit on; give a longer recording")
     require_usable(stretches, vehicle)
     acting = tuple(name for name in effects if name not in SUPPLY_EFFECTS)
-    pace, doubt = 0.0, 0.0
+    pace = doubt = 0.0
     if not motor_known and stretches[0].motor is not None:
         pace, doubt = _believed_pace(stretches, vehicle)
         stretches = [paced(one, math.exp(pace)) for one in stretches]
@@ -178,13 +179,13 @@ def fit_body(
 def _believed_pace(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[float, float]:
     """What of ``motor_pace`` is believed, and its standard error.
 
-    Where rows show every setting of the motors it is the estimate, if that is clearly another.
-    Otherwise a setting's unseen delay is a bias that no likelihood tells: the estimate counts
-    beside the profile's by what either is worth.
+    Where rows show every setting of the motors it is the estimate, if that is clearly another
+    beside the delay that rows leave open. Otherwise a setting's unseen delay is a bias that no
+    likelihood tells: the estimate counts beside the profile's by what either is worth.
     """
     pace, doubt = motor_pace(stretches, vehicle)
-    unseen_s = unseen_delay_s(stretches[0].run)
-    if not unseen_s:
+    if not (unseen_s := unseen_delay_s(stretches[0].run)):
+        doubt = math.hypot(doubt, PACE_PER_UNSEEN_S * open_delay_s(stretches[0].run.period_s))
         return pace if abs(pace) > PACE_ERRORS * doubt else 0.0, doubt
     variance = doubt**2 + (PACE_PER_UNSEEN_S * unseen_s) ** 2
     share = PACE_OF_CRAFTS**2 / (PACE_OF_CRAFTS**2 + variance)
