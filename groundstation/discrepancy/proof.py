@@ -166,7 +166,8 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
     before, plain = rows.before, bare(findings.model)
     after = rows.of(plain)
     steps = [(GIVEN, before.gap)]
-    if findings.base_changes or findings.moved.effects != findings.base.effects:
+    moved = bool(findings.base_changes) or findings.moved.effects != findings.base.effects
+    if moved:
         steps.append((BASE, rows.of(findings.moved).beside(before)))
     first, effects = steps[-1][1], []
     for found in findings.effects:
@@ -179,12 +180,13 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
         for one in effects
     ]
     followed = rows.of(findings.given), rows.of(findings.model)
-    ends = before.gap, first, after.beside(before), followed[1].beside(before)
+    alone = rows.of(_only_named(findings)).beside(before) if moved else after.beside(before)
+    ends = before.gap, first, alone, after.beside(before), followed[1].beside(before)
     far = before.further(train.before.further().black_box)
     further = far, far.with_model(plain, FURTHER_EVERY_S)
     proof = Proof(
         *(train.before, train.of(plain), before, after, followed, further, tuple(steps)),
-        _explained(*ends),
+        explained_by(*ends),
     )
     return replace(findings, effects=tuple(weighed)), proof
 
@@ -194,15 +196,34 @@ def bare(model: Model) -> Model:
     return msgspec.structs.replace(model, disturbance=None)
 
 
-def _explained(given: float, moved: float, named: float, followed: float) -> Explained | None:
-    """The shares, from the gaps as given, with other constants, with names, with a disturbance."""
+def _only_named(findings: Findings) -> Model:
+    """The given model with the named effects and its own constants."""
+    names = {one.name for one in findings.effects}
+    given = bare(findings.base)
+    added = (term for term in findings.model.effects if term.name in names)
+    return msgspec.structs.replace(given, effects=(*given.effects, *added))
+
+
+def explained_by(
+    given: float, moved: float, named: float, both: float, followed: float
+) -> Explained | None:
+    """The shares, from the gaps of the given model, with other constants, with the named effects,
+    with both, and with a disturbance beside them; None where nothing is to explain.
+
+    Constants and effects make up for each other, and what comes first would be charged for the
+    other's absence: each has the mean over both orders (Shapley 1953), or constants come first
+    where the effects alone predict no number.
+    """
     excess = given**2 - 1.0
     if given < LEFT:
         return None
+    effects = moved**2 - both**2
+    if math.isfinite(named):
+        effects = 0.5 * (effects + given**2 - named**2)
     return Explained(
-        (moved**2 - named**2) / excess,
-        (given**2 - moved**2) / excess,
-        (named**2 - followed**2) / excess,
+        effects / excess,
+        (given**2 - both**2 - effects) / excess,
+        (both**2 - followed**2) / excess,
         (followed**2 - 1.0) / excess,
     )
 

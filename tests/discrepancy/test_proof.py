@@ -9,7 +9,7 @@ import pytest
 from groundstation.discrepancy import engine
 from groundstation.discrepancy.engine import find_discrepancy
 from groundstation.discrepancy.findings import Verdict
-from groundstation.discrepancy.proof import WORSE_T, FittedRows, worse_channels
+from groundstation.discrepancy.proof import WORSE_T, FittedRows, explained_by, worse_channels
 from groundstation.discrepancy.slow_disturbance import with_disturbance
 from support.findings import findings
 from support.flights import base_model, judged
@@ -128,3 +128,21 @@ def test_what_the_seconds_add_is_the_squared_gap():
     given = judged()
     rows = FittedRows(given)
     assert np.nansum(rows.squares(given.model)) == pytest.approx(rows.judge(given.model).gap ** 2)
+
+
+def test_constants_and_names_that_make_up_for_each_other_share_what_they_explain_together():
+    told = explained_by(given=2.6, moved=5.0, named=5.0, both=1.0, followed=1.0)
+    assert told.named == pytest.approx(0.5)
+    assert told.constants == pytest.approx(0.5)
+    assert told.named + told.constants + told.disturbance + told.left == pytest.approx(1.0)
+
+
+def test_without_changed_constants_names_explain_all_that_went():
+    told = explained_by(given=3.0, moved=3.0, named=1.5, both=1.5, followed=1.2)
+    assert told.constants == 0.0
+    assert told.named == pytest.approx((3.0**2 - 1.5**2) / 8.0)
+
+
+def test_effects_that_predict_no_number_alone_are_weighed_behind_the_constants():
+    told = explained_by(given=3.0, moved=2.0, named=np.inf, both=1.0, followed=1.0)
+    assert (told.named, told.constants) == pytest.approx((3.0 / 8.0, 5.0 / 8.0))
