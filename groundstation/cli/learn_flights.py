@@ -30,8 +30,9 @@ from groundstation.cli.left_changed import also_written, note_changes
 from groundstation.cli.pid_manoeuvres import Flyable, fly_programme, stop_motors
 from groundstation.cli.sticks import CraftHeight, Hands
 from groundstation.cli.terminal import say
-from groundstation.control.programme import GRAVITY
+from groundstation.control.programme import BY_HAND, GRAVITY
 from groundstation.learn.journal import Flown
+from groundstation.service.motor_stop import BY_OPERATOR
 
 if TYPE_CHECKING:
     from groundstation.links.software_craft import SoftwareCraft
@@ -226,4 +227,6 @@ class Place:
                     put_back(pilot, CLIENT, saved, {}, {}, aborted)
                     _copied(Path(flown), file)
         flying = {k: v for k, v in before.items() if k.startswith("pid_")} | gains
+        if aborted == BY_OPERATOR:
+            aborted = f"{BY_HAND}: {aborted}"
         return Flown(aborted, seconds, flying)

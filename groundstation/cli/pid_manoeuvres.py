@@ -74,6 +74,7 @@ def fly_programme(
     craft says how its battery is. clock: the craft's, None: real time."""
     from groundstation.control.programme import (
         BEGINS,
+        BY_HAND,
         LANDS,
         LOW_BATTERY,
         RATE_HZ,
@@ -108,7 +109,7 @@ def fly_programme(
             sticks.above_m = above[0]
         hands = sticks.read()
         if hands.stop or not hands.flies:
-            return "stopped by hand"
+            return BY_HAND
         reason = send(hands, roll, pitch, yaw)
         if reason.startswith(LOW_BATTERY):
             break
@@ -153,12 +154,12 @@ def stop_motors(pilot: Pilot | SoftwareCraft) -> str:
 
 def _take_off(sticks: Source, send: Callable[[Hands], str], clock: Clock) -> str:
     """Until the human says so, or the pilot has had his time; why it was aborted, or empty."""
-    from groundstation.control.programme import RATE_HZ
+    from groundstation.control.programme import BY_HAND, RATE_HZ
 
     for tick in range(10**9):
         hands = sticks.read()
         if hands.stop:
-            return "stopped by hand"
+            return BY_HAND
         reason = send(hands)
         if reason and hands.flies:
             return reason

@@ -113,6 +113,8 @@ class AbortLimits:
 
 LOW_BATTERY = "battery below"
 """How the reason begins for which a flight ends in a landing."""
+TILTED, TURNED, BY_HAND = "tilt of", "rate of", "stopped by hand"
+"""How other reasons begin: those of a craft that its gains do not hold, or that somebody saw."""
 LANDING = AbortLimits(tilt_deg=180.0, rate_dps=2100.0)
 """Meeting the ground turns a craft faster than any flight; only what blinds is a reason then."""
 
@@ -165,10 +167,10 @@ def reason_to_abort(
         return str(answer["hindrance"])
     tilt = _largest((telemetry["roll_deg"], telemetry["pitch_deg"]))
     if not tilt <= limits.tilt_deg:
-        return f"tilt of {tilt:.0f} deg, {limits.tilt_deg:g} is the most"
+        return f"{TILTED} {tilt:.0f} deg, {limits.tilt_deg:g} is the most"
     rate = _largest(telemetry["gyro_dps"])
     if not rate <= limits.rate_dps:
-        return f"rate of {rate:.0f} deg/s, {limits.rate_dps:g} is the most"
+        return f"{TURNED} {rate:.0f} deg/s, {limits.rate_dps:g} is the most"
     if low is None:
         return ""
     battery = telemetry["battery_v"]

@@ -12,6 +12,7 @@ import numpy as np
 from groundstation.control.firmwares import firmware_of_vehicle
 from groundstation.control.gains_file import gains_text, load_gains
 from groundstation.control.pid import AXES
+from groundstation.control.programme import BY_HAND, TILTED, TURNED
 from groundstation.discrepancy.report_json import DiscrepancyReport
 from groundstation.dynamics.model import Model, load_model, model_vehicle
 from groundstation.errors import BadInputError, GroundStationError
@@ -49,6 +50,8 @@ DESIGNED_S = 45.0
 ROUNDS = 2
 """Designed flights at most: one for everything, one for names that the first could not settle."""
 BODY_MODEL, GAINS = "body.json", "gains.toml"
+BY_GAINS = (TILTED, TURNED, BY_HAND)
+"""How the reasons begin for which a flight with new gains is their last."""
 MODEL = "model.json"
 """The last one, with what it lacked."""
 PROOF_FLIGHT = "proof.mcap"
@@ -225,8 +228,8 @@ class Learner:
             try:
                 self._fly(AFTER.format(number), steps, steps=True, gains=gains)
             except GroundStationError as error:
-                if "cut short" not in str(error):
-                    raise
+                if not journal.flights[-1].aborted.startswith(BY_GAINS):
+                    raise  # a link that was lost, say: they fly again when it goes on
                 self._settle(f"put back: {error}")
                 return
             after = flown_steps(self.folder, self._landed(AFTER.format(number)), loaded)
@@ -237,6 +240,7 @@ class Learner:
             self._settle(f"put back: {told}; worse about every axis that was changed")
             return
         self.pilot.write(gains)
+        self._keep_gains(loaded, gains)
         kept = [axis for axis in AXES if axis not in map(axis_of, gains)]
         told += f"; {listed(kept)} as before" if kept else ""
         journal.former = {name: former.gains[name] for name in gains}
@@ -256,9 +260,13 @@ class Learner:
         path = self.folder / GAINS
         if not path.exists():
             self._say("designing gains for the model that was found")
-            release = firmware_of_vehicle(model_vehicle(model)).name
-            path.write_text(gains_text(designed_gains(model), release), encoding="utf-8")
+            self._keep_gains(model, designed_gains(model))
         return {k: v for k, v in load_gains(path).items() if isinstance(v, float)}
+
+    def _keep_gains(self, model: Model, gains: dict[str, float]) -> None:
+        """The gains file: as designed, and in the end what was written."""
+        text = gains_text(gains, firmware_of_vehicle(model_vehicle(model)).name)
+        (self.folder / GAINS).write_text(text, encoding="utf-8")
 
     # words
 

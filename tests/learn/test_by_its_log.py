@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -27,17 +28,20 @@ BETTER = {
 
 
 @pytest.fixture
-def daemon(tmp_path):
-    """Of a craft that has just been switched on."""
+def craft(tmp_path):
+    """That has just been switched on, and where it is heard."""
     settings, uri = tmp_path / "craft.toml", f"127.0.0.1:{free_port()}"
     settings.write_text(CRAFT)
-    with (
-        Program(
-            [sys.executable, "-m", "firmware_sim", "--settings", settings, "--crtp", uri],
-            stdout=subprocess.DEVNULL,
-        ),
-        Daemon(tmp_path, "--link", f"udp://{uri}", "--recordings", "sessions") as running,
-    ):
+    with Program(
+        [sys.executable, "-m", "firmware_sim", "--settings", settings, "--crtp", uri],
+        stdout=subprocess.DEVNULL,
+    ) as running:
+        yield running, uri
+
+
+@pytest.fixture
+def daemon(craft, tmp_path):
+    with Daemon(tmp_path, "--link", f"udp://{craft[1]}", "--recordings", "sessions") as running:
         running.status_when(
             lambda status: status["command"] and status["command"]["state"] == "connected",
             "the craft is there",
@@ -58,8 +62,9 @@ def learn(daemon, folder, *options):
         yield program
 
 
-def test_designed_gains_are_flown_written_and_put_back_even_if_a_flight_with_them_was_killed(
-    daemon, tmp_path
+@pytest.mark.parametrize("ends", ["killed", "not heard any more"])
+def test_gains_of_which_a_flight_was_cut_short_fly_again_are_written_and_put_back(
+    craft, daemon, tmp_path, ends
 ):
     folder = tmp_path / "learnt"
     begun(folder, "daemon", "crazyflie21", "steps")
@@ -73,18 +78,33 @@ def test_designed_gains_are_flown_written_and_put_back_even_if_a_flight_with_the
         events = ask(daemon.socket, "GET", "/events")
         return sum(event["text"] == "pid fly programme" for event in events)
 
+    def what_came_of_it():
+        return json.loads((folder / "learn.json").read_text())["gains"]
+
     before = of_the_craft()
-    with learn(daemon, folder) as killed:
+    with learn(daemon, folder) as cut:
         with in_real_time():
             until(lambda: programmes() == 2, "the designed gains fly")
-        killed.kill()
-        killed.communicate(timeout=LONGEST_S)
+        if ends == "killed":
+            cut.kill()
+            cut.communicate(timeout=LONGEST_S)
+        else:
+            craft[0].send_signal(signal.SIGSTOP)
+            _, error = cut.communicate(timeout=LONGEST_S)
+            craft[0].send_signal(signal.SIGCONT)
+            assert cut.returncode == 1
+            assert "flight cut short" in error
+            daemon.status_when(
+                lambda status: status["command"] and status["command"]["state"] == "connected",
+                "the craft is heard again",
+            )
+    assert what_came_of_it() == ""
     assert of_the_craft() != before
     with learn(daemon, folder) as learns:
         _, error = learns.communicate(timeout=LONGEST_S)
     assert learns.returncode == 0, error
     assert "was interrupted and left changed" in error
-    assert json.loads((folder / "learn.json").read_text())["gains"].startswith("written: ")
+    assert what_came_of_it().startswith("written: ")
     assert {name: of_the_craft()[name] for name in BETTER} == pytest.approx(BETTER, rel=1e-6)
     with learn(daemon, folder, "--undo") as undoes:
         _, error = undoes.communicate(timeout=LONGEST_S)

@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from groundstation.control.gains_file import load_gains
 from groundstation.recording.open_recording import open_recording
 from support.daemons import COMMAND, groundstation, in_process, require_failure
 from support.learning import PHASES, begun
@@ -123,6 +124,19 @@ def test_an_axis_that_flies_worse_keeps_its_gains_and_the_others_are_flown_again
     assert journal(folder)["gains"].startswith("written: ")
     assert journal(folder)["gains"].endswith("; roll and pitch as before")
     assert journal(folder)["former"] == {"pid_rate.yaw_kp": stock["pid_rate.yaw_kp"]}
+    written = load_gains(folder / "gains.toml")
+    assert {k: v for k, v in written.items() if k.startswith("pid_")} == {"pid_rate.yaw_kp": 109.0}
+
+
+def test_gains_with_which_the_craft_tumbles_have_had_their_last_flight(tmp_path):
+    folder, link = tmp_path / "learnt", "software:crazyflie1"
+    begun(folder, link, "crazyflie1", "steps")
+    none = "".join(f'"pid_rate.roll_{part}" = 0.0\n' for part in ("kp", "ki", "kd"))
+    (folder / "gains.toml").write_text(f'firmware = "2014"\n{none}')
+    ended = groundstation("learn", "--link", link, "-o", folder)
+    assert ended.returncode == 0, ended.stderr
+    assert journal(folder)["gains"].startswith("put back: steps_after1.mcap: flight cut short: ")
+    assert "is the most" in journal(folder)["gains"]
 
 
 def software(tmp_path, more):
