@@ -69,13 +69,30 @@ def test_motors_that_differ_are_found_where_rows_show_how_fast_they_answer(run, 
     assert (np.abs(off) < 1.96 * error).all()
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_rows_that_tell_both_settings_hold_all_there_are_at_whatever_voltage(run, told):
-    """Two settings at one voltage make a mean that lies anywhere between the steps of a PWM."""
+def of_both_settings(run, scale=1.0, told=True):
+    """250 rows a second, the motors' settings in each as mean and step."""
     first, second = run.duty[1:-1:2], run.duty[2::2]
     step = second - first if told else np.full_like(first, np.nan)
     rows = {name: getattr(run, name)[2::2] for name in CHANNELS}
-    rows |= {"duty": first * 1.0003 + 0.5 * (second - first), "duty_step": step}
-    slow = replace(run, period_s=2 * run.period_s, **rows)
+    rows |= {"duty": first * scale + 0.5 * (second - first), "duty_step": step}
+    return replace(run, period_s=2 * run.period_s, **rows)
+
+
+@pytest.mark.parametrize(("slower", "least", "most"), [(1.0, 1.0, 1.0), (1.4, 1.3, 1.5)])
+def test_a_delay_that_rows_of_both_settings_leave_open_is_not_taken_for_other_motors(
+    run, slower, least, most
+):
+    motor = quicker(VEHICLE.motor, 1 / slower)
+    stretches = stretches_of([of_both_settings(run)], motor)
+    fit = fit_body(stretches, VEHICLE, WITH, motor_known=False)
+    assert least <= fit.pace[0] <= most
+    assert abs(np.log(fit.pace[0] / slower)) < 1.96 * fit.pace[1] < 0.1
+    assert fit.pace[1] > 0.02  # a millisecond of delay is worth a motor 3 % slower
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_rows_that_tell_both_settings_hold_all_there_are_at_whatever_voltage(run, told):
+    """Two settings at one voltage make a mean that lies anywhere between the steps of a PWM."""
+    slow = of_both_settings(run, 1.0003, told)
     assert settings_a_row(slow) == pytest.approx(1.0 if told else 2.0, rel=1e-3)
     assert unseen_delay_s(slow) == pytest.approx(0.0 if told else 2e-3, abs=1e-5)
