@@ -24,10 +24,7 @@ FREE = ("c2", "a1", "a2")
 are worth a word where others are none, and the rest of the model stands."""
 USELESS = -100.0
 """Per cent of fit, errors of twice the mean's, from which a model is none."""
-TOLD_ONLY = ("yaw", "accelerometer")
-"""Channels of which it is worth a word only: yaw may hardly be excited, and the mean of the
-vertical specific force is gravity, which a model that misses an effect in the motors does not reach
-wherever a flight hardly climbs."""
+TILT = ("roll", "pitch")
 AWAY = 1e-9
 """Relative distance from its start by which an estimate has moved."""
 
@@ -77,13 +74,12 @@ def no_results(
             (doubts if name in FREE else reasons).append(line)
         elif usual and not 1 / UNUSUAL < value / usual < UNUSUAL:
             doubts.append(f"{name} is {value:.3g}, and {usual:.3g} by the profile {vehicle.name!r}")
-    for name, percent in _fits(account.get("validation")):
+    for name, percent, decides in _fits(account.get("validation")):
         if percent < 0.0:
             line = (
                 f"{name} on unseen data is predicted worse than by its mean (fit {percent:.0f} %)"
             )
-            is_told = percent >= USELESS or any(one in name for one in TOLD_ONLY)
-            (doubts if is_told else reasons).append(line)
+            (reasons if decides and percent < USELESS else doubts).append(line)
     return reasons, doubts
 
 
@@ -95,17 +91,22 @@ def _estimates(account: Mapping[str, Any]) -> Iterator[tuple[str, float, float]]
             yield str(name), float(value), float(error)
 
 
-def _fits(validation: Any) -> Iterator[tuple[str, float]]:
-    """Name and per cent of what was predicted of unseen data."""
+def _fits(validation: Any) -> Iterator[tuple[str, float, bool]]:
+    """Name and per cent of what was predicted of unseen data, and whether it decides.
+
+    Of a body roll and pitch do, where neither is predicted better than by its mean: a flight may
+    hardly turn about one axis, or hardly climb, and then its mean is a better prediction than any
+    model's that misses an effect.
+    """
     if isinstance(validation, Mapping):
-        yield from (
-            (name.replace("_fit_percent", "").replace("_", " "), float(value))
-            for name, value in validation.items()
-            if "fit_percent" in name
-        )
+        percents = {k: float(v) for k, v in validation.items() if "fit_percent" in k}
+        for name, percent in percents.items():
+            both = (name.replace("roll", "pitch"), name.replace("pitch", "roll"))
+            decides = any(one in name for one in TILT) and all(percents[one] < 0.0 for one in both)
+            yield name.replace("_fit_percent", "").replace("_", " "), percent, decides
     elif isinstance(validation, Sequence):
         yield from (
-            (f"rotor speed of {one['recording']}", float(one["rotor_fit_percent"]))
+            (f"rotor speed of {one['recording']}", float(one["rotor_fit_percent"]), True)
             for one in validation
             if "rotor_fit_percent" in one
         )
