@@ -117,8 +117,7 @@ def learn(prepared: Sequence[Prepared]) -> BlackBox:
         ]
         fitted = fit_signals(pieces) if pieces else [None] * 3
         for one, own, explained in zip(prepared, signals, shares, strict=True):
-            for channel, predictor in enumerate(fitted, first):
-                explained[:, channel] = _share(one, own, predictor)
+            explained[:, first : first + 3] = _share(one, own, fitted)
         found += fitted
     plain = [_unexplained(one, found, np.zeros_like(one.step)) for one in prepared]
     left = [_unexplained(one, found, share) for one, share in zip(prepared, shares, strict=True)]
@@ -145,9 +144,8 @@ def floor_errors(black_box: BlackBox, prepared: Prepared) -> Floor:
     """What the black box leaves of a run, in the rows of its errors."""
     share = np.zeros_like(prepared.step)
     for first, kind in zip((0, 3, 6), KINDS, strict=True):
-        signals = prepared.signals(kind)
-        for channel, predictor in enumerate(black_box.channels[first : first + 3], first):
-            share[:, channel] = _share(prepared, signals, predictor)
+        fitted = black_box.channels[first : first + 3]
+        share[:, first : first + 3] = _share(prepared, prepared.signals(kind), fitted)
     left = _unexplained(prepared, black_box.channels, share)
     memories = _memories(left.step, prepared.errors.run.period_s)
     horizons = []
@@ -237,8 +235,9 @@ def _unexplained(
     return _Unexplained(step, tuple(totals))
 
 
-def _share(one: Prepared, signals: Signals, predictor: ChannelPredictor | None) -> Array:
-    """What the signals explain of a channel's one-step errors, (n,), without vibration.
+def _share(one: Prepared, signals: Signals, predictors: Sequence[ChannelPredictor | None]) -> Array:
+    """What signals explain of the one-step errors of their three channels, (n, 3), without
+    vibration.
 
     Through the controller the inputs hold the vibration of the rows before, and noise-free sums
     of them foretell the next row's. Smoothed on all rows, before an attitude of every second row
@@ -246,12 +245,14 @@ def _share(one: Prepared, signals: Signals, predictor: ChannelPredictor | None) 
     """
     from scipy.ndimage import gaussian_filter1d
 
-    share = np.zeros(len(one.step))
-    if predictor is not None and len(predictor.columns):
-        sigma = SMOOTH_S / one.errors.run.period_s
+    share = np.zeros((len(one.step), len(predictors)))
+    sigma = SMOOTH_S / one.errors.run.period_s
+    for column, predictor in enumerate(predictors):
+        if predictor is None or not len(predictor.columns):
+            continue
         for stretch in one.stretches:
             explained = signals.values[stretch, predictor.columns] @ predictor.weights
-            share[stretch] = gaussian_filter1d(explained, sigma, mode="nearest")
+            share[stretch, column] = gaussian_filter1d(explained, sigma, mode="nearest")
     return share
 
 

@@ -35,7 +35,7 @@ class Outcome:
     """final: the joint fit. errors: standard errors by key, everything being free. residual: what
     it leaves. refused: variant label -> why it is not named. held_out: variant label -> drop of
     -2 log L on flights left out when it was weighed last. weights: variant label -> what it
-    carries. first: columns at the model as it was given; scores: of these."""
+    carries. first: the screening at the model as it was given; scores: of it."""
 
     final: Fit
     errors: dict[str, float]
