@@ -3,14 +3,15 @@ chance can do it beside all that joined since."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
-from groundstation.discrepancy.evidence import by_blocks, separated
+from groundstation.discrepancy.findings import Refusal
 from groundstation.discrepancy.screening import removal_cost, sizes_at
-from groundstation.discrepancy.search_state import SearchState
+from groundstation.discrepancy.search_state import Accepted, SearchState
+from groundstation.identification.likelihood.parameters import Variant
 
 
 def drop_needless(search: SearchState) -> bool:
@@ -35,19 +36,26 @@ def drop_needless(search: SearchState) -> bool:
 
 
 def drop_insignificant(search: SearchState) -> bool:
-    """Drop, for good, the accepted effect that is least above chance, if one is not above it."""
-    problem, now = search.problem, search.now
-    linear = problem.linear(now.point, now.keys, problem.flights)
-    refused = []
-    for one in search.accepted:
-        t = by_blocks(problem, separated(problem, linear, one.variant))
-        one.evidence = replace(one.evidence, t=t)
-        why = refusal(Stage.STABLE, Trial(one.variant, evidence=one.evidence))
-        if why is not None:
-            refused.append((t, one, why))
-    if not refused:
+    """Drop, for good, the weakest accepted effect that is not above chance, if there is one."""
+    failed = failing(search, [one.variant for one in search.accepted], Stage.STABLE)
+    if failed is None:
         return False
-    _, worst, why = min(refused, key=lambda each: each[0])
-    search.banned.add(worst.variant.label)
-    search.drop(worst, why)
+    search.banned.add(failed[0].variant.label)
+    search.drop(*failed)
     return True
+
+
+def failing(
+    search: SearchState, variants: Sequence[Variant], stage: Stage
+) -> tuple[Accepted, Refusal] | None:
+    """Ask each of these effects of the joint fit beside the others; the weakest that fails a stage,
+    and why. All are accepted until they are dropped, the strongest first."""
+    weighed = search.weighed(search.now, variants)
+    both = [Accepted(one, evidence) for one, evidence in zip(variants, weighed, strict=True)]
+    search.accepted = sorted(both, key=lambda one: -one.evidence.drop)
+    search.held_out |= {one.variant.label: one.evidence.held_out for one in both}
+    failed = None
+    for one in search.accepted:
+        why = refusal(stage, Trial(one.variant, search.now, evidence=one.evidence))
+        failed = failed if why is None else (one, why)
+    return failed

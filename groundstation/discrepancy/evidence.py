@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.screening import sizes_at
+from groundstation.discrepancy.screening import removal_cost, sizes_at
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen_delay_s
 from groundstation.identification.estimate import inverse
@@ -54,22 +54,26 @@ class Evidence:
 
 
 def gather(
-    problem: Problem, folds: Sequence[Flight], before: Fit, after: Fit, variant: Variant
-) -> Evidence:
-    """What speaks for a variant: ``before`` and ``after`` it joined. folds: flights each of which
-    is left out once (``folds_of``)."""
-    drop = before.cost - after.cost
-    linear = problem.linear(after.point, after.keys, problem.flights)
-    held, expected = drop, drop
-    if folds:
-        alike = all(one is other for one, other in zip(folds, problem.flights, strict=False))
-        there = linear if alike else problem.linear(after.point, after.keys, folds)
-        held, expected = cross_validated(
-            problem, there, variant.keys, sizes_at(variant, after.point)
-        )
-    effect = separated(problem, linear, variant)
-    t, channels = by_blocks(problem, effect), touched(problem, linear, variant)
-    return Evidence(drop, held, expected, t, channels, beyond_unseen(problem, effect))
+    problem: Problem, folds: Sequence[Flight], fit: Fit, variants: Sequence[Variant]
+) -> list[Evidence]:
+    """What speaks for each of these effects of a joint fit beside the others. folds: flights each
+    of which is left out once (``folds_of``)."""
+    linear = problem.linear(fit.point, fit.keys, problem.flights)
+    alike = all(one is other for one, other in zip(folds, problem.flights, strict=False))
+    there = linear if alike else problem.linear(fit.point, fit.keys, folds)
+    covariance = inverse(problem.with_prior(linear).normal)
+    found = []
+    for variant in variants:
+        own, sizes = linear.place(variant.sizes), sizes_at(variant, fit.point)
+        drop = removal_cost(sizes, covariance[np.ix_(own, own)])
+        held, expected = drop, drop
+        if folds:
+            held, expected = cross_validated(problem, there, variant.keys, sizes)
+        effect = separated(problem, linear, variant)
+        t, channels = by_blocks(problem, effect), touched(problem, linear, variant)
+        beyond = beyond_unseen(problem, effect)
+        found.append(Evidence(drop, held, expected, t, channels, beyond))
+    return found
 
 
 def folds_of(flights: Sequence[Flight]) -> list[Flight]:

@@ -8,17 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
+from groundstation.discrepancy.backward_step import failing
 from groundstation.discrepancy.findings import Reason
 from groundstation.discrepancy.screening import (
     PENALTY,
     Scored,
     Screening,
-    removal_cost,
     screen,
-    sizes_at,
     started,
     tried,
-    without,
 )
 from groundstation.discrepancy.search_state import ROUGHLY, Accepted, SearchState
 from groundstation.identification.likelihood.parameters import Point, Variant, absent
@@ -35,7 +33,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
     """Join what is beyond doubt beside every other effect, all at once.
 
     One by one, the first to join would have to stand for those that are still missing. Each is
-    weighed beside all others that stay, the weakest first; the order is the reverse.
+    asked beside all the others, and the weakest that fails leaves.
     """
     best: dict[str, Scored] = {}
     for one in search.first.beside_all(search.candidates):
@@ -54,23 +52,12 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
         search.now = Fit(point, keys, np.inf, np.zeros((len(keys),) * 2))
         return
     search.progress("fitting what is beyond doubt", 0.2)
-    after = search.problem.fit(point, keys)
-    while sure:
-        weakest = sure.pop(int(np.argmin([_removal(after, one.variant) for one in sure])))
-        variant = weakest.variant
-        search.progress(f"weighing {variant.effect}", -1.0)
-        rest = tuple(key for key in after.keys if key not in variant.keys)
-        before = search.problem.fit(without(after.point, variant), rest, settled=ROUGHLY)
-        after = search.nested(after, before, variant)
-        evidence = search.weighed(before, after, variant)
-        why = refusal(Stage.WEIGHED, Trial(variant, after, evidence=evidence))
-        if why is None:
-            search.accepted.insert(0, Accepted(variant, evidence))
-            search.held_out[variant.label] = evidence.held_out
-        else:
-            search.refused[variant.label] = why
-            after = before
-    search.now = after
+    search.now = search.problem.fit(point, keys)
+    variants = [one.variant for one in sure]
+    search.progress("asking each beside the others", -1.0)
+    while failed := failing(search, variants, Stage.WEIGHED):
+        search.drop(*failed)
+        variants = [one.variant for one in search.accepted]
 
 
 def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
@@ -83,7 +70,7 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
     for trial in trials:
         label = trial.variant.label
         assert trial.fit is not None
-        trial.evidence = search.weighed(before, trial.fit, trial.variant)
+        (trial.evidence,) = search.weighed(trial.fit, [trial.variant])
         search.held_out[label] = trial.evidence.held_out
         why = refusal(Stage.WEIGHED, trial)
         if why is None:
@@ -179,8 +166,3 @@ def _placed(plain: Screening, one: Scored) -> dict[str, float]:
     """The given model with an effect at its screened size."""
     values = dict(zip(one.variant.sizes, one.values.tolist(), strict=True))
     return {**plain.point, **{key: absent(key) + size for key, size in values.items()}}
-
-
-def _removal(fit: Fit, variant: Variant) -> float:
-    own = [fit.keys.index(key) for key in variant.sizes]
-    return removal_cost(sizes_at(variant, fit.point), fit.covariance[np.ix_(own, own)])

@@ -18,7 +18,7 @@ from groundstation.discrepancy.screening import Scored
 from groundstation.discrepancy.search import Outcome
 from groundstation.discrepancy.search_state import Accepted
 from groundstation.identification.flight import Flight
-from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG, absent
+from groundstation.identification.likelihood.parameters import ALONG, SENSOR_LAG
 from groundstation.identification.likelihood.problem import Problem
 
 
@@ -27,9 +27,7 @@ def with_sensor_lag(outcome: Outcome, problem: Problem, folds: Sequence[Flight])
     final = outcome.final
     if SENSOR_LAG not in final.keys:
         return outcome
-    without = {**final.point, SENSOR_LAG: absent(SENSOR_LAG)}
-    before = problem.fit(without, [key for key in final.keys if key != SENSOR_LAG])
-    evidence = gather(problem, folds, before, final, ALONG)
+    (evidence,) = gather(problem, folds, final, [ALONG])
     why = refusal(Stage.WEIGHED, Trial(ALONG, final, evidence=evidence))
     size, error = final.point[SENSOR_LAG], final.stderr()[SENSOR_LAG]
     scored = Scored(ALONG, evidence.drop, np.array([size]), np.array([error]))

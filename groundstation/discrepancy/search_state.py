@@ -108,9 +108,9 @@ class SearchState:
         point |= {key: start.get(key, absent(key)) for key in held} | self.fixed
         return self.problem.fit(point, [key for key in keys if key not in held])
 
-    def weighed(self, before: Fit, after: Fit, variant: Variant) -> Evidence:
-        """What speaks for a variant: ``before`` and ``after`` it joined."""
-        return gather(self.problem, self.folds, before, after, variant)
+    def weighed(self, fit: Fit, variants: Sequence[Variant]) -> list[Evidence]:
+        """What speaks for each of these effects of a joint fit beside the others."""
+        return gather(self.problem, self.folds, fit, variants)
 
 
 def names_of(accepted: Sequence[Accepted]) -> frozenset[str]:

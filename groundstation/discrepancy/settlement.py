@@ -51,14 +51,14 @@ def name_base_changes(search: SearchState) -> None:
         if key in search.held or key not in search.now.keys:
             continue
         held = search.held | {key}
-        before, after = _renamed(search, search.accepted, held, own)
-        evidence = search.weighed(before, after, variant)
+        after = _renamed(search, search.accepted, held, own)
+        (evidence,) = search.weighed(after, [variant])
         trial = Trial(variant, after, evidence=evidence)
         if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
             continue
         apart = [one for one in search.accepted if not _shares(one.variant, variant)]
         if len(apart) < len(search.accepted):
-            _, alone = _renamed(search, apart, held, own)
+            alone = _renamed(search, apart, held, own)
             if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
                 continue
         search.now, search.held = after, held
@@ -74,12 +74,10 @@ def confirm(search: SearchState) -> bool:
     return answer_to_predictions(search, search.judge)
 
 
-def _renamed(
-    search: SearchState, accepted: Sequence[Accepted], held: set[str], own: str
-) -> tuple[Fit, Fit]:
-    """Fits with the constants ``held`` as given, without and with the size ``own``."""
+def _renamed(search: SearchState, accepted: Sequence[Accepted], held: set[str], own: str) -> Fit:
+    """The fit with the constants ``held`` as given, with the size ``own``."""
     before = search.refit(accepted, held)
-    return before, search.problem.fit(before.point, (*before.keys, own))
+    return search.problem.fit(before.point, (*before.keys, own))
 
 
 def _shares(variant: Variant, other: Variant) -> bool:
