@@ -89,14 +89,18 @@ class Comparison(Result):
         error = pooled_rms([one.horizons[number] for one in self.errors])
         return error, pooled_rms([one.horizons[number] for one in self.floors])
 
-    def with_model(self, model: Model, every_s: float = 0.0) -> Comparison:
+    def with_model(
+        self, model: Model, every_s: float = 0.0, same_observer: bool = False
+    ) -> Comparison:
         """Another model on the same runs, beside the same floor. every_s: predictions start no more
-        often than that."""
+        often than that. same_observer: of one that hardly differs, with the noise that suits this
+        one."""
         errors = tuple(
             ahead_errors(
                 one.recorded,
                 model,
                 like=one,
+                same_observer=same_observer,
                 turning=self.turning,
                 every_s=every_s,
                 horizons_s=self.horizons_s,

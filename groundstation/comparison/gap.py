@@ -26,6 +26,7 @@ from groundstation.prediction.observer import Noise
 from groundstation.prediction.prediction import (
     Ahead,
     observe_as_it_is,
+    observe_run,
     own_noise,
     predict_observed,
 )
@@ -53,7 +54,8 @@ class AheadErrors:
     """Prediction errors of one model on one run, measured less predicted, SI, all (n, 9) in the
     order of ``CHANNELS`` and in the row they are judged at.
 
-    recorded: the run as it is, run: lost rows filled in. noise: its own. step: at the shortest
+    recorded: the run as it is, run: lost rows filled in. noise: its own, and chosen: what of it
+    foretells the run better with this model (``observe_as_it_is``). step: at the shortest
     horizon, ``step_rows`` (9,): one row, but more where the attitude is refreshed every few rows.
     horizons: one for each that was asked for, which are ``rows`` (9,) each. NaN where the first or
     last row is outside flight or was not measured afresh.
@@ -63,6 +65,7 @@ class AheadErrors:
     run: Run
     motion: Motion
     noise: Noise
+    chosen: Noise
     step_rows: NDArray[np.int64]
     step: Array
     horizons: tuple[Array, ...]
@@ -76,6 +79,7 @@ def ahead_errors(
     *,
     motion: Motion | None = None,
     like: AheadErrors | None = None,
+    same_observer: bool = False,
     turning: Turning = "body",
     every_s: float = 0.0,
     horizons_s: Sequence[float] = HORIZONS_S,
@@ -84,8 +88,9 @@ def ahead_errors(
 
     rows_judged: only these; the rows before tell the state. motion: of this model, where it is
     known. like: of another model on the same run, so that the same rows are judged, with the same
-    noise of the run's sensors (``own_noise``). turning: what of the model turns the craft. every_s:
-    predictions start no more often than that, where rows are faster.
+    noise of the run's sensors (``own_noise``). same_observer: with what was chosen of it for that
+    model. turning: what of the model turns the craft. every_s: predictions start no more often than
+    that, where rows are faster.
 
     Raises BadInputError where PWM, battery voltage or gyro are missing throughout.
     """
@@ -108,12 +113,15 @@ def ahead_errors(
     driven = replace(run, **inputs, attitude=shown)
     counts = np.unique(np.concatenate([step_rows, *rows]))
     noise = own_noise(driven, flown) if like is None else like.noise
-    seen = observe_as_it_is(model, driven, noise)
+    if like is not None and same_observer:
+        seen, chosen = observe_run(model, driven, noise=like.chosen), like.chosen
+    else:
+        seen, chosen = observe_as_it_is(model, driven, noise)
     ahead = predict_observed(driven, seen, counts, stride=_stride(every_s, run.period_s))
     if turning == "arx":
         ahead = with_arx_attitude(ahead, model, whole)
     step, *horizons = _where_judged(ahead, driven, known, (step_rows, *rows))
-    return AheadErrors(run, whole, moved, noise, step_rows, step, tuple(horizons), rows)
+    return AheadErrors(run, whole, moved, noise, chosen, step_rows, step, tuple(horizons), rows)
 
 
 def _where_judged(

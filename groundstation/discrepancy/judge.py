@@ -72,17 +72,20 @@ class Judge:
     def weights(self, point: Point, accepted: Sequence[Accepted]) -> dict[str, Weight]:
         """What each of these effects carries, by label; none of those that touch only channels in
         which nothing is left to explain."""
-        now, found = self._squares(point), {}
+        improved, found = self._model(point), {}
+        near = self._beside.of(improved)
+        now = self._beside.squares(improved)
         for one in accepted:
-            left = self._squares(without(point, one.variant))
+            left = self._beside.squares(self._model(without(point, one.variant)), near)
             carried = weight(self._given.before.gap, now, left, one.evidence.channels)
             if carried is not None:
                 found[one.variant.label] = carried
         return found
 
-    def _squares(self, point: Point) -> Array:
+    def _model(self, point: Point) -> Model:
+        """With what is slow."""
         model = self._model_at(point)
-        return self._beside.squares(model if self._slow is None else with_term(model, self._slow))
+        return model if self._slow is None else with_term(model, self._slow)
 
 
 def to_follow(fitted: Comparison) -> Slow | None:

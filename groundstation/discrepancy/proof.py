@@ -105,12 +105,16 @@ class Predictions:
         self.before, self._every_s = before, every_s
         self._last: dict[bytes, Comparison] = {}
 
-    def of(self, model: Model) -> Comparison:
-        """Another model on the same rows."""
+    def of(self, model: Model, near: Comparison | None = None) -> Comparison:
+        """Another model on the same rows. near: of one that it hardly differs from, and whose
+        observer suits it."""
         key = _numbers(model)
         if key == _numbers(self.before.model):
             return self.before
-        found = self._last.pop(key, None) or self.before.with_model(model, self._every_s)
+        found = self._last.pop(key, None)
+        if found is None:
+            like = self.before if near is None else near
+            found = like.with_model(model, self._every_s, near is not None)
         self._last[key] = found
         if len(self._last) > KEPT:
             del self._last[next(iter(self._last))]
@@ -137,10 +141,10 @@ class FittedRows(Predictions):
             self._judged[key] = Predicted(after.beside(self.before), worse, gaps)
         return self._judged[key]
 
-    def squares(self, model: Model) -> Array:
+    def squares(self, model: Model, near: Comparison | None = None) -> Array:
         """What each second adds to a model's squared gap, by channel (s, 9); NaN for a channel that
         is not there."""
-        after, there = self.of(model), np.isfinite(self.before.rms)
+        after, there = self.of(model, near), np.isfinite(self.before.rms)
         values = np.concatenate([h for one in after.errors for h in one.horizons])
         blocks = np.concatenate([_squares_by_blocks(one) for one in after.errors])
         scale = self.before.noise_floor**2 * np.isfinite(values).sum(axis=0) * there.sum()
@@ -171,7 +175,7 @@ def prove(findings: Findings, train: Predictions, rows: Predictions) -> tuple[Fi
         steps.append((BASE, rows.of(findings.moved).beside(before)))
     first, effects = steps[-1][1], []
     for found in findings.effects:
-        gap = rows.of(found.model).beside(before)
+        gap = rows.of(found.model, after).beside(before)
         effects.append(replace(found, gap_before=steps[-1][1], gap_after=gap))
         steps.append((found.name, gap))
     whole = first**2 - after.beside(before) ** 2

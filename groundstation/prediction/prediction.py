@@ -179,10 +179,10 @@ def own_noise(run: Flown, flying: Mask) -> Noise:
     return replace(usual, gyro=(x, y, z), walk=walk)
 
 
-def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
+def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> tuple[Observed, Noise]:
     """As ``observe_run``, with what of a run's ``own_noise`` foretells it better: a gyro that is
     shaken, for a torque that is rough looks alike to it, and angles that wander, for what the model
-    says of the sensors may explain them."""
+    says of the sensors may explain them. That noise is returned too."""
     steady, chosen = observe_run(model, run), Noise()
     if noise.gyro != chosen.gyro:
         other = replace(chosen, gyro=noise.gyro)
@@ -190,9 +190,12 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> Observed:
         if _error(run, shaken, RATES) < _error(run, steady, RATES):
             steady, chosen = shaken, other
     if steady.leans or not any(noise.walk):  # a filter of its own says how far they are off
-        return steady
-    walking = observe_run(model, run, noise=replace(chosen, walk=noise.walk))
-    return walking if _error(run, walking, ANGLES) < _error(run, steady, ANGLES) else steady
+        return steady, chosen
+    wandering = replace(chosen, walk=noise.walk)
+    walking = observe_run(model, run, noise=wandering)
+    if _error(run, walking, ANGLES) < _error(run, steady, ANGLES):
+        return walking, wandering
+    return steady, chosen
 
 
 def _error(run: Flown, seen: Observed, channels: slice) -> float:

@@ -72,15 +72,15 @@ def test_wandering_angles_are_foretold_better_by_an_observer_that_knows_it(clean
         return predict_observed(run, seen, HORIZONS).errors(run)[..., 8].std()
 
     still = observe_run(BASE, run)
-    walking = observe_as_it_is(BASE, run, noise(run))
+    walking = observe_as_it_is(BASE, run, noise(run))[0]
     assert yaw_error(walking) < 0.7 * yaw_error(still)
 
 
 def follows(model, run):
     """Whether a model's observer expects the angles to wander."""
     own = noise(run, model)
-    still = observe_as_it_is(model, run, replace(own, walk=NONE))
-    seen = observe_as_it_is(model, run, own)
+    still = observe_as_it_is(model, run, replace(own, walk=NONE))[0]
+    seen = observe_as_it_is(model, run, own)[0]
     return not np.array_equal(seen.gains.fresh, still.gains.fresh)
 
 
