@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from groundstation.discrepancy.acceptance import Stage, Trial, refusal
 from groundstation.discrepancy.base_constants import not_improved, unconfirmed
 from groundstation.discrepancy.prediction_gate import answer_to_predictions
@@ -13,15 +15,19 @@ from groundstation.discrepancy.search_state import Accepted, SearchState, names_
 from groundstation.identification.likelihood.parameters import Variant
 from groundstation.identification.likelihood.problem import Fit
 
-TRIM_ROUNDS = 6
-"""How often the trims of flights and what explains them settle on each other."""
+TRIM_ROUNDS, TRIM_SETTLED = 6, 0.01
+"""How often the trims of flights and what explains them settle on each other, at most, and the
+share of them that is no change."""
 
 
 def settle_trim(search: SearchState) -> None:
     """Learn how far the trims of flights differ beside what was found, and fit with that."""
     for _ in range(TRIM_ROUNDS):
+        before = search.problem.trim
         search.problem.learn_trim(search.now.point)
         search.now = search.problem.fit(search.now.point, search.now.keys)
+        if np.allclose(search.problem.trim, before, rtol=TRIM_SETTLED):
+            break
     search.trims = {names_of(search.accepted): search.problem.trim}
 
 
