@@ -260,7 +260,7 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
     ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible),
     ((Stage.WEIGHED, Stage.STABLE), Reason.INSIGNIFICANT, insignificant),
-    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
+    ((Stage.WEIGHED, Stage.STABLE), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),

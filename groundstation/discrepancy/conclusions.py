@@ -25,6 +25,7 @@ from groundstation.discrepancy.search_state import Accepted
 from groundstation.dynamics.model import Estimate, Model
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.identification.body.certainty import open_delay_s, unseen_delay_s
+from groundstation.identification.flight import Flight
 from groundstation.identification.likelihood.parameters import (
     BODY_KEYS,
     MOTOR_KEYS,
@@ -42,6 +43,7 @@ SHOWN = 5.0
 
 def conclude(
     outcome: Outcome,
+    errors: Mapping[str, float],
     recurrence: Mapping[str, Recurrence],
     problem: Problem,
     model: Model,
@@ -51,10 +53,10 @@ def conclude(
 ) -> Findings:
     """The findings, but for what predictions say of the verdict.
 
-    recurrence: by label. known: effects of the given model. lost: as in ``Findings``.
+    errors: standard errors by key that are told. recurrence: by label. known: effects of the given
+    model. lost: as in ``Findings``.
     """
     final, residual = outcome.final, outcome.residual
-    errors = outcome.errors
     given = tuple(key for v in known for key in v.keys)
     named, possible = _named_and_possible(outcome, recurrence, problem)
     others = [one for one in outcome.accepted if one not in named]
@@ -62,7 +64,7 @@ def conclude(
 
     def told(one: Accepted, order: int, keys: tuple[str, ...]) -> FoundEffect:
         again = recurrence.get(one.variant.label)
-        return _effect(one, again, order, outcome, keys, model, problem.frame.own)
+        return _effect(one, again, order, outcome, errors, keys, model, problem.frame.own)
 
     keys, effects = unnamed, []
     for order, one in enumerate(named, 1):
@@ -111,16 +113,21 @@ def _with_renamed(point: Point, outcome: Outcome, problem: Problem) -> Point:
     return changed
 
 
+def open_of(flights: Sequence[Flight]) -> float:
+    """Delay (s) that the rows of these flights leave open; measured rotor speeds know what the
+    controller did within a row."""
+    modelled = [flight for flight in flights if not flight.rotor_measured]
+    return max(
+        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
+    )
+
+
 def _named_and_possible(
     outcome: Outcome, recurrence: Mapping[str, Recurrence], problem: Problem
 ) -> tuple[list[Accepted], list[Accepted]]:
     """Effects that pass the last gates, and those that are no more than possible; why the others
     have no name is in ``outcome.refused`` then."""
-    # measured rotor speeds know what the controller did within a row
-    modelled = [flight for flight in problem.flights if not flight.rotor_measured]
-    open_s = max(
-        (max(open_delay_s(one.period_s), unseen_delay_s(one.run)) for one in modelled), default=0.0
-    )
+    open_s = open_of(problem.flights)
     named, possible = [], []
     for one in outcome.accepted:
         label = one.variant.label
@@ -147,12 +154,13 @@ def _effect(
     again: Recurrence | None,
     order: int,
     outcome: Outcome,
+    errors: Mapping[str, float],
     keys: tuple[str, ...],
     model: Model,
     own: Sequence[Variant],
 ) -> FoundEffect:
     name, evidence = one.variant.effect, one.evidence
-    point, errors = outcome.final.point, outcome.errors
+    point = outcome.final.point
     return FoundEffect(
         name=name,
         order=order,

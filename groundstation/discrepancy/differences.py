@@ -1,4 +1,5 @@
-"""What numbers differ by from flight to flight: a random effect of each, part of their errors."""
+"""What standard errors hold beside noise: what numbers differ by from flight to flight, a random
+effect of each, and a delay that rows leave open."""
 
 from __future__ import annotations
 
@@ -12,6 +13,8 @@ from groundstation.discrepancy.blocks import Blocks
 from groundstation.identification.estimate import inverse
 
 Array = NDArray[np.float64]
+
+DELAY = "dead_time.delay_s"
 
 INFORMED = 0.05
 """Share of the information on a number from which a flight takes part."""
@@ -36,6 +39,23 @@ def with_differences(errors: Mapping[str, float], blocks: Blocks) -> dict[str, f
             more = own * difference(trust, blocks.gradient @ alone, blocks.flight)
             wider[key] = float(np.hypot(errors[key], more))
     return wider
+
+
+def with_open_delay(errors: Mapping[str, float], blocks: Blocks, open_s: float) -> dict[str, float]:
+    """Standard errors by key, with what a delay that the rows leave open moves each number by.
+
+    open_s: the delay is anywhere between none and so much, either way. A delay that is fitted is
+    not known better than that, and moves no other number.
+    """
+    if open_s == 0.0 or DELAY not in blocks.keys:
+        return dict(errors)
+    normal, _ = blocks.together()
+    fitted, at = blocks.keys[: blocks.fitted], blocks.keys.index(DELAY)
+    moved = -inverse(normal[: len(fitted), : len(fitted)]) @ normal[: len(fitted), at]
+    if DELAY in fitted:
+        moved = -np.eye(len(fitted))[at]
+    spread = dict(zip(fitted, np.abs(moved) * open_s / np.sqrt(3.0), strict=True))
+    return {key: float(np.hypot(error, spread.get(key, 0.0))) for key, error in errors.items()}
 
 
 def difference(trust: Array, score: Array, flight: NDArray[np.int64]) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 from groundstation.comparison.comparison import compare
 from groundstation.comparison.consistency import require_consistent
 from groundstation.discrepancy.blocks import last_blocks
-from groundstation.discrepancy.conclusions import conclude
-from groundstation.discrepancy.differences import with_differences
+from groundstation.discrepancy.conclusions import conclude, open_of
+from groundstation.discrepancy.differences import DELAY, with_differences, with_open_delay
 from groundstation.discrepancy.division import divide
 from groundstation.discrepancy.findings import (
     Findings,
@@ -220,10 +220,12 @@ def _searched(
     told = [one.variant for one in outcome.accepted if {*final.keys}.issuperset(one.variant.sizes)]
     columns = [one for one in candidates if {*problem.every_key}.issuperset(one.sizes)]
     others = asked_again(columns, outcome.refused, told)
-    blocks = last_blocks(problem, final, others)
+    late = [one for one in columns if DELAY in one.keys and one not in (*told, *others)]
+    blocks = last_blocks(problem, final, [*others, *late])
     recurrence = recurrences(blocks, final.point, told, others)
     outcome.errors = with_differences(outcome.errors, blocks)
-    found = conclude(outcome, recurrence, problem, model, known, lost, warnings)
+    stated = with_open_delay(outcome.errors, blocks, open_of(fit_on))
+    found = conclude(outcome, stated, recurrence, problem, model, known, lost, warnings)
     return with_imbalance(found, problem, final.point)
 
 

@@ -4,6 +4,7 @@ first that passes the gates joins."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,7 +71,8 @@ def join_best(search: SearchState, able: Sequence[Variant]) -> bool:
     for trial in trials:
         label = trial.variant.label
         assert trial.fit is not None
-        (trial.evidence,) = search.weighed(trial.fit, [trial.variant])
+        (evidence,) = search.weighed(trial.fit, [trial.variant])
+        trial.evidence = replace(evidence, drop=before.cost - trial.fit.cost)
         search.held_out[label] = trial.evidence.held_out
         why = refusal(Stage.WEIGHED, trial)
         if why is None:

@@ -112,13 +112,12 @@ def best_followed(slow: Slow, fitted: Comparison) -> Slow:
     """At the pace with which fitted rows are predicted best, with the spreads only of those
     channels that are: beside what is fast and has no name, following what is slow can mislead."""
     told = np.isfinite(fitted.rms)
-    coarse = fitted.with_model(fitted.model, EVERY_S, same_observer=True)
-    before = _squares(coarse.rms / fitted.noise_floor, told)
+    before = _squares(fitted.with_model(fitted.model, EVERY_S).rms / fitted.noise_floor, told)
     found = []
     for time_s in PACES_S:
         one = slow.at(time_s)
-        after = coarse.with_model(with_term(fitted.model, one), EVERY_S, same_observer=True)
-        gained = before - _squares(after.rms / fitted.noise_floor, told)
+        after = fitted.with_model(with_term(fitted.model, one), EVERY_S).rms / fitted.noise_floor
+        gained = before - _squares(after, told)
         kept = replace(one, spread=np.where(gained > 0.0, one.spread, 0.0))
         found.append((float(gained[gained > 0.0].sum()), kept))
     return max(found, key=lambda each: each[0])[1]
