@@ -58,11 +58,10 @@ class Stage(Enum):
     SCREENED = auto()
     """The columns of every effect are known."""
     WEIGHED = auto()
-    """Its evidence has been gathered, on flights that are left out too."""
+    """Its evidence has been gathered, on flights that are left out too; asked again in the end,
+    beside all that joined since."""
     JOINED = auto()
     """Another effect has joined since."""
-    STABLE = auto()
-    """Nothing joins any more."""
     NAMED = auto()
     """The last one."""
 
@@ -139,7 +138,7 @@ def implausible(trial: Trial) -> str:
 
 
 def insignificant(trial: Trial) -> str:
-    """Chance can do it. Asked again in the end, beside all that joined since."""
+    """Chance can do it."""
     evidence = _evidence(trial)
     least = LEAST_DROP + DROP_PER_PARAMETER * (len(trial.variant.keys) - 1)
     enough = evidence.drop >= least and evidence.t >= LEAST_T
@@ -259,8 +258,8 @@ GATES: tuple[tuple[tuple[Stage, ...], Reason, Callable[[Trial], str]], ...] = (
     ((Stage.SCREENED,), Reason.WEAK, weak),
     ((Stage.SCREENED,), Reason.WRONG_SIGN, wrong_sign),
     ((Stage.WEIGHED,), Reason.IMPLAUSIBLE, implausible),
-    ((Stage.WEIGHED, Stage.STABLE), Reason.INSIGNIFICANT, insignificant),
-    ((Stage.WEIGHED, Stage.STABLE), Reason.NOT_HELD_OUT, not_held_out),
+    ((Stage.WEIGHED,), Reason.INSIGNIFICANT, insignificant),
+    ((Stage.WEIGHED,), Reason.NOT_HELD_OUT, not_held_out),
     ((Stage.WEIGHED,), Reason.BETWEEN_ROWS, unseen_settings),
     ((Stage.JOINED,), Reason.SUPERFLUOUS, superfluous),
     ((Stage.NAMED,), Reason.NEGLIGIBLE, negligible),

@@ -1,5 +1,5 @@
-"""Backward: what leaves the model again, because the others do as well without it, or because
-chance can do it beside all that joined since."""
+"""Backward: what leaves the model again, because the others do as well without it, or because it
+fails what it passed before the others joined."""
 
 from __future__ import annotations
 
@@ -35,9 +35,10 @@ def drop_needless(search: SearchState) -> bool:
     return True
 
 
-def drop_insignificant(search: SearchState) -> bool:
-    """Drop, for good, the weakest accepted effect that is not above chance, if there is one."""
-    failed = failing(search, [one.variant for one in search.accepted], Stage.STABLE)
+def drop_failing(search: SearchState) -> bool:
+    """Drop, for good, the weakest accepted effect that fails what it once passed, if there is
+    one."""
+    failed = failing(search, [one.variant for one in search.accepted])
     if failed is None:
         return False
     search.banned.add(failed[0].variant.label)
@@ -45,17 +46,15 @@ def drop_insignificant(search: SearchState) -> bool:
     return True
 
 
-def failing(
-    search: SearchState, variants: Sequence[Variant], stage: Stage
-) -> tuple[Accepted, Refusal] | None:
-    """Ask each of these effects of the joint fit beside the others; the weakest that fails a stage,
-    and why. All are accepted until they are dropped, the strongest first."""
+def failing(search: SearchState, variants: Sequence[Variant]) -> tuple[Accepted, Refusal] | None:
+    """Ask each of these effects of the joint fit beside the others; the weakest that fails, and
+    why. All are accepted until they are dropped, the strongest first."""
     weighed = search.weighed(search.now, variants)
     both = [Accepted(one, evidence) for one, evidence in zip(variants, weighed, strict=True)]
     search.accepted = sorted(both, key=lambda one: -one.evidence.drop)
     search.held_out |= {one.variant.label: one.evidence.held_out for one in both}
     failed = None
     for one in search.accepted:
-        why = refusal(stage, Trial(one.variant, search.now, evidence=one.evidence))
+        why = refusal(Stage.WEIGHED, Trial(one.variant, search.now, evidence=one.evidence))
         failed = failed if why is None else (one, why)
     return failed

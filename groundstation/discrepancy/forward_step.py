@@ -56,7 +56,7 @@ def join_what_is_sure(search: SearchState, plain: Screening) -> None:
     search.now = search.problem.fit(point, keys)
     variants = [one.variant for one in sure]
     search.progress("asking each beside the others", -1.0)
-    while failed := failing(search, variants, Stage.WEIGHED):
+    while failed := failing(search, variants):
         search.drop(*failed)
         variants = [one.variant for one in search.accepted]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from groundstation.discrepancy.backward_step import (
-    drop_insignificant,
+    drop_failing,
     drop_needless,
 )
 from groundstation.discrepancy.findings import Leftover, Refusal
@@ -66,7 +66,7 @@ def search_effects(search: SearchState) -> None:
         if not (
             drop_needless(search)
             or join_best(search, search.able())
-            or drop_insignificant(search)
+            or drop_failing(search)
             or join_tried(search)
         ):
             break
