@@ -11,10 +11,11 @@ from scipy.special import gammaincinv
 
 from groundstation.discrepancy.blocks import Blocks
 from groundstation.identification.estimate import inverse
+from groundstation.identification.likelihood.parameters import VARIANTS
 
 Array = NDArray[np.float64]
 
-DELAY = "dead_time.delay_s"
+DELAY = next(one.sizes[0] for one in VARIANTS if one.definition.stage == "delay")
 
 INFORMED = 0.05
 """Share of the information on a number from which a flight takes part."""

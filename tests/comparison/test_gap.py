@@ -86,3 +86,10 @@ def test_200_and_500_ms_ahead_a_right_model_is_at_noise_and_a_wrong_one_shows_mo
     assert (near, far) == pytest.approx((1.0, 1.0), abs=0.1)
     ahead = wrong.further()
     assert wrong.gap < overall(*ahead.at_horizon(0)) < overall(*ahead.at_horizon(1))
+
+
+def test_a_model_that_hardly_differs_may_be_observed_as_the_other_one_was():
+    one = judged()
+    (own,), (again,) = one.errors, one.with_model(one.model, same_observer=True).errors
+    assert again.chosen == own.chosen
+    np.testing.assert_array_equal(again.horizons[-1], own.horizons[-1])

@@ -73,11 +73,6 @@ def test_what_the_others_do_as_well_without_leaves():
     assert said(Stage.JOINED, removal=50.0) is None
 
 
-def test_chance_is_asked_again_beside_all_that_joined_since():
-    assert said(Stage.STABLE, evidence=evidence(t=4.0)) is Reason.INSIGNIFICANT
-    assert said(Stage.STABLE, evidence=evidence()) is None
-
-
 def test_what_other_rows_would_not_choose_is_possible_and_not_named():
     place = fit(rate_damping__damping_n_m_s=1e-5)
     assert said(Stage.NAMED, fit=place, recurrence=0.59) is Reason.NOT_RECURRENT

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from groundstation.discrepancy.blocks import Blocks
-from groundstation.discrepancy.differences import difference, with_differences
+from groundstation.discrepancy.differences import (
+    DELAY,
+    difference,
+    with_differences,
+    with_open_delay,
+)
 
 BLOCKS = 20
 
@@ -69,3 +74,25 @@ def test_what_the_prior_holds_is_widened_by_the_share_that_the_data_have():
     assert free["held"] == 1.0
     held, error = stated(99.0 * trust.sum())
     assert held["c0"] == pytest.approx(np.hypot(error, 0.002), rel=0.02)
+
+
+def beside_a_delay(fitted):
+    """Blocks of a number x and a delay whose columns overlap by half, ``fitted`` of them in the
+    fit."""
+    normal = np.tile([[100.0, 50.0], [50.0, 100.0]], (BLOCKS, 1, 1))
+    nothing = np.zeros((2, 2)), np.zeros(2)
+    return Blocks(("x", DELAY), fitted, normal, np.zeros((BLOCKS, 2)), two_flights(), nothing)
+
+
+def test_a_delay_that_rows_leave_open_widens_what_it_would_move():
+    wider = with_open_delay({"x": 0.3, "y": 0.2}, beside_a_delay(1), 0.8 * np.sqrt(3.0))
+    assert wider == pytest.approx({"x": 0.5, "y": 0.2})
+
+
+def test_a_fitted_delay_takes_what_is_open_upon_itself():
+    wider = with_open_delay({"x": 0.3, DELAY: 0.6}, beside_a_delay(2), 0.8 * np.sqrt(3.0))
+    assert wider == pytest.approx({"x": 0.3, DELAY: 1.0})
+
+
+def test_rows_that_leave_no_delay_open_widen_nothing():
+    assert with_open_delay({"x": 0.3}, beside_a_delay(1), 0.0) == {"x": 0.3}
