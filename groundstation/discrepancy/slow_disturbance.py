@@ -2,7 +2,7 @@
 
 No column shows it, for it has no law but its spread and its pace. What is left of predictions is
 averaged over half seconds: noise is forgotten from one to the next, and what acts slowly is not.
-The likelihood of these means gives the spread and the pace.
+The likelihood of these means gives the spread, and how well fitted rows are predicted the pace.
 Two flights in which nothing of it shows do not say that the third has none: batteries are pushed
 in anew, and one pushes more than another. So moments are never held to be smaller than the trims of
 flights in general (``trim_of``), nor the force along z than what batteries differ by.
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.comparison.comparison import Comparison
-from groundstation.comparison.gap import AheadErrors
+from groundstation.comparison.gap import FURTHER_EVERY_S, AheadErrors
 from groundstation.discrepancy.acceptance import LEAST_SURE, is_significant
 from groundstation.discrepancy.drift import drift_of, spread_of
 from groundstation.dynamics.model import Disturbance, Estimate, Model, model_vehicle
@@ -47,17 +47,23 @@ neighbours say the same."""
 @dataclass(frozen=True, slots=True)
 class Slow:
     """spread (6,): standard deviation of moments (rad/s^2) and forces (m/s^2) along x, y, z, 0
-    where nothing lasts. time_s: the pace that is likeliest of all together. t: ``standard_errors``
-    of the six, where one at least lasts; drop: of -2 log L where each has its likeliest pace.
-    seconds: so much was flown. usual: (6,) spreads of flights in general, below which these
-    flights, or others, did not tell one."""
+    where nothing lasts. time_s: the pace of all. t: ``standard_errors`` of the six, where one at
+    least lasts; drop: of -2 log L where each has its likeliest pace. seconds: so much was flown.
+    variances (paces, 6): of the means of half seconds, by ``PACES_S``. usual: (6,) spreads of
+    flights in general, below which these flights, or others, did not tell one."""
 
     spread: Array
     time_s: float
     t: float
     drop: float
     seconds: float
+    variances: Array
     usual: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(6, np.bool_))
+
+    def at(self, time_s: float) -> Slow:
+        """The spreads with which a first-order process of this pace has such means."""
+        variance = self.variances[PACES_S.index(time_s)]
+        return replace(self, time_s=time_s, spread=spread_of(variance, BLOCK_S, time_s))
 
     def with_trims(self, least: Array) -> Slow:
         """Spreads at least as large as these (6,)."""
@@ -103,14 +109,22 @@ def is_followed(model: Model) -> bool:
 
 
 def best_followed(slow: Slow, fitted: Comparison) -> Slow:
-    """With the spreads only of those channels whose fitted rows are predicted better: beside what
-    is fast and has no name, following what is slow can mislead."""
+    """At the pace with which fitted rows are predicted best, with the spreads only of those
+    channels that are: beside what is fast and has no name, following what is slow can mislead."""
     told = np.isfinite(fitted.rms)
-    before, after = (
-        _squares(fitted.with_model(model, EVERY_S).rms / fitted.noise_floor, told)
-        for model in (fitted.model, with_term(fitted.model, slow))
-    )
-    return replace(slow, spread=np.where(after < before, slow.spread, 0.0))
+    before = _squares(_coarsely(fitted, fitted.model), told)
+    found = []
+    for time_s in PACES_S:
+        one = slow.at(time_s)
+        gained = before - _squares(_coarsely(fitted, with_term(fitted.model, one)), told)
+        kept = replace(one, spread=np.where(gained > 0.0, one.spread, 0.0))
+        found.append((float(gained[gained > 0.0].sum()), kept))
+    return max(found, key=lambda each: each[0])[1]
+
+
+def _coarsely(fitted: Comparison, model: Model) -> Array:
+    """Gaps (9,) of a model on fitted rows, from few of them: it is asked of many models."""
+    return fitted.with_model(model, FURTHER_EVERY_S).rms / fitted.noise_floor
 
 
 def _squares(gaps: Array, told: NDArray[np.bool_]) -> Array:
@@ -133,15 +147,15 @@ def slow_part(errors: Sequence[AheadErrors]) -> Slow:
     drops, variances = drift_of(flights, BLOCK_S, PACES_S)
     likeliest = np.where(count >= LEAST_BLOCKS, drops.max(axis=0), 0.0)
     lasting = likeliest >= LEAST_SURE**2  # all six are asked at once, and need more
-    pace = int(drops[:, lasting].sum(axis=1).argmax())
-    spread = spread_of(variances[pace], BLOCK_S, PACES_S[pace])
-    return Slow(
-        spread=np.where(lasting, spread, 0.0),
-        time_s=PACES_S[pace],
+    found = Slow(
+        spread=np.zeros(6),
+        time_s=PACES_S[0],
         t=standard_errors(likeliest) if lasting.any() else math.sqrt(likeliest.max()),
         drop=float(likeliest.sum()) if lasting.any() else 0.0,
         seconds=seconds,
+        variances=np.where(lasting, variances, 0.0),
     )
+    return found.at(PACES_S[int(drops[:, lasting].sum(axis=1).argmax())])
 
 
 def standard_errors(drops: Array) -> float:

@@ -51,8 +51,7 @@ def test_the_spread_of_what_drifts_is_told_beside_noise():
     for column, spread in ((0, 3.0), (4, 0.4)):
         missing[:, column] = drifting(400.0, 3.0, spread, generator)
         missing[:, column] += generator.normal(0.0, 5.0 * spread, 200_000)
-    slow = slow_part([errors(missing)])
-    assert slow.time_s == 3.0
+    slow = slow_part([errors(missing)]).at(3.0)
     assert np.flatnonzero(slow.spread).tolist() == [0, 4]
     assert slow.spread[[0, 4]] == pytest.approx([3.0, 0.4], rel=0.2)
 
@@ -131,7 +130,7 @@ def test_spreads_are_held_to_be_no_smaller_than_those_of_flights_in_general():
     generator = np.random.default_rng(3)
     missing = generator.normal(0.0, 1.0, (100_000, 6))
     missing[:, 1] += drifting(200.0, 3.0, 8.0, generator)
-    slow = slow_part([errors(missing)])
+    slow = slow_part([errors(missing)]).at(3.0)
     least = slow.with_trims(np.array([5.0, 4.0, 0.5, 0.0, 0.0, 0.3]))
     assert least.spread.tolist() == [5.0, slow.spread[1], 0.5, 0.0, 0.0, 0.3]
     told = {name: one.stderr is not None for name, one in least.parameters.items()}
