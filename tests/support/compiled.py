@@ -84,12 +84,14 @@ def controllers():
     from groundstation.control.linear_loop import DirectJudge, axis_plant
     from groundstation.control.pid import PidGains
     from groundstation.control.plant import plant_of_model
-    from groundstation.dynamics.sensing import gyro_step
+    from groundstation.dynamics.sensing import gyro_step, settled_reading
 
     model, thesis = vehicle_model(load_vehicle("crazyflie1")), load_model("thesis")
     evaluate(model, {}, "firmware")
     plant = plant_of_model(model)
-    gyro_step(plant.craft[0], 0.002, np.empty(1))  # asked only of a craft whose gyro lags
+    # Asked only of a craft whose sensors are not ideal.
+    gyro_step(plant.craft[0], 0.002, np.empty(1))
+    settled_reading(plant.craft[0], np.zeros(3), np.zeros(3), np.empty(6))
     CascadeJudge([plant], "yaw", 0.1)(np.ones((1, 2)))
     for loop in ("direct", "whole"):
         evaluate(thesis, {"yaw": PidGains(1000.0)}, loop)
