@@ -52,9 +52,10 @@ def with_open_delay(errors: Mapping[str, float], blocks: Blocks, open_s: float) 
         return dict(errors)
     normal, _ = blocks.together()
     fitted, at = blocks.keys[: blocks.fitted], blocks.keys.index(DELAY)
-    moved = -inverse(normal[: len(fitted), : len(fitted)]) @ normal[: len(fitted), at]
     if DELAY in fitted:
-        moved = -np.eye(len(fitted))[at]
+        moved = np.eye(len(fitted))[at]
+    else:
+        moved = inverse(normal[: len(fitted), : len(fitted)]) @ normal[: len(fitted), at]
     spread = dict(zip(fitted, np.abs(moved) * open_s / np.sqrt(3.0), strict=True))
     return {key: float(np.hypot(error, spread.get(key, 0.0))) for key, error in errors.items()}
 

@@ -41,6 +41,16 @@ def test_an_effects_drop_is_what_the_fit_without_it_costs_more(problem):
     assert found.expected == pytest.approx(found.drop, rel=0.1)
 
 
+def test_what_was_known_before_promises_nothing_of_flights_left_out(problem, monkeypatch):
+    keys = ("c0", "c1", "c2", *DAMPING.keys)
+    after = problem.fit(problem.start, keys)
+    (found,) = gather(problem, problem.flights, after, [DAMPING])
+    surely = [replace(one, weight=100.0 * one.weight) for one in problem.prior]
+    monkeypatch.setattr(problem, "prior", surely)
+    (again,) = gather(problem, problem.flights, after, [DAMPING])
+    assert again.expected == pytest.approx(found.expected)
+
+
 def test_each_effect_of_a_fit_is_asked_beside_the_others(problem):
     keys = ("c0", "c1", "c2", *DAMPING.keys, *DELAY.keys)
     both = problem.fit(problem.start, keys)
