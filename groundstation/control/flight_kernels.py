@@ -22,7 +22,7 @@ from groundstation.dynamics import quaternion
 from groundstation.dynamics.attitude_filter import SMOOTHING, UNSMOOTHED, smoothed
 from groundstation.dynamics.craft import SENSOR_STATES
 from groundstation.dynamics.rigid_body import ALL, body_slope, physics
-from groundstation.dynamics.sensing import begin, estimated, follow, sense
+from groundstation.dynamics.sensing import ROOM, begin, carried, estimated, follow, sense
 from groundstation.telemetry.packet import FULL_16_BIT
 
 DEGREES = 180.0 / math.pi
@@ -54,8 +54,8 @@ def cascade_run(
     start: the state. fusion: the angles are the firmware's filter's, otherwise the true ones.
     ``f`` holds the firmware's state and is changed.
     """
-    p, rows = physics(craft), len(setpoints)
-    y, work, z = start.copy(), np.zeros((3, len(start))), np.zeros((4, SENSOR_STATES))
+    p, way, rows = physics(craft), carried(craft, period), len(setpoints)
+    y, work, z = start.copy(), np.zeros((3, len(start))), np.zeros((ROOM, SENSOR_STATES))
     late = sensor.delay / period
     depth = int(late) + 2
     past = np.zeros((depth, 10))
@@ -71,7 +71,7 @@ def cascade_run(
         now = past[k % depth]
         if k > 0:
             after = body_on(p, volts, y, work[0])
-            follow(craft, before, after, period, z)
+            follow(craft, way, before, after, period, z)
             before = after
         reading = sense(craft, before, z[0], z[1])
         felt = smoothed(felt, reading.accelerometer, period, smoothing)

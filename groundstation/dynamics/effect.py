@@ -200,7 +200,8 @@ class Effect:
 
     name: that of its file. stage, law: where it enters and how (``dynamics/law.py``). order: laws
     of a stage act in this order. states: what it remembers, in the order in which the law takes
-    them. fastest: values -> fastest rate in 1/s of these states, for the integrator's step.
+    them: of a listed sensor, its slopes and what is shown are linear in them. fastest: values ->
+    fastest rate in 1/s of these states, for an integrator's step.
     adds: its law in words. signature: by what a person knows it. excited_by: what to fly so that
     it shows. channels, regimes: where it shows first. needs: channels without which it cannot be
     told; ``modelled rotors``: not where rotor speeds were measured. unmeasured: what its law reads

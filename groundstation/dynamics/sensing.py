@@ -20,9 +20,15 @@ read_states, write_states = state_access("sensor")
 load = loader("sensor")
 OWN_SENSOR = LISTED_STATES["sensor"]
 GYRO_FILTER = first_state("gyro_filter")
+ROOM = 6
+"""Rows of states that it takes to follow them."""
 STEP = 0.5
-"""Longest step of the integrator over the fastest time constant of the sensors: what a filter has
-of a jump is off by 0.02 % of it at most."""
+"""Longest step of the integrator over the fastest time constant of a user's own sensors: what a
+filter has of a jump is off by 0.02 % of it at most."""
+TERMS = 14
+"""Of a series in a matrix whose entries sum to 0.5 at most: what is left out is below 1e-16."""
+MOST_DOUBLINGS = 1000.0
+"""A filter that is faster still forgets all."""
 SETTLE_S, SETTLE_STEP_S = 2.0, 0.002
 
 
@@ -124,38 +130,118 @@ def between(one: Any, other: Any, span: float, share: float) -> Any:
     )
 
 
-def _follow(who: int, size: int) -> Any:
-    """Effects with states act: to ask of every slope whether they do doubles what it costs."""
+@called
+def carried(craft: Any, span: float) -> Any:
+    """How the states of listed sensors' effects, which are linear in them, go on over ``span`` s.
 
-    @spliced
-    def slope(context: Any, half: int, z: Any, dz: Any) -> None:
-        craft, one, other, span, first, step = context
-        _acted_on(craft, between(one, other, span, first + 0.5 * half * step), z, dz, who)
+    Returns (m, 2): the state that each entry goes to and the one it comes from; (m, 4): what it
+    multiplies of that state, and of the slope that the craft alone makes of it at the start, in the
+    middle and at the end: exact where this slope is a parabola in time.
+    """
+    size = OWN_SENSOR if craft.sensor_states > 0 and craft.own[SENSOR] == 0 else 0
+    z, alone, slopes = np.zeros(SENSOR_STATES), np.zeros(SENSOR_STATES), np.zeros(SENSOR_STATES)
+    zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
+    body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, zero, still, still, 0.0, zero, zero)
+    a = np.zeros((size, size))
+    if size > 0:
+        _acted_on(craft, body, z, alone, LISTED)
+    for k in range(size):
+        z[k] = 1.0
+        _acted_on(craft, body, z, slopes, LISTED)
+        z[k] = 0.0
+        for i in range(size):
+            a[i, k] = span * (slopes[i] - alone[i])
+    whole, first, second, third = _phi(a)
+    places, gains, m = np.empty((size * size, 2), np.int64), np.empty((size * size, 4)), 0
+    for i in range(size):
+        for k in range(size):
+            if np.any(a[i] != 0.0) and whole[i, k] != 0.0:
+                places[m, 0], places[m, 1] = i, k
+                gains[m, 0] = whole[i, k]
+                gains[m, 1] = span * (first[i, k] - 3.0 * second[i, k] + 4.0 * third[i, k])
+                gains[m, 2] = span * (4.0 * second[i, k] - 8.0 * third[i, k])
+                gains[m, 3] = span * (4.0 * third[i, k] - second[i, k])
+                m += 1
+    return places[:m], gains[:m]
 
-    step = runge_kutta(slope)
 
-    @called
-    def follow(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
-        z, dz, base, total = room[0], room[1], room[2], room[3]
-        parts = max(1, math.ceil(span * craft.fastest / STEP))
-        for part in range(parts):
-            context = (craft, one, other, span, part / parts, 1.0 / parts)
-            step(context, span / parts, size, z, dz, base, total)
+@called
+def _times(a: Any, b: Any) -> Any:
+    """A matrix times another."""
+    c = np.zeros_like(a)
+    for i in range(len(a)):
+        for k in range(len(a)):
+            if a[i, k] != 0.0:
+                for j in range(len(a)):
+                    c[i, j] += a[i, k] * b[k, j]
+    return c
 
-    return follow
+
+@called
+def _phi(a: Any) -> Any:
+    """phi_0 to phi_3 of a matrix: the first is its exponential, and phi_n(a) a is phi_(n-1)(a) less
+    1 / (n - 1)! (Hochbruck and Ostermann 2010): a series for a / 2^k, doubled k times."""
+    one = np.eye(len(a))
+    doublings = math.ceil(min(max(math.log2(2.0 * np.abs(a).sum() + 1e-9), 0.0), MOST_DOUBLINGS))
+    a = a * 0.5**doublings
+    third = one
+    for n in range(TERMS, 3, -1):
+        third = one + _times(a, third) / n
+    third = third / 6.0
+    second = 0.5 * one + _times(a, third)
+    first = one + _times(a, second)
+    whole = one + _times(a, first)
+    for _ in range(doublings):
+        third = 0.125 * (_times(whole, third) + third + second + 0.5 * first)
+        second = 0.25 * (_times(whole, second) + second + first)
+        first = 0.5 * (_times(whole, first) + first)
+        whole = _times(whole, whole)
+    return whole, first, second, third
 
 
-_follow_listed, _follow_all = _follow(LISTED, OWN_SENSOR), _follow(ALL, SENSOR_STATES)
+@called
+def _carry(craft: Any, way: Any, one: Any, other: Any, span: float, room: Any) -> None:
+    places, gains = way
+    z, new, none = room[0], room[4], room[5]
+    for k in range(3):
+        _acted_on(craft, between(one, other, span, 0.5 * k), none, room[1 + k], LISTED)
+    for i in range(OWN_SENSOR):
+        new[i] = 0.0
+    for m in range(len(places)):
+        i, k = places[m, 0], places[m, 1]
+        new[i] += gains[m, 0] * z[k]
+        new[i] += gains[m, 1] * room[1, k] + gains[m, 2] * room[2, k] + gains[m, 3] * room[3, k]
+    for i in range(OWN_SENSOR):
+        z[i] = new[i]
+
+
+@spliced
+def _slope(context: Any, half: int, z: Any, dz: Any) -> None:
+    craft, one, other, span, first, step = context
+    _acted_on(craft, between(one, other, span, first + 0.5 * half * step), z, dz, ALL)
+
+
+_step = runge_kutta(_slope)
+
+
+@called
+def _integrate(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
+    z, dz, base, total = room[0], room[1], room[2], room[3]
+    parts = max(1, math.ceil(span * craft.fastest / STEP))
+    for part in range(parts):
+        context = (craft, one, other, span, part / parts, 1.0 / parts)
+        _step(context, span / parts, SENSOR_STATES, z, dz, base, total)
 
 
 @inner
-def follow(craft: Any, one: Any, other: Any, span: float, room: Any) -> None:
-    """The sensors' states room[0] from a body to the next, ``span`` s later; room: (4, states).
-    For crafts whose sensors have states."""
+def follow(craft: Any, way: Any, one: Any, other: Any, span: float, room: Any) -> None:
+    """The sensors' states room[0] from a body to the next, ``span`` s later; room: (ROOM, states),
+    of which the last stays 0. way: ``carried`` of the craft and the span. For crafts whose sensors
+    have states; those of a user's own need not be linear, and are integrated."""
     if craft.own[SENSOR] == 0:
-        _follow_listed(craft, one, other, span, room)
+        _carry(craft, way, one, other, span, room)
     else:
-        _follow_all(craft, one, other, span, room)
+        _integrate(craft, one, other, span, room)
 
 
 @spliced
@@ -176,11 +262,11 @@ def gyro_step(craft: Any, period: float, out: Any) -> None:
     zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     begun = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, zero, still, still, 0.0, zero, zero)
     body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, (1.0, 0.0, 0.0), still, still, 0.0, zero, zero)
-    room = np.zeros((4, SENSOR_STATES))
+    room, way = np.zeros((ROOM, SENSOR_STATES)), carried(craft, period)
     begin(craft, begun, room[0])
     bias = sense(craft, begun, room[0], room[1]).gyro[0]
     for k in range(len(out)):
-        follow(craft, body, body, period, room)
+        follow(craft, way, body, body, period, room)
         out[k] = sense(craft, body, room[0], room[1]).gyro[0] - bias
 
 
@@ -191,11 +277,11 @@ def settled_reading(craft: Any, rate: Any, force: Any, out: Any) -> None:
     zero, still = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     turn, felt = (rate[0], rate[1], rate[2]), (force[0], force[1], force[2])
     body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), zero, turn, still, still, 0.0, zero, felt)
-    room = np.zeros((4, SENSOR_STATES))
+    room, way = np.zeros((ROOM, SENSOR_STATES)), carried(craft, SETTLE_STEP_S)
     begin(craft, body, room[0])
     if craft.sensor_states > 0:
         for _ in range(int(SETTLE_S / SETTLE_STEP_S)):
-            follow(craft, body, body, SETTLE_STEP_S, room)
+            follow(craft, way, body, body, SETTLE_STEP_S, room)
     reading = sense(craft, body, room[0], room[1])
     for i in range(3):
         out[i], out[3 + i] = reading.gyro[i], reading.accelerometer[i]

@@ -24,7 +24,15 @@ from groundstation.dynamics.kernels import four, normalise
 from groundstation.dynamics.law import FAR_M, Body, Reading
 from groundstation.dynamics.motor_kernels import armature_of
 from groundstation.dynamics.rigid_body import ALL, body_slope, motor_slopes, physics
-from groundstation.dynamics.sensing import begin, estimated, feel, follow, sense
+from groundstation.dynamics.sensing import (
+    ROOM,
+    begin,
+    carried,
+    estimated,
+    feel,
+    follow,
+    sense,
+)
 from groundstation.dynamics.sensors import FILTER
 
 NO_BODY = Body(
@@ -148,12 +156,22 @@ _step = runge_kutta(_slope)
 
 @spliced
 def _advance(
-    craft: Any, p: Any, speed: Any, row: int, h: float, y: Any, work: Any, z: Any, read: bool
+    craft: Any,
+    p: Any,
+    way: Any,
+    speed: Any,
+    row: int,
+    h: float,
+    y: Any,
+    work: Any,
+    z: Any,
+    read: bool,
 ) -> Any:
     """One period of body and sensors, from point ``row`` to the next; their (body, reading) there.
 
-    y: body; z (4, SENSOR_STATES): states of the sensors, and room; work (3, size): room. read:
-    whether the reading is wanted; it is made all the same where the sensors have states.
+    way: how the sensors' states go on (``carried``). y: body; z (ROOM, SENSOR_STATES): states of
+    the sensors, and room; work (3, size): room. read: whether the reading is wanted; it is made all
+    the same where the sensors have states.
     """
     slope = _row_slope(speed, row, h)
     dy = work[0]
@@ -167,7 +185,7 @@ def _advance(
     if read or craft.sensor_states > 0:
         body = _body_at(craft, speed, row, 2, h, y, dy)
         if craft.sensor_states > 0:
-            follow(craft, before, body, h, z)
+            follow(craft, way, before, body, h, z)
         reading = sense(craft, body, z[0], z[1])
     return body, reading
 
@@ -208,9 +226,9 @@ def coast(
     states, attitude filter and the quaternion last reported, at ``rows``, and changed to those
     at the last horizon. Fills measured (m, g, 9): gyro, accelerometer, roll pitch yaw.
     """
-    p = physics(craft)
+    p, way = physics(craft), carried(craft, h)
     size = 17 + craft.body_states
-    work, z = np.zeros((3, size)), np.zeros((4, SENSOR_STATES))
+    work, z = np.zeros((3, size)), np.zeros((ROOM, SENSOR_STATES))
     leans = sensor.gains[0] > 0.0
     mount = four(sensor.mount)
     for k in range(len(rows)):
@@ -222,7 +240,7 @@ def coast(
             since += h
         for ahead in range(1, horizons[-1] + 1):
             wanted = ahead == horizons[g]
-            _, reading = _advance(craft, p, speed, row, h, y, work, z, leans or wanted)
+            _, reading = _advance(craft, p, way, speed, row, h, y, work, z, leans or wanted)
             since += h
             row += 1
             if leans:
@@ -326,9 +344,9 @@ def observe(
     Fills states (n, 17 + the effects'), sensed (n, SENSOR_STATES), filters (n, 10), innovations
     (n, 9; 0 where not known).
     """
-    p = physics(craft)
+    p, way = physics(craft), carried(craft, h)
     size = 17 + craft.body_states
-    y, work, z = np.zeros(size), np.zeros((3, size)), np.zeros((4, SENSOR_STATES))
+    y, work, z = np.zeros(size), np.zeros((3, size)), np.zeros((ROOM, SENSOR_STATES))
     f, error = np.zeros(FILTER), np.zeros(12)
     m, mount = sensor.mounting, four(sensor.mount)
     leans = sensor.gains[0] > 0.0
@@ -357,7 +375,7 @@ def observe(
             before = (y[3], y[4], y[5])
             if not math.isnan(height[j - 1]):
                 y[2] = height[j - 1]
-            body, reading = _advance(craft, p, speed, j - 1, h, y, work, z, True)
+            body, reading = _advance(craft, p, way, speed, j - 1, h, y, work, z, True)
             shown, felt = reading.gyro, reading.accelerometer
             if known[0]:
                 shown = (gyro[j, 0], gyro[j, 1], gyro[j, 2])

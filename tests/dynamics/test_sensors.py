@@ -3,6 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
+from scipy import signal
 
 from groundstation.dynamics.craft import craft_of_vehicle
 from groundstation.dynamics.law import Supply
@@ -96,4 +97,24 @@ def test_a_lag_of_the_gyro_is_followed_through_a_jump_as_its_exponential_says():
     shown = np.empty(10)
     gyro_step(craft[0], period_s, shown)
     time_s = period_s * np.arange(1, len(shown) + 1)
-    np.testing.assert_allclose(shown, 1.0 - np.exp(-2.0 * np.pi * bandwidth_hz * time_s), atol=3e-4)
+    np.testing.assert_allclose(
+        shown, 1.0 - np.exp(-2.0 * np.pi * bandwidth_hz * time_s), atol=1e-12
+    )
+
+
+def test_filters_behind_one_another_answer_a_jump_as_transfer_functions_in_series_do():
+    period_s, bandwidth_hz, corner_hz = 0.004, 60.0, 80.0
+    effects = {
+        "gyro_low_pass": {"bandwidth_hz": bandwidth_hz},
+        "gyro_filter": {"corner_hz": corner_hz},
+        "accelerometer_filter": {"corner_hz": 30.0},
+        "position_aided_lean": {"strength": 1.0, "time_s": 0.4},
+    }
+    craft = craft_of_vehicle(load_vehicle("crazyflie21"), effects)
+    shown = np.empty(12)
+    gyro_step(craft[0], period_s, shown)
+    one, two = 2.0 * np.pi * bandwidth_hz, 2.0 * np.pi * corner_hz
+    below = np.polymul([1.0, one], [1.0, np.sqrt(2.0) * two, two**2])
+    time_s = period_s * np.arange(len(shown) + 1)
+    _, expected = signal.step(([one * two**2], below), T=time_s)
+    np.testing.assert_allclose(shown, expected[1:], atol=1e-9)

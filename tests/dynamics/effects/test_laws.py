@@ -6,7 +6,7 @@ Rotors 1 and 3 turn counter-clockwise seen from above, so that their angular mom
 import numpy as np
 import pytest
 
-from groundstation.dynamics.law import FAR_M, Body, Craft, rotor_wrench
+from groundstation.dynamics.law import FAR_M, Body, Craft, Reading, rotor_wrench
 from groundstation.dynamics.registry import EFFECTS
 from groundstation.dynamics.vehicle import BUILT_IN, rotor_positions_m
 
@@ -63,3 +63,24 @@ def test_rotors_lift_where_they_are_and_their_drag_turns_the_other_way(profile):
         expected = np.cross(arm, [0.0, 0.0, lift])
         expected[2] = -COUNTER_CLOCKWISE[rotor] * one.drag * 300.0**2
         np.testing.assert_allclose(moments, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name", [one.name for one in EFFECTS.values() if one.stage == "sensor" and one.states]
+)
+def test_what_a_listed_sensor_remembers_is_linear_so_that_rows_follow_it_exactly(name):
+    effect, random = EFFECTS[name], np.random.default_rng(0)
+    values = [one.default for one in effect.parameters]
+    body = Body(FAR_M, (1.0, 0.0, 0.0, 0.0), (0.4, -0.2, 0.1), RATE, ROTOR, SLOPE, 0.3,
+                (3.0, -2.0, 5.0), (0.3, 0.2, 9.6))  # fmt: skip
+
+    def told(state):
+        reading = Reading(RATE, (0.3, 0.2, 9.6), ROTOR)
+        shown, slopes = effect.law(values, craft(), body, reading, tuple(state))
+        return np.array([*shown.gyro, *shown.accelerometer, *slopes])
+
+    one, other = random.normal(size=(2, len(effect.states)))
+    none = told(np.zeros(len(effect.states)))
+    assert np.abs(told(one) - none).max() > 0.1
+    summed = told(one) - none + 2.0 * (told(other) - none)
+    np.testing.assert_allclose(told(one + 2.0 * other) - none, summed, atol=1e-6)
