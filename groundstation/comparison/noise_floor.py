@@ -111,7 +111,7 @@ def learn(prepared: Sequence[Prepared]) -> BlackBox:
     for first, kind in zip((0, 3, 6), KINDS, strict=True):
         signals = [one.signals(kind) for one in prepared]
         pieces = [
-            (own.values[rows], one.step[rows, first : first + 3])
+            (_taken(own.values, rows), one.step[rows, first : first + 3])
             for one, own in zip(prepared, signals, strict=True)
             for rows in _rows(one, first)
         ]
@@ -200,6 +200,12 @@ def _rows(one: Prepared, channel: int) -> list[NDArray[np.int64]]:
         if len(known) > LEAST_ROWS:
             found.append(known)
     return found
+
+
+def _taken(values: Array, rows: NDArray[np.int64]) -> Array:
+    """These rows, ascending; a view where none between them is left out."""
+    first, last = int(rows[0]), int(rows[-1])
+    return values[first : last + 1] if last - first + 1 == len(rows) else values[rows]
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,9 @@ def _fit_channel(
             noise = estimate_noise(left, WEIGHT_ORDER)
             chosen = _select(bands.weighted(noise, axis))
         weights = _solve(bands.weighted(noise, axis), chosen) / bands.scale[chosen]
-        left = [error - signals[:, chosen] @ weights for error, signals in pieces]
+        every = np.zeros(len(bands.scale))  # a part of the columns would be a copy of them
+        every[chosen] = weights
+        left = [error - signals @ every for error, signals in pieces]
     return ChannelPredictor(chosen, weights)
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from groundstation.discrepancy.acceptance import Stage, Trial, plausible, refusal
 from groundstation.discrepancy.findings import Refusal
-from groundstation.discrepancy.screening import removal_cost, sizes_at
+from groundstation.discrepancy.screening import cost_without
 from groundstation.discrepancy.search_state import Accepted, SearchState
 from groundstation.identification.likelihood.parameters import Variant
 
@@ -22,8 +20,7 @@ def drop_needless(search: SearchState) -> bool:
     covariance = search.last.covariance(keys)
     trials = []
     for one in search.accepted:
-        own = [keys.index(key) for key in one.variant.sizes]
-        cost = removal_cost(sizes_at(one.variant, point), covariance[np.ix_(own, own)])
+        cost = cost_without(one.variant, point, keys, covariance)
         if not plausible(one.variant, point):
             cost = min(cost, 0.0)
         trials.append((cost, one))
@@ -38,7 +35,8 @@ def drop_needless(search: SearchState) -> bool:
 def drop_failing(search: SearchState) -> bool:
     """Drop, for good, the weakest accepted effect that fails what it once passed, if there is
     one."""
-    failed = failing(search, [one.variant for one in search.accepted])
+    variants = [one.variant for one in search.accepted]
+    failed = failing(search, variants) if variants else None
     if failed is None:
         return False
     search.banned.add(failed[0].variant.label)

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.discrepancy.screening import removal_cost, sizes_at
+from groundstation.discrepancy.screening import cost_without, sizes_at
 from groundstation.errors import BadInputError
 from groundstation.identification.body.certainty import unseen_delay_s
 from groundstation.identification.estimate import inverse
@@ -64,8 +64,8 @@ def gather(
     covariance = inverse(problem.with_prior(linear).normal)
     found = []
     for variant in variants:
-        own, sizes = linear.place(variant.sizes), sizes_at(variant, fit.point)
-        drop = removal_cost(sizes, covariance[np.ix_(own, own)])
+        sizes = sizes_at(variant, fit.point)
+        drop = cost_without(variant, fit.point, linear.keys, covariance)
         held, expected = drop, drop
         if folds:
             held, expected = cross_validated(problem, there, variant.keys, sizes)

@@ -98,11 +98,12 @@ class SearchState:
         point = without(self.now.point, one.variant)
         self.now = self.problem.fit(point, (*self.base_keys, *joined))
 
-    def refit(self, accepted: Sequence[Accepted], held: set[str]) -> Fit:
-        """The joint fit of some effects, with the constants ``held`` as they were given."""
+    def refit(self, accepted: Sequence[Accepted], held: set[str], sizes: Sequence[str] = ()) -> Fit:
+        """The joint fit of some effects, and of ``sizes`` from where they are absent, with the
+        constants ``held`` as they were given."""
         # Without what explains a trim, none is too large: a constant would make room for it.
         self.problem.trim = self.trims.get(names_of(accepted), self.trim)
-        keys = (*self.base_keys, *(key for one in accepted for key in one.variant.keys))
+        keys = (*self.base_keys, *(key for one in accepted for key in one.variant.keys), *sizes)
         start = self.problem.start
         point = {key: self.now.point[key] for key in keys if key in self.now.point}
         point |= {key: start.get(key, absent(key)) for key in held} | self.fixed

@@ -3,7 +3,6 @@ found predicts fitted samples."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from groundstation.discrepancy.base_constants import not_improved, unconfirmed
 from groundstation.discrepancy.prediction_gate import answer_to_predictions
 from groundstation.discrepancy.search_state import Accepted, SearchState, names_of
 from groundstation.identification.likelihood.parameters import Variant
-from groundstation.identification.likelihood.problem import Fit
 
 TRIM_ROUNDS, TRIM_SETTLED = 6, 0.01
 """How often the trims of flights and what explains them settle on each other, at most, and the
@@ -57,14 +55,14 @@ def name_base_changes(search: SearchState) -> None:
         if key in search.held or key not in search.now.keys:
             continue
         held = search.held | {key}
-        after = _renamed(search, search.accepted, held, own)
+        after = search.refit(search.accepted, held, (own,))
         (evidence,) = search.weighed(after, [variant])
         trial = Trial(variant, after, evidence=evidence)
         if refusal(Stage.WEIGHED, trial) or refusal(Stage.NAMED, trial):
             continue
         apart = [one for one in search.accepted if not _shares(one.variant, variant)]
         if len(apart) < len(search.accepted):
-            alone = _renamed(search, apart, held, own)
+            alone = search.refit(apart, held, (own,))
             if abs(alone.point[own] - after.point[own]) > variant.definition.negligible:
                 continue
         search.now, search.held = after, held
@@ -78,12 +76,6 @@ def confirm(search: SearchState) -> bool:
     if search.judge is None:
         return False
     return answer_to_predictions(search, search.judge)
-
-
-def _renamed(search: SearchState, accepted: Sequence[Accepted], held: set[str], own: str) -> Fit:
-    """The fit with the constants ``held`` as given, with the size ``own``."""
-    before = search.refit(accepted, held)
-    return search.problem.fit(before.point, (*before.keys, own))
 
 
 def _shares(variant: Variant, other: Variant) -> bool:

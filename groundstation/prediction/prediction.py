@@ -9,6 +9,7 @@ never see those of the future, so a live stream can be fed in pieces.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -183,16 +184,17 @@ def observe_as_it_is(model: Model, run: Flown, noise: Noise) -> tuple[Observed, 
     """As ``observe_run``, with what of a run's ``own_noise`` foretells it better: a gyro that is
     shaken, for a torque that is rough looks alike to it, and angles that wander, for what the model
     says of the sensors may explain them. That noise is returned too."""
-    steady, chosen = observe_run(model, run), Noise()
+    observed = _observer(model, run)
+    steady, chosen = observed(None), Noise()
     if noise.gyro != chosen.gyro:
         other = replace(chosen, gyro=noise.gyro)
-        shaken = observe_run(model, run, noise=other)
+        shaken = observed(other)
         if _error(run, shaken, RATES) < _error(run, steady, RATES):
             steady, chosen = shaken, other
     if steady.leans or not any(noise.walk):  # a filter of its own says how far they are off
         return steady, chosen
     wandering = replace(chosen, walk=noise.walk)
-    walking = observe_run(model, run, noise=wandering)
+    walking = observed(wandering)
     if _error(run, walking, ANGLES) < _error(run, steady, ANGLES):
         return walking, wandering
     return steady, chosen
@@ -219,6 +221,13 @@ def observe_run(
 
     Raises BadInputError where PWM, battery voltage or the whole gyro are missing.
     """
+    return _observer(model, run, height_m)(noise)
+
+
+def _observer(
+    model: Model, run: Flown, height_m: Array | None = None
+) -> Callable[[Noise | None], Observed]:
+    """The same for one noise after another: what all share is made once."""
     if not np.isfinite(run.gyro).any():
         raise BadInputError("the gyro is missing; the craft's state cannot be followed without it")
     drive = drive_run(model, run)
@@ -228,10 +237,13 @@ def observe_run(
     if height_m is None:
         near = any("height" in effect.unmeasured for effect, _ in acting(model))
         height_m = height_of(reckoned, flying) if near else np.full(len(run.duty), np.nan)
-
-    gains = gains_of(model, run.period_s, noise)
     start = _start(run, drive, flying)
-    return observe_part(run, drive, gains, flying, fresh, height_m=height_m, start=start)[0]
+
+    def observed(noise: Noise | None) -> Observed:
+        gains = gains_of(model, run.period_s, noise)
+        return observe_part(run, drive, gains, flying, fresh, height_m=height_m, start=start)[0]
+
+    return observed
 
 
 def _start(run: Flown, drive: Drive, flying: Mask) -> Array:
