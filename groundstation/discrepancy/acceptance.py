@@ -16,7 +16,7 @@ import numpy as np
 
 from groundstation.discrepancy.evidence import HELD_OUT_SHARE, Evidence
 from groundstation.discrepancy.findings import Reason, Refusal
-from groundstation.discrepancy.screening import PENALTY, Scored, sizes_at
+from groundstation.discrepancy.screening import PENALTY, Scored, beside_shapes, sizes_at
 from groundstation.discrepancy.weight import Weight
 from groundstation.dynamics.effect import Effect
 from groundstation.dynamics.model import Estimate
@@ -201,7 +201,11 @@ def flights_differ(trial: Trial) -> str:
     """From flight to flight it differs by as much as it is large."""
     assert trial.fit is not None
     sizes = sizes_at(trial.variant, trial.fit.point)
-    errors = np.array([trial.errors.get(key, 0.0) for key in trial.variant.sizes])
+    keys, covariance = trial.fit.keys, trial.fit.covariance
+    own = [keys.index(key) for key in trial.variant.sizes]
+    of_shapes = covariance[own, own] - np.diag(beside_shapes(trial.variant, keys, covariance))
+    stated = np.array([trial.errors.get(key, 0.0) for key in trial.variant.sizes])
+    errors = np.sqrt(np.maximum(stated**2 - of_shapes, 0.0))
     if (np.abs(sizes) >= LEAST_SURE * errors).any():
         return ""
     fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))

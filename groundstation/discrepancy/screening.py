@@ -226,17 +226,20 @@ def removal_cost(values: Array, covariance: Array) -> float:
     return float(values @ inverse(covariance) @ values)
 
 
-def cost_without(variant: Variant, point: Point, keys: Sequence[str], covariance: Array) -> float:
-    """What -2 log L gains, to first order, when a variant leaves a fit at ``point``; covariance:
-    (k, k) of ``keys``. Its shapes stay: beside them a size would seem as little known as the
-    effect's form is, while without a size they say nothing."""
+def beside_shapes(variant: Variant, keys: Sequence[str], covariance: Array) -> Array:
+    """Covariance of a variant's sizes (k, k) with its shapes as they are: a size may be as little
+    known as the form of the effect is, but without a size a form says nothing. covariance: of
+    ``keys``."""
     own = [keys.index(key) for key in variant.sizes]
     shapes = [keys.index(key) for key in variant.keys if key not in variant.sizes]
-    known = covariance[np.ix_(own, own)]
-    if shapes:
-        pull = covariance[np.ix_(own, shapes)] @ inverse(covariance[np.ix_(shapes, shapes)])
-        known = known - pull @ covariance[np.ix_(shapes, own)]
-    return removal_cost(sizes_at(variant, point), known)
+    pull = covariance[np.ix_(own, shapes)] @ inverse(covariance[np.ix_(shapes, shapes)])
+    return np.asarray(covariance[np.ix_(own, own)] - pull @ covariance[np.ix_(shapes, own)])
+
+
+def cost_without(variant: Variant, point: Point, keys: Sequence[str], covariance: Array) -> float:
+    """What -2 log L gains, to first order, when a variant leaves a fit at ``point``. covariance: of
+    ``keys``."""
+    return removal_cost(sizes_at(variant, point), beside_shapes(variant, keys, covariance))
 
 
 def sizes_at(variant: Variant, point: Point) -> Array:

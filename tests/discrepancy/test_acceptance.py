@@ -86,6 +86,15 @@ def test_a_size_by_which_flights_differ_as_much_is_possible_and_not_named():
     assert said(Stage.NAMED, fit=place, errors={key: 3e-6}) is None
 
 
+def test_a_size_that_is_doubtful_for_its_shape_alone_is_sure():
+    gain, reach = VARIANT["ground_effect"].sizes[0], "ground_effect.height_m"
+    for correlation, reason in ((0.99, None), (0.5, Reason.RECORDINGS_DISAGREE)):
+        spread = np.array([[0.15, 0.0], [0.0, 0.02]])
+        known = spread @ np.array([[1.0, correlation], [correlation, 1.0]]) @ spread
+        place = Fit({gain: 0.3, reach: 0.1}, (gain, reach), 0.0, known)
+        assert said(Stage.NAMED, "ground_effect", fit=place, errors={gain: 0.15}) is reason
+
+
 def test_of_several_sizes_one_that_is_sure_is_enough():
     sizes = VARIANT["accelerometer_bias"].sizes
     place = Fit(dict.fromkeys(sizes, 0.02), tuple(sizes), 0.0, np.eye(len(sizes)))
@@ -109,7 +118,7 @@ def test_what_predictions_hardly_need_is_possible_and_not_named():
 def test_a_bias_within_the_firmwares_own_rounding_is_no_effect():
     small, large = (dict.fromkeys(VARIANT["gyro_bias"].keys, size) for size in (0.05, 0.2))
     for point, reason in ((small, Reason.NEGLIGIBLE), (large, None)):
-        place = Fit(point, (), 0.0, np.eye(0))
+        place = Fit(point, tuple(point), 0.0, np.eye(len(point)))
         assert said(Stage.NAMED, "gyro_bias", fit=place) is reason
 
 
@@ -118,13 +127,13 @@ def test_a_gyro_that_lags_no_more_than_its_chip_always_does_is_no_effect():
     # half a millisecond in the gyro and in the accelerometer
     (key,) = VARIANT["gyro_low_pass"].keys
     for hz, reason in ((218.0, Reason.NEGLIGIBLE), (60.0, None)):
-        place = Fit({key: 1.0 / (2.0 * np.pi * hz)}, (), 0.0, np.eye(0))
+        place = Fit({key: 1.0 / (2.0 * np.pi * hz)}, (key,), 0.0, np.eye(1))
         assert said(Stage.NAMED, "gyro_low_pass", fit=place) is reason
 
 
 def test_what_the_model_has_without_a_name_is_told_with_its_size():
     (key,) = VARIANT["gyro_low_pass"].keys
-    place = Fit({key: 0.9e-3}, (), 0.0, np.eye(0))
+    place = Fit({key: 0.9e-3}, (key,), 0.0, np.eye(1))
     found = refusal(Stage.NAMED, Trial(VARIANT["gyro_low_pass"], fit=place))
     assert found.words.startswith("bandwidth_hz 177 Hz fitted, but no effect: the chip")
 
