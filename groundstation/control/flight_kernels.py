@@ -71,7 +71,8 @@ def cascade_run(
         now = past[k % depth]
         if k > 0:
             after = body_on(p, volts, y, work[0])
-            follow(craft, way, before, after, period, z)
+            if craft.sensor_states > 0:
+                follow(craft, way, before, after, period, z)
             before = after
         reading = sense(craft, before, z[0], z[1])
         felt = smoothed(felt, reading.accelerometer, period, smoothing)

@@ -203,9 +203,10 @@ def flights_differ(trial: Trial) -> str:
     sizes = sizes_at(trial.variant, trial.fit.point)
     keys, covariance = trial.fit.keys, trial.fit.covariance
     own = [keys.index(key) for key in trial.variant.sizes]
-    of_shapes = covariance[own, own] - np.diag(beside_shapes(trial.variant, keys, covariance))
+    beside = np.diag(beside_shapes(trial.variant, keys, covariance))
     stated = np.array([trial.errors.get(key, 0.0) for key in trial.variant.sizes])
-    errors = np.sqrt(np.maximum(stated**2 - of_shapes, 0.0))
+    more = np.maximum(stated**2 - covariance[own, own], 0.0)
+    errors = np.where(stated > 0.0, np.sqrt(beside + more), 0.0)
     if (np.abs(sizes) >= LEAST_SURE * errors).any():
         return ""
     fitted = _in_words(estimates_of(trial.variant, trial.fit.point, {}))

@@ -104,6 +104,7 @@ def cross_validated(
     """
     own = linear.place(keys[: len(sizes)])
     rest = [i for i, key in enumerate(linear.keys) if key not in keys]
+    told = [*own, *rest]
     prior = problem.with_prior(replace(linear, spectra=[], verticals=[]))
     whole = problem.with_prior(linear)
     held = expected = 0.0
@@ -111,7 +112,8 @@ def cross_validated(
         spectra = [s for s in linear.spectra if s.flight == number]
         verticals = [row for row in linear.verticals if row.flight == number]
         one = quadratic(spectra, problem.noise, verticals, len(linear.keys))
-        others = inverse(whole.normal - one.normal) @ (whole.gradient - one.gradient)
+        left, pushed = whole.normal - one.normal, whole.gradient - one.gradient
+        others = (inverse(left[np.ix_(told, told)]) @ pushed[told])[: len(own)]
         normal, gradient = one.normal + prior.normal, one.gradient + prior.gradient
         cross = normal[np.ix_(own, rest)]
         pull = cross @ inverse(normal[np.ix_(rest, rest)])
@@ -121,7 +123,7 @@ def cross_validated(
         def rise(step: Array, inner: Array = inner, slope: Array = slope) -> float:
             return float(step @ inner @ step - 2.0 * slope @ step)
 
-        held += rise(-sizes) - rise(others[own])
+        held += rise(-sizes) - rise(others)
         expected += float(sizes @ inner @ sizes)
     return held, expected
 

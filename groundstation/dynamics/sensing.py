@@ -23,10 +23,10 @@ GYRO_FILTER = first_state("gyro_filter")
 ROOM = 6
 """Rows of states that it takes to follow them."""
 STEP = 0.5
-"""Longest step of the integrator over the fastest time constant of a user's own sensors: what a
-filter has of a jump is off by 0.02 % of it at most."""
+"""Longest step of the integrator over the fastest time constant, where a user's own sensors act:
+what a filter has of a jump is off by 0.02 % of it at most."""
 TERMS = 14
-"""Of a series in a matrix whose entries sum to 0.5 at most: what is left out is below 1e-16."""
+"""Of a series in a matrix whose entries sum to 0.5 at most: what is left out is below 1e-15."""
 MOST_DOUBLINGS = 1000.0
 """A filter that is faster still forgets all."""
 SETTLE_S, SETTLE_STEP_S = 2.0, 0.002
@@ -81,8 +81,8 @@ def estimated(craft: Any, q: Any, z: Any) -> Any:
 def feel(craft: Any, body: Any, force: Any, h: float, room: Any) -> None:
     """Lean by the specific force that was measured over the row before a body, not by its own.
 
-    room: (4, states); the first are the sensors' states, of which those change that turn reported
-    angles.
+    room: (ROOM, states); the first are the sensors' states, of which those change that turn
+    reported angles.
     """
     sense(craft, body, room[0], room[1])
     sense(craft, reckoned(body, (body.angular, force)), room[0], room[2])
@@ -155,7 +155,7 @@ def carried(craft: Any, span: float) -> Any:
     places, gains, m = np.empty((size * size, 2), np.int64), np.empty((size * size, 4)), 0
     for i in range(size):
         for k in range(size):
-            if np.any(a[i] != 0.0) and whole[i, k] != 0.0:
+            if first[i, k] != 0.0:
                 places[m, 0], places[m, 1] = i, k
                 gains[m, 0] = whole[i, k]
                 gains[m, 1] = span * (first[i, k] - 3.0 * second[i, k] + 4.0 * third[i, k])

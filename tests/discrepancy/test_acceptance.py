@@ -97,7 +97,7 @@ def test_a_size_that_is_doubtful_for_its_shape_alone_is_sure():
 
 def test_of_several_sizes_one_that_is_sure_is_enough():
     sizes = VARIANT["accelerometer_bias"].sizes
-    place = Fit(dict.fromkeys(sizes, 0.02), tuple(sizes), 0.0, np.eye(len(sizes)))
+    place = Fit(dict.fromkeys(sizes, 0.02), tuple(sizes), 0.0, 1e-8 * np.eye(len(sizes)))
     doubtful = dict.fromkeys(sizes, 0.02)
     kinds = (doubtful, Reason.RECORDINGS_DISAGREE), (doubtful | {sizes[1]: 0.001}, None)
     for errors, reason in kinds:

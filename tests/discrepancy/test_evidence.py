@@ -44,16 +44,17 @@ def test_an_effects_drop_is_what_the_fit_without_it_costs_more(problem):
 
 def test_the_drop_of_an_effect_is_as_large_where_its_shape_is_hardly_known():
     hidden = {"ground_effect": {"gain": 0.3, "height_m": 0.1}}
-    flights = prepare([flown(20.0, 1, effects=hidden)[0]])
+    flights = prepare([flown(20.0, seed, effects=hidden)[0] for seed in (1, 2)])
     problem = Problem(flights, BASE, point_of(BASE))
     problem.learn_noise(problem.linear(problem.start, problem.every_key, problem.flights))
     before = problem.fit(problem.start, problem.base_keys)
     keys = (*problem.base_keys, *GROUND.keys)
     after = problem.fit({**before.point, "ground_effect.gain": 0.1}, keys)
-    (found,) = gather(problem, [], after, [GROUND])
+    (found,) = gather(problem, problem.flights, after, [GROUND])
     (gain,) = GROUND.sizes
     assert (after.point[gain] / after.stderr()[gain]) ** 2 < 0.5 * found.drop
     assert found.drop == pytest.approx(before.cost - after.cost, rel=0.2)
+    assert found.held_out == pytest.approx(found.expected, rel=0.2)
 
 
 def test_what_was_known_before_promises_nothing_of_flights_left_out(problem, monkeypatch):

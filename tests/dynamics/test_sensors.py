@@ -102,6 +102,16 @@ def test_a_lag_of_the_gyro_is_followed_through_a_jump_as_its_exponential_says():
     )
 
 
+def test_a_filter_that_is_far_faster_than_a_row_hides_nothing():
+    for effect, size in (
+        ("gyro_low_pass", {"bandwidth_hz": 6e4}),
+        ("gyro_filter", {"corner_hz": 9e4}),
+    ):
+        craft, shown = craft_of_vehicle(load_vehicle("crazyflie21"), {effect: size}), np.empty(3)
+        gyro_step(craft[0], 0.002, shown)
+        np.testing.assert_allclose(shown, 1.0, atol=1e-6)
+
+
 def test_filters_behind_one_another_answer_a_jump_as_transfer_functions_in_series_do():
     period_s, bandwidth_hz, corner_hz = 0.004, 60.0, 80.0
     effects = {
